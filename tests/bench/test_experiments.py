@@ -1,7 +1,5 @@
 """The benchmark: its profiles, timed cells, rows of averages over long runs, and a disk that is full."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Lyapunov spectra: known ones, the sum that the contact form fixes, and error bars that say what they should."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

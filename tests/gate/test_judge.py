@@ -1,7 +1,5 @@
 """The gate on a repository: its baseline is what git has at the base, whatever becomes of the tree it judges."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -84,11 +82,7 @@ ATTACKS = {
     "profiles blanked": (edited("laws.csv", ",smoke\n", ",\n"), same, "committed profile"),
     "the same row dropped on both sides": (remake(without_rk4), without_rk4, "committed row"),
     "both sides set to one broken value": (remake(broken), broken, "solution_error"),
-    "the record of the runs reduced to a stub": (
-        partial(write, path=RECORD, text=STUB),
-        same,
-        "record of the runs",
-    ),
+    "the record of the runs a stub": (partial(write, path=RECORD, text=STUB), same, "record of the runs"),
     "the record of the runs removed": (lambda root: (root / RECORD).unlink(), same, "record of the runs"),
     "a scene renamed": (edited("laws.csv", "particle,", "particel,"), same, "committed table"),
 }

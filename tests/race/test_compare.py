@@ -1,7 +1,5 @@
 """A comparison on one scene: what it claims is so, what it cannot do it says, and it ends when told."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace
@@ -208,20 +206,6 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
 
 
 # -- input -----------------------------------------------------------------------------------------
-BAD = {
-    "scene": (("wel",), "unknown scene 'wel'"),
-    "method": (("particle", ["rk5"]), "unknown method 'rk5': did you mean 'rk4'?"),
-    "error": (("particle", ["rk4"], (0.0,)), "error = 0.0: must be between 0 and 1"),
-    "errors": (("particle", ["rk4"], ()), "errors: at least one"),
-    "budget": (("particle", ["rk4"], (1e-2,), -1), "budget = -1: must be > 0"),
-}
-
-
-@pytest.mark.parametrize(("arguments", "says"), BAD.values(), ids=BAD)
-def test_bad_input_is_named(arguments, says):
-    with pytest.raises(cb.BadInput) as caught:
-        cb.compare(*arguments)
-    assert says in str(caught.value)
 
 
 # -- verdicts --------------------------------------------------------------------------------------

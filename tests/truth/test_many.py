@@ -1,7 +1,5 @@
 """The truth of many sites: modes of a ring in closed form, and two solvers that agree as far as they say."""
 
-from __future__ import annotations
-
 from time import perf_counter
 
 import numpy as np
