@@ -8,7 +8,7 @@ import contactbench as cb
 from cells import cells, outcome, pairs, step_budget
 from contactbench.measure.ladder import save_times, steps
 from contactbench.measure.laws import LAWS, energies, row
-from contactbench.results.tables import COMMON, LAWS_TABLE, LAWS_TIME
+from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
 from contactbench.solution import keywords
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
@@ -38,6 +38,6 @@ def along_time(solution):
     for name, law in DEVIATIONS.items():
         found = LAWS[law].along(solution) if LAWS[law].applies(solution.scene) else np.nan
         columns[f"{name}_deviation"] = getattr(found, "size", np.full(len(solution.t), np.nan))
-    key = {name: value for name, value in outcome(solution).items() if name in COMMON}
+    key = {name: value for name, value in outcome(solution).items() if name in LAWS_TIME.columns}
     for values in zip(*columns.values(), strict=True):
         yield {**key, **dict(zip(columns, map(float, values), strict=True))}

@@ -12,12 +12,10 @@ from __future__ import annotations
 
 from time import perf_counter
 
-import numpy as np
 import pytest
 
 import contactbench as cb
-from c_loops import KERNELS, kernel
-from cells import cells, controlled, engines, key, outcome, step_budget
+from cells import cells, controlled, engines, outcome, step_budget
 from contactbench.measure.clock import Call, Part, seconds
 from contactbench.measure.ladder import (
     BETWEEN,
@@ -39,8 +37,6 @@ from contactbench.solution import EXACT
 
 #: of tolerances down to this a profile chooses some; tighter ones are all run
 TIGHT = 1e-13
-#: a fixed-step method that is also run to tolerances, its pilots counted and timed
-CHOSEN, CHOSEN_ON, CHOSEN_RTOLS = "contact-rkn6", ("particle", "particle_long"), [1e-4, 1e-6, 1e-8, 1e-10]
 
 
 def ladder(profile):
@@ -59,20 +55,7 @@ def ladder(profile):
             else:
                 values = profile.choose(work_ladder(scene, method.order))
             rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
-    engine = cb.METHODS[CHOSEN].engines[0]
-    for scene in CHOSEN_ON:
-        rows += [(scene, CHOSEN, engine, "rtol", rtol) for rtol in profile.choose(CHOSEN_RTOLS)]
     return rows
-
-
-def limits(profile):
-    """(scene, method, step): the C loops, on the finest and the middle step of the ladder."""
-    return [
-        (scene, method, work_ladder(cb.SCENES[scene], cb.METHODS[method].order)[k])
-        for scene in ("particle", "particle_long")
-        for method in KERNELS
-        for k in ((-1, -3) if profile.points > 1 else (-3,))
-    ]
 
 
 def error(solutions):
@@ -111,7 +94,7 @@ def errors(cell, profile):
     solution = run()
     row = {"compile_s": run.compile_s, "first_call_s": perf_counter() - start}
     row |= {"carried": " ".join(fields(scene, method, run.request.carry))}
-    variant = {method.control: "", GROWING: GROWING}.get(control, "chosen")
+    variant = GROWING if control == GROWING else ""
     if control == GROWING:
         row |= controlled(method.control, value, variant)
     if not solution.ok:
@@ -189,28 +172,3 @@ def added(run, bare, once):
     blocks = [(seconds(run, calls), seconds(bare, calls)) for _ in range(PAIRS)]
     public, own = map(min, zip(*blocks, strict=True))
     return max(0.0, public - own)
-
-
-def prepared_limit(cell):
-    name, method, step = cell
-    scene = cb.SCENES[name]
-    row = key(name, "limit-c", "c", "step", step, method)
-    row |= {"carried": "q p", "jacobians": 0, "evaluation_kind": "gradient"}
-    made = kernel(method, scene, step)
-    if isinstance(made, str):
-        return row | {"status": "unsupported", "message": made}, None
-    run, evaluations = made
-    start = perf_counter()
-    end = run()
-    first = perf_counter() - start
-    truth = cb.reference(scene, [scene.t_end], ()).y[0]
-    error = float(np.linalg.norm(end - truth) / np.linalg.norm([*scene.q, *scene.p]))
-    row |= {"status": "ok", "message": "", "compile_s": 0.0, "first_call_s": first, "solution_error": error}
-    row |= {"steps": round(scene.t_end / step), "evaluations": evaluations}
-    return row | {"rhs_equivalents": float(evaluations)}, Call(run)
-
-
-@pytest.mark.timed
-@cells(limits)
-def test_limit(cell, clock):
-    clock.time(WORK_PRECISION, {}, prepared_limit, cell)

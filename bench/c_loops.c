@@ -14,30 +14,6 @@
     p1 = (keep) * p1 - (lose) * p1;           \
     p2 = (keep) * p2 - (lose) * p2
 
-#define DRIFT(k) DRIFT_BY(phi[k], keep[k], lose[k])
-
-#define LOOP(name, S)                                                                          \
-    void name(int64_t n, double c, const double *b, const double *phi, const double *keep,     \
-              const double *lose, double *y)                                                   \
-    {                                                                                          \
-        double q1 = y[0], q2 = y[1], p1 = y[2], p2 = y[3];                                     \
-        const double joint = b[S] + b[0];                                                      \
-        KICK(b[0]);                                                                            \
-        for (int64_t i = 0; i < n; i++) {                                                      \
-            for (int k = 0; k < S - 1; k++) {                                                  \
-                DRIFT(k);                                                                      \
-                KICK(b[k + 1]);                                                                \
-            }                                                                                  \
-            DRIFT(S - 1);                                                                      \
-            const double h = i + 1 < n ? joint : b[S];                                         \
-            KICK(h);                                                                           \
-        }                                                                                      \
-        y[0] = q1, y[1] = q2, y[2] = p1, y[3] = p2;                                            \
-    }
-
-LOOP(strang, 1)
-LOOP(rkn6, 11)
-
 /* Ensembles: m trajectories, one array per component.  `passes`: every flow a loop over all trajectories;
  * `plain`: drift and kick in one loop; `tiled`: all steps of a tile of trajectories before the next. */
 #define R restrict

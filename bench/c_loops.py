@@ -52,27 +52,8 @@ def pointer(array: np.ndarray) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
-    """A function that runs the scene (the particle) and returns the final (q, p), and its evaluations."""
-    loops = library()
-    if isinstance(loops, str):
-        return loops
-    name, n, numbers = constants(method, scene, step)
-    start = np.array([*scene.q, *scene.p])
-    loop, y = getattr(loops, name), start.copy()
-    coupling = ctypes.c_double(scene.parameters["coupling"])
-    arguments = (ctypes.c_int64(n), coupling, *map(pointer, (*numbers, y)))  # once: a call is a microsecond
-
-    def run() -> np.ndarray:
-        y[:] = start
-        loop(*arguments)
-        return y.copy()
-
-    return run, n * len(numbers[1]) + 1
-
-
 def ring_kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
-    """As `kernel`, on a ring with the bonds of the β-chain."""
+    """A function that runs a ring with the bonds of the β-chain and returns the final (q, p), and its evaluations."""
     loops = library()
     if isinstance(loops, str):
         return loops
@@ -110,7 +91,7 @@ SHAPES = ("passes", "plain", "tiled")
 def ensemble_kernel(
     method: str, shape: str, scene, step: float, start: np.ndarray
 ) -> tuple[Callable[[], np.ndarray], int, int] | str:
-    """As `kernel`, from start (4, m), one array per component; the steps before the evaluations."""
+    """As `ring_kernel`, of the particle from start (4, m), an array per component; the steps before the evaluations."""
     loops = library()
     if isinstance(loops, str):
         return loops

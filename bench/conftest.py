@@ -22,7 +22,7 @@ from contactbench.errors import BadInput
 from contactbench.measure.clock import MOST_VISITS, VISITS
 from contactbench.methods import METHODS
 from contactbench.methods.base import ENGINES
-from contactbench.plugins import OWN
+from contactbench.plugins import brought
 from contactbench.results import provenance
 from contactbench.results.cells import Cell, Cells
 from contactbench.results.schema import PROFILES as NAMES
@@ -110,8 +110,8 @@ def named(test: Any, config: pytest.Config) -> dict[str, tuple]:
     """The cells of a test by their names; none for a test of times alone in a run without times."""
     cells = [] if test.times and not config.timed else test.cells(config.profile)
     if config.getoption("own"):
-        brought = {*METHODS, *SCENES} - OWN
-        cells = [cell for cell in cells if not brought.isdisjoint(cell)]
+        own = brought()
+        cells = [cell for cell in cells if not own.isdisjoint(cell)]
     return {"-".join(f"{p:.6g}" if isinstance(p, float) else str(p) for p in cell): cell for cell in cells}
 
 

@@ -43,6 +43,8 @@ def sizes() -> Counter[str]:
             package = path.parent.relative_to(ROOT).parts[:3]
             for depth in {1, len(package)} - {0}:
                 found[f"lines of {'/'.join(package[:depth])}"] += len(copy.read_text().splitlines())
+    for path in tracked("src/*.toml"):
+        found["lines of data in src (TOML)"] += len(path.read_text(encoding="utf-8").splitlines())
     for path in tracked("*.md"):
         found[f"lines of {path.relative_to(ROOT)}"] = len(path.read_text(encoding="utf-8").splitlines())
     for name in ("results", "results/report.html"):

@@ -90,7 +90,7 @@ def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dic
     twin = truth.with_decimals(scene, context.mpf)
     states = [twin.unpack([context.mpf(x) for x in row], twin.carry()) for row in rows]
     lengths = [[dot(x.R, x.R)] for x in states]
-    agreement = {"|R|² = 1": truth.agreeing_digits(lengths, lengths[:1] * len(rows), 65)}
+    agreement = {"|R|² = |R(0)|²": truth.agreeing_digits(lengths, lengths[:1] * len(rows), 65)}
     if scene.isotropic:
         grown = [
             [c * context.exp(twin.gamma * context.mpf(t)) for c in twin.momentum(x)]

@@ -1,7 +1,5 @@
 """Shared by the tests: scenes to run on, random states, high-precision twins."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess
@@ -62,7 +60,6 @@ TWO_SCALES = cb.SCENES["stiff_spring"].with_(omega=3.0)  # not so stiff that rou
 ALL_SCENES = [*STANDARD, TWO_SCALES, cb.SCENES["kepler_drag"], USER, TILTED]
 #: tests that ask the C library what it has handed out
 counts_memory = pytest.mark.skipif(not handed_out(), reason="needs the C library of GNU")
-CONTACT_SCENES = [scene for scene in ALL_SCENES if scene.conformal_rate is not None]
 
 
 def by_name(items):

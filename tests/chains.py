@@ -1,7 +1,5 @@
 """Scenes of many sites for the tests: chains with any boundary, bodies in one to three dimensions."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import contactbench as cb

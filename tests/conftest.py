@@ -1,7 +1,5 @@
 """Fixtures of the tests, and which cases of a long parametrisation the quick run takes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

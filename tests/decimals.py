@@ -1,7 +1,5 @@
 """Derivative and momentum map of a numerical map in extended precision."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from contactbench.measure.order import DIGITS, march

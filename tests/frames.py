@@ -1,7 +1,5 @@
 """Small tables made by hand, typed as those that are read."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any
@@ -21,11 +19,7 @@ def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
     Where it has times both halves of the visits agree.
     """
     control = more.pop("control", "step")
-    halves = {
-        f"{what}_halves_ratio": 1.0
-        for what in ("time", "marginal")
-        if {f"{what}_min_s", f"{what}_s"} & {*more}
-    }
+    halves = [w for w in ("time", "marginal") if {f"{w}_min_s", f"{w}_s"} & {*more}]
     family = next((f for start, f in FAMILIES.items() if method.startswith(start)), "established")
     made = {
         "scene": scene,
@@ -36,7 +30,7 @@ def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
         "message": "",
     }
     setting = {"control": control, "value": value, "variant": "", "setting": f"{control}={value:g}"}
-    return made | setting | halves | more
+    return made | setting | {f"{what}_halves_ratio": 1.0 for what in halves} | more
 
 
 @cache

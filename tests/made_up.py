@@ -1,7 +1,5 @@
 """Made-up folders of tables, and repositories that have them committed."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
@@ -24,25 +22,13 @@ COMMON |= {"steps": 200, "evaluations": 800, "rhs_equivalents": 800.0}
 
 def row(method="rk4", setting="step=0.1", profile="smoke", **more):
     control, _, value = setting.partition("=")
-    own = {
-        "method": method,
-        "setting": setting,
-        "control": control,
-        "value": float(value),
-        "profile": profile,
-    }
-    return {**COMMON, **own, **more}
+    own = {"control": control, "value": float(value), "profile": profile}
+    return {**COMMON, "method": method, "setting": setting, **own, **more}
 
 
 FOURTH, EIGHTH = {"order": 4.0, "order_nominal": 4}, {"order": 8.0, "order_nominal": 8}
-CLAIM = {
-    "id": "C01",
-    "scene": "particle",
-    "method": "any",
-    "verdict": "holds",
-    "status": "ok",
-    "profile": "smoke",
-}
+CLAIM = {"id": "C01", "scene": "particle", "method": "any", "verdict": "holds", "status": "ok"}
+CLAIM |= {"profile": "smoke"}
 #: what the folder of a run holds: two methods on one scene, and a row of a larger profile
 ROWS = {
     "laws": [

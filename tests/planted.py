@@ -1,7 +1,5 @@
 """Solvers that misbehave, for the stability experiment to survive, and one that is exact."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -4,8 +4,6 @@
 (``--plugin``) or named in the environment of the processes that are timed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -14,11 +12,9 @@ from typing import Any
 
 import contactbench as cb
 from contactbench.methods import METHODS
-from contactbench.methods.contact import contact_method
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.splitting.composition import Composition
-from contactbench.splitting.tables import STRANG
 
 LARGER = Fraction(1001, 1000)
 
@@ -51,11 +47,6 @@ def faulty(composition: Composition) -> list[Composition]:
         for which, stages in (("stages", composition.stages), ("processor", composition.processor))
         for k in range(len(stages))
     ]
-
-
-def wrong_coefficient(k: int) -> None:
-    """The k-th coefficient of the contact method is a part in a thousand larger."""
-    put(contact_method(faulty(STRANG)[k]))
 
 
 # -- speed -----------------------------------------------------------------------------------------

@@ -3,8 +3,6 @@
 Used by the tests, and by the mutation check, which counts how many planted errors they notice.
 """
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from functools import partial
@@ -27,6 +25,7 @@ ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"]
 BOTH_DAMPINGS = PARTICLE.with_(name="both dampings", mass=1.7, kappa=0.6, s=0.4)
 NEGATIVE = PARTICLE.with_(name="negative", mass=1.7, gamma=2.0, kappa=-0.5, s=0.4)
 HEAVY = PARTICLE.with_(name="heavy", mass=1.7)
+FED = PARTICLE.with_(name="fed", gamma=-0.4)
 H = "0.37"
 #: central differences of step 10⁻¹⁵ at 50 digits: truncation 10⁻³⁰, cancellation 10⁻³⁵
 DELTA, DIFFERENCED = 15, 25
@@ -82,7 +81,7 @@ def subflow_solves(scene, name, x, hamiltonian):
     return close(flow(mp.mpf(0)), scene.pack(x), ROUND_OFF) and solves(flow, field)
 
 
-def mechanical_flows_solve_their_equations(scenes=(HEAVY, BOTH_DAMPINGS, NEGATIVE)):
+def mechanical_flows_solve_their_equations(scenes=(HEAVY, BOTH_DAMPINGS, NEGATIVE, FED)):
     def solve(scene):
         exact, x = in_mp(scene, random_state(scene, 31))
         parts = {

@@ -1,10 +1,7 @@
 """Bad input is one line that names the value and what is allowed; the command line exits with 2."""
 
-from __future__ import annotations
-
 import json
 import math
-import re
 import sys
 from dataclasses import dataclass
 from functools import partial
@@ -60,10 +57,6 @@ def made(kind, **changes):
     return lambda: cb.solve(kind(**KINDS[kind] | GIVEN | changes), "rk4", step=0.1)
 
 
-def wrong_gradient(q):
-    return (q[0] + 2 * q[0] * q[1], 4.0001 * q[1] + q[0] ** 2)
-
-
 # -- calls -----------------------------------------------------------------------------------------
 def solve(method="rk4", scene="particle", **options):
     return lambda: cb.solve(scene, method, **options)
@@ -77,8 +70,8 @@ def reference(times, **options):
     return lambda: cb.reference("particle", times, **options)
 
 
-def ensemble(start, **options):
-    return lambda: cb.ensemble("particle", "rk4", start, step=0.5, **options)
+def ensemble(start):
+    return lambda: cb.ensemble("particle", "rk4", start, step=0.5)
 
 
 def changed(scene="particle", **changes):
@@ -89,8 +82,12 @@ def composed(**changes):
     return lambda: cb.composition(**{"name": "x", "order": 2, "kick": [0.5, 0.5], "drift": [1]} | changes)
 
 
-def run_from(**start):
-    return lambda: cb.prepare("particle", "rk4", step=0.1)(**start)
+def run_from(method="rk4", rtol=None, **start):
+    return lambda: cb.prepare("particle", method, rtol=rtol, step=None if rtol else 0.1)(**start)
+
+
+def step(size, **parameters):
+    return lambda: cb.step_map("particle", "rk4")((1.0,) * size, 0.1, **parameters)
 
 
 def registered(registry, item):
@@ -109,9 +106,7 @@ CALLS = [
     (lambda: cb.LAWS["momentum"], "did you mean 'momentum_law'?"),
     (lambda: cb.METHODS[[]], "unknown method []"),
     (changed(name="a\nb"), "name = 'a\\nb': must be"),
-    (solve(FixedStep("a\tb", 1, euler), step=0.1), "'a\\tb': must be"),
     (registered(cb.METHODS, 3), "3 cannot be registered: it is no method"),
-    (registered(cb.LAWS, 3), "3 cannot be registered: it is no law"),
     (registered(cb.METHODS, cb.METHODS["rk4"]), "method name 'x': must be"),
     # step and tolerance
     (solve(), "step is missing: rk4 has a fixed step; give step, or rtol"),
@@ -120,9 +115,7 @@ CALLS = [
     (solve("cvode-bdf", step=0.1), "give rtol"),
     (solve("cvode-bdf", rtol=1e-30), "takes 2.3e-16 to 0.1"),
     (solve("scipy-dop853", rtol=-1), "rtol = -1: must be > 0"),
-    (rk4(step=-0.1), "step = -0.1: must be > 0"),
     (rk4(step=math.nan), "step = nan: must be a finite number"),
-    (rk4(step="0.1"), "step = '0.1': must be a finite number"),
     (rk4(step=10**5000), "step = <int>: must be"),  # too long to be printed
     (rk4(step=[1.0, -1.0]), "step = [1.0, -1.0]: must be finite steps > 0"),
     (rk4(step=[[1.0]]), "must be finite steps > 0, at least one"),
@@ -131,6 +124,14 @@ CALLS = [
     (rk4(step=[1.0] * 20, save_at=[2.0, 2.5]), "none of which ends at t = 2.5"),
     (lambda: cb.geometric_steps(20.0, 24, 0.5, plateau=5), "plateau = 5: must divide count = 24"),
     (lambda: cb.geometric_steps(20.0, 24, a=0.0), "a = 0.0: must be > 0"),
+    # the nearest way to what there is not
+    (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=lambda t: t), "cb.Driven(rate=lambda t: …)"),
+    (lambda: cb.Mechanical(**FORCE, **GIVEN, kinetic=abs), "mass=(1., 2., 5.)"),
+    (lambda: cb.Mechanical(**FORCE, **GIVEN, magnetic=abs), "no force may depend on p"),
+    (lambda: cb.Mechanical(**FORCE, **GIVEN, damping=abs), "cb.GeneralDamping"),
+    (lambda: cb.Driven(**DRIVEN, **GIVEN, rate=lambda q, t: t), "lambda t: …"),
+    (rk4(events=abs), "cb.scipy.Contact"),
+    (rk4(dense_output=True), "cb.scipy.Contact"),
     # other options
     (rk4(engine="fortran"), "engine = 'fortran': rk4 runs on numba, jax, python"),
     (rk4(save_at=[3.0, 1.0]), "strictly increasing"),
@@ -140,24 +141,16 @@ CALLS = [
     (lambda: cb.reference(PARTICLE.with_(gamma=0.11), [1e9], seconds=3.0), "allow it more"),
     (reference([1.0, math.nan]), "nan"),
     (reference([]), "shape"),
-    (reference("soon"), "soon"),
-    (reference([1.0], seconds=math.nan), "seconds = "),
     # initial data and parameters
     (run_from(q=(1.0,)), "q has 1 components"),
-    (run_from(M=(1.0, 2.0, 3.0)), "unknown initial value"),
-    (
-        lambda: cb.prepare("particle", "scipy-dop853", rtol=1e-6)(q=(1e160, 0.0)),
-        "where gradient[1] = inf: must be a finite number",
-    ),
+    (run_from(q=(1e160, 0.0), method="scipy-dop853", rtol=1e-6), "where gradient[1] = inf: must be"),
     (ensemble({"q": (np.ones(2) * 1j, 0.5)}), "q[0] = array([0.+1.j, 0.+1.j]): must be a number or an array"),
-    (ensemble({"s": np.ones(2)}, chunk="x"), "chunk = 'x'"),
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
     (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
     (changed("lane_emden_0", kappa=0.1), "without time"),
     (changed("lane_emden_0", gamma=0.1), "has it in it"),
     (changed("lane_emden_0", rate=None), "its rate is missing"),
-    (changed("lane_emden_0", t=math.nan), "t = nan"),
     (changed(q=(1.0,)), "q has 1 components and p 2"),
     (changed(q=(1.0, 2.0, 3.0), p=(0.0, 0.0, 0.0)), "q = (1.0, 2.0, 3.0)"),
     (changed(gama=0.1), "did you mean 'gamma'?"),
@@ -173,24 +166,16 @@ CALLS = [
     (lambda: cb.fixed_step("x", 1, exactly=True), "'exactly': a step map declares kind, family"),
     (lambda: cb.step_map("rigid_body", "contact-rkn6"), "contact-rkn6 needs kicks"),
     (lambda: cb.step_map("particle", "cvode-bdf"), "chooses its own steps"),
-    (
-        lambda: cb.step_map("particle", "rk4")((1.0,) * 5, 0.1, gama=1.0),
-        "parameter of scene 'particle' 'gama': did you mean",
-    ),
-    (lambda: cb.step_map("particle", "rk4")((1.0,) * 4, 0.1), "y has 4 entries: must be 5"),
+    (step(5, gama=1.0), "parameter of scene 'particle' 'gama': did you mean"),
+    (step(4), "y has 4 entries: must be 5"),
     (composed(kick=0.5), "kick = 0.5: must be a list"),
-    (composed(kick=[0.5, 0.6]), "kick: coefficients add up to 1.1, must be 1"),
     (composed(kick=[0.5, "0.5000000001"]), "kick: coefficients add up to 1.0000000001"),
     (composed(kick=[0.5, 0.25, 0.25]), "kick has 3 coefficients and drift 1"),
     (composed(kick=[0.5, "x"]), "kick[1] = 'x': must be a number"),
-    (composed(drift=[math.inf]), "drift[0] = inf: must be a number"),
     (composed(kick=[]), "kick = []: must have at least one coefficient"),
     (composed(order=2.5), "order = 2.5: must be a whole number"),
     (composed(name="rk4"), "method 'rk4' is already registered"),
     # functions that do not fit each other, whoever needs them first
-    (wrong_user(gradient=lambda q: (-q[0] - 2 * q[0] * q[1], 4 * q[1] + q[0] ** 2)), "component 1 is"),
-    (wrong_user(gradient=wrong_gradient), "gradient is not the potential's: component 2 is"),
-    (lambda: cb.reference(user(gradient=wrong_gradient), [1.0]), "scene 'mine'"),
     (wrong_user(hessian=lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))), "derivative: entry (2, 1) is"),
     (wrong_user(rotation_invariant=True), "exerts a torque"),
     (made(cb.GeneralDamping, s=0.5, damping=lambda s: s**3), "damping_slope is not the damping's"),
@@ -203,7 +188,6 @@ CALLS = [
     (wrong_user(gradient=lambda q: {0: q[0]}), "gradient: must return 2 numbers, a tuple"),
     (made(cb.Driven, rate=lambda t: None), "rate: must return a real number; it returns None"),
     (made(cb.Driven, span=lambda t, h, xp: 1.0), "span: must return a pair"),
-    (made(cb.GeneralDamping, damping=lambda s: None), "damping: must return a real number"),
     (made(cb.GeneralDamping, damping_flow=lambda s, h, xp: None), "damping_flow: must return a real"),
 ]
 
@@ -263,8 +247,7 @@ def test_an_error_later_in_a_run_is_told_as_theirs():
         float(x.q[0])  # a step map that wants values is not recorded, but called step by step
         return x if left[0] else {}["a"]
 
-    message = refusal(run_of(FixedStep("mine", 1, step), "python"))
-    assert re.search(r"mine on scene 'particle', step \(test_bad_input.py, line \d+\): KeyError", message)
+    assert "step (test_bad_input.py, line" in refusal(run_of(FixedStep("mine", 1, step), "python"))
 
 
 # -- what is taken ---------------------------------------------------------------------------------

@@ -3,8 +3,6 @@
 Thirty calls in the quick run, five hundred with ``-m slow``.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -26,10 +26,9 @@ if TYPE_CHECKING:
     from contactbench.race.comparison import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
-__all__ += ["HeavyTop"]
-__all__ += ["Lyapunov", "Mechanical", "RigidBody", "Solution", "Status", "UnknownName", "compare"]
-__all__ += ["composition", "ensemble", "fixed_step", "geometric_steps", "lyapunov", "math", "prepare"]
-__all__ += ["reference", "results", "shifted", "solve", "step_map"]
+__all__ += ["HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles", "RigidBody", "Solution", "Status"]
+__all__ += ["UnknownName", "compare", "composition", "ensemble", "fixed_step", "geometric_steps", "lyapunov"]
+__all__ += ["math", "prepare", "reference", "results", "shifted", "solve", "step_map"]
 __version__ = "0.1.0"
 
 

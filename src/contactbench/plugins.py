@@ -30,6 +30,12 @@ GROUPS: dict[str, Registry] = {"contactbench.methods": METHODS, "contactbench.sc
 #: what the package brings itself
 OWN = frozenset({*METHODS, *SCENES})
 
+
+def brought() -> set[str]:
+    """Return the names of the methods and scenes that are not the package's own."""
+    return {*METHODS, *SCENES} - OWN
+
+
 #: files to load when contactbench is imported, separated as in PATH
 VARIABLE = "CONTACTBENCH_PLUGINS"
 

@@ -19,22 +19,44 @@ if TYPE_CHECKING:
 
 
 class Status(StrEnum):
-    """The ways a run can end."""
+    """The ways a run can end, words that compare equal to their names.
+
+    Attributes
+    ----------
+    ok
+        All saved states are there.
+    diverged
+        Not finite, or beyond 10⁶ times the scene's scale.
+    budget
+        The step or evaluation budget was spent.
+    failed
+        The solver gave up; its own words are in the message.
+    timeout
+        A limit of time was reached.
+    unsupported
+        The method cannot do the scene; the message says why.
+    """
 
     ok = "ok"
-    diverged = "diverged"  # not finite, or beyond 10⁶ times the scene's scale
-    budget = "budget"  # the step or evaluation budget was spent
-    failed = "failed"  # the solver gave up; its own words are in the message
+    diverged = "diverged"
+    budget = "budget"
+    failed = "failed"
     timeout = "timeout"
-    unsupported = "unsupported"  # this method cannot do this scene; the message says why
+    unsupported = "unsupported"
 
 
 class Counts(NamedTuple):
-    """What a run cost: accepted steps, evaluations of `kind`, Jacobians, rejected steps.
+    """What a run cost; a count is None where the solver does not say.
 
-    kind is "gradient" (∇V), "rhs" (the whole right-hand side), "taylor" (orders of Taylor
-    coefficients; each costs about one rhs) or "rotation" (half an rhs; see
-    `rhs_equivalents`).  A count is None where the solver does not say.
+    Attributes
+    ----------
+    steps, rejected
+        Accepted and rejected steps.
+    evaluations, kind
+        Evaluations of "gradient" (∇V), "rhs" (the whole right-hand side), "taylor" (orders of Taylor coefficients;
+        each costs about one rhs) or "rotation" (half an rhs; see `rhs_equivalents`).
+    jacobians
+        Evaluations of the Jacobian.
     """
 
     steps: int | None = 0
@@ -115,13 +137,21 @@ def closest(gaps: np.ndarray) -> np.ndarray:
 class Solution:
     """Saved states of one run.
 
-    t : saved times, shape (k,).  y : packed states, shape (k, d), NaN where the run did not get.
-    y0 : the initial state, packed.
-    q, p : (k, n); s : (k,); M : (k, 3); R : (k, 3, 3); a field the run did not carry is None.
-    end_time : how far the run got.
-    step_chosen, step : of a method with fixed steps, the step that was asked for, or chosen from rtol, and the
-    longest one taken.  It is shorter where no whole number of steps leads from one saved time, the end included,
-    to the next.
+    Attributes
+    ----------
+    t
+        Saved times, (k,).
+    y, y0
+        Packed states, (k, d), NaN where the run did not get, and the initial one.
+    q, p, s, M, R
+        Their parts, (k, n), (k, n), (k,), (k, 3) and (k, 3, 3); one the run did not carry is None.
+    status, message, end_time
+        How it ended, why, and how far it got.
+    counts
+        What it cost.
+    step_chosen, step
+        Of a method with fixed steps, the step that was asked for, or chosen from rtol, and the longest one taken,
+        shorter where no whole number of steps leads from one saved time, the end included, to the next.
     """
 
     scene: Scene

@@ -1,7 +1,5 @@
 """The benchmark: its profiles, timed cells, rows of averages over long runs, and a disk that is full."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from importlib import import_module
@@ -75,12 +73,13 @@ def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
 
 
 def test_another_process_prepares_and_times_what_it_is_told():
-    """The C loop of the particle, timed in a process of its own."""
-    from bench_work_precision import prepared_limit
+    """A C loop of the particle, timed in a process of its own."""
+    from bench_ensemble import prepared_row, truth
 
+    cell = ("arithmetic", "particle", "limit-c", "c", "contact-strang plain", "step", 0.1, 64, 1)
     table = Timetable({}, 8)
     try:
-        call = table.remote([], [], prepared_limit, ("particle", "contact-strang", 0.1))
+        call = table.remote([], [], prepared_row, cell, truth("particle").tolist())
         row = call.prepared.result()[1]
         assert row["status"] == "ok"
         assert row["solution_error"] < 0.1

@@ -1,7 +1,5 @@
 """The command line: ``compare``, ``check``, outputs that cannot be written, and a process of its own."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -75,9 +73,7 @@ def test_version_and_help_without_a_command(capsys):
     assert first == f"contactbench {cb.__version__}"
     assert f"heyoka {metadata.version('heyoka')}, cyrk {metadata.version('cyrk')}" in second
     assert main([]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("usage: contactbench")
-    assert "compare" in out
+    assert "compare" in capsys.readouterr().out
 
 
 # -- ``contactbench check`` ------------------------------------------------------------------------
@@ -98,16 +94,13 @@ def rows(out):
 
 
 @pytest.mark.usefixtures("mine")
-def test_a_method_on_one_engine_has_every_rule_on_every_scene(capsys):
+def test_a_method_on_one_engine_and_a_scene_have_every_rule(capsys):
     assert main(["check", "kept", "--engine", "python"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
     assert [int(row[0]) for row in rows(out)] == 3 * list(METHOD_RULES)
     order = next(row for row in rows(out) if row[0] == "6")
     assert float(order[order.index("order") + 1].rstrip(",")) == pytest.approx(4, abs=0.02)
-
-
-def test_a_scene_has_every_rule(capsys):
     assert main(["check", "central"]) == 0
     assert [int(row[0]) for row in rows(capsys.readouterr().out)] == list(SCENE_RULES)
 
@@ -161,18 +154,15 @@ def test_an_output_that_cannot_be_written_is_refused_first(line, option, suffix,
     assert err.startswith(f"contactbench: {option} {path}: ")
 
 
-def test_trying_a_file_changes_nothing(tmp_path):
+def test_trying_a_file_changes_nothing_and_one_that_the_system_refuses_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "there.csv"
     path.write_text("kept")
     parsing.writable("--csv", path)
     assert path.read_text() == "kept"
     parsing.writable("--csv", tmp_path / "new.csv")
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_file_that_the_system_refuses_is_refused_first(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "open", full)
-    with pytest.raises(cb.BadInput, match=r"--csv .*new\.csv: cannot be written: Read-only file system"):
+    with pytest.raises(cb.BadInput, match="Read-only file system"):
         parsing.writable("--csv", tmp_path / "new.csv")
 
 
@@ -215,11 +205,9 @@ def test_what_cannot_be_encoded_is_replaced(line):
     assert done.returncode == 0, done.stderr
     assert b"?" in done.stdout
     assert done.stdout.isascii()
-
-
-def test_json_needs_no_other_encoding():
-    done = run(*MODULE, "claim", "C25", "--json", PYTHONIOENCODING="ascii")
-    assert "§" in json.loads(done.stdout)["where"]
+    if "claim" in line:  # JSON needs no other encoding
+        done = run(*MODULE, *line, "--json", PYTHONIOENCODING="ascii")
+        assert "§" in json.loads(done.stdout)["where"]
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
@@ -258,7 +246,6 @@ def test_where_numba_does_not_compile_python_computes():
     runs = json.loads(done.stdout)
     by_python = dict.fromkeys(("rk4", "contact-strang", "contact-adaptive", "scipy-dop853"), "python")
     compiled = {"cyrk-dop853": "c++", "contact-exact": "numba", "numba": "numba", "c": "c"}
-    solved = {
-        name: [engine, "ok", False] for name, engine in {**by_python, "cvode-adams": "c+python"}.items()
-    }
-    assert runs == solved | {name: [engine, "unsupported", True] for name, engine in compiled.items()}
+    by_python |= {"cvode-adams": "c+python"}
+    assert {name: engine for name, (engine, status, _) in runs.items() if status == "ok"} == by_python
+    assert {name: engine for name, (engine, _, why) in runs.items() if why} == compiled

@@ -1,7 +1,5 @@
 """How an ensemble is shared out: among cores, by executors, also where a worker dies midway; and its memory."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,14 +1,5 @@
 """Ensembles: the single solutions, all of them, whatever the chunks, tiles, devices and processes."""
 
-from __future__ import annotations
-
-import json
-import os
-import socket
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -218,48 +209,3 @@ def test_bad_input_is_one_line_that_names_the_value(call, says):
         cb.ensemble(options.pop("scene"), options.pop("method"), options.pop("given"), **options)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-# -- many hosts ------------------------------------------------------------------------------------
-HOST = """
-import json, pathlib, sys
-import jax
-rank, port, answer = int(sys.argv[1]), sys.argv[2], pathlib.Path(sys.argv[4])
-jax.distributed.initialize(f"127.0.0.1:{port}", 2, rank)
-import contactbench as cb
-sys.path[:0] = sys.argv[3].split(':')
-from test_ensemble import CENTRAL, MANY, spread, packed
-mine = slice(0, 50) if rank == 0 else slice(50, MANY)
-data = {k: tuple(c[mine] for c in v) if isinstance(v, tuple) else v[mine] for k, v in spread(CENTRAL, MANY).items()}
-out = cb.ensemble(CENTRAL, "contact-rkn6", data, step=0.25)
-answer.write_text(json.dumps([jax.process_count(), out.statistics, out.endings, packed(out).tolist()]))
-"""
-
-
-@pytest.mark.slow
-def test_two_processes_give_what_one_gives(whole, tmp_path):
-    """On loopback, with shares of different size; the statistics are over both in both."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    here = Path(__file__).parent
-    env = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_CPU_COLLECTIVES_IMPLEMENTATION": "gloo"}
-    answers = [tmp_path / str(rank) for rank in range(2)]
-    command = [sys.executable, "-c", HOST]
-    hosts = [
-        subprocess.Popen([*command, str(rank), str(port), f"{here}:{here.parent}", str(answer)], env=env)
-        for rank, answer in enumerate(answers)
-    ]
-    try:
-        assert [host.wait(timeout=150) for host in hosts] == [0, 0]
-    finally:
-        for host in hosts:
-            host.kill()
-    shares = []
-    for answer in answers:
-        processes, statistics, endings, y = json.loads(answer.read_text())
-        assert (processes, endings) == (2, {"ok": MANY, "diverged": 0})
-        for name, (mean, largest) in statistics.items():
-            assert (mean, largest) == pytest.approx(whole.statistics[name], rel=1e-9, abs=ROUND_OFF)
-        shares.append(y)
-    np.testing.assert_allclose(np.concatenate(shares, axis=1), packed(whole), rtol=0, atol=ROUND_OFF)

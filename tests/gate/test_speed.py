@@ -1,7 +1,5 @@
 """The gate's speed part: which calls, in which order, what is red, what is not decided."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import numpy as np
@@ -27,10 +25,7 @@ def test_the_workload_is_the_finest_setting_that_is_short():
 
     body = {"carried": "M R", "scene": "rigid_body", "engine": "numba"}
     rows = [
-        *(
-            timed("rk4", f"step={h}", seconds, **body)
-            for h, seconds in ((0.2, 1e-5), (0.1, 2e-3), (0.05, 5e-3))
-        ),
+        *(timed("rk4", f"step={h}", t, **body) for h, t in ((0.2, 1e-5), (0.1, 2e-3), (0.05, 5e-3))),
         timed("cvode-adams", "rtol=1e-06", 1e-3, engine="c"),
         timed("scipy-radau", "rtol=0.001", 5e-3),
         timed("contact-rkn6", "rtol=0.001", 1e-5, variant="chosen"),
@@ -138,8 +133,6 @@ def test_the_estimate_is_the_repeat_that_nothing_interrupted(monkeypatch):
 
 
 # -- processes -------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
     return project(tmp_path_factory.mktemp("copy").resolve())
@@ -210,6 +203,5 @@ def test_a_delay_of_every_public_call_is_found(quick, copy, monkeypatch):
     cells = [cell for cell in PUBLIC if (cell.call in QUICK) is quick]
     with patched(copy / "src/contactbench/__init__.py", "load_installed()\n", "load_installed()\n" + DELAYS):
         found = judge(copy, cells)
-    assert {*zip(found["scene"], found["setting"], strict=True)} == {
-        (cell.scene, cell.setting) for cell in cells
-    }
+    expected = {(cell.scene, cell.setting) for cell in cells}
+    assert {*zip(found["scene"], found["setting"], strict=True)} == expected

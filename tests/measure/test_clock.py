@@ -1,7 +1,5 @@
 """How calls are timed, with calls whose times are scripted: no test waits for a clock."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from types import SimpleNamespace
@@ -9,20 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from contactbench.measure import clock
-from contactbench.measure.clock import (
-    LONG,
-    MOST_VISITS,
-    ROUND_SECONDS,
-    ROUNDS,
-    VISITS,
-    Call,
-    Part,
-    Race,
-    Visit,
-    length_columns,
-    process_columns,
-    time_columns,
-)
+from contactbench.measure.clock import ROUND_SECONDS, VISITS, Call, Part, Race, Visit, time_columns
 from contactbench.measure.statistics import Verdict, margin, verdict
 
 
@@ -55,20 +40,20 @@ def test_fixed_and_marginal_cost_are_those_of_the_line_through_the_least_rounds(
     def visit(drift):
         return Visit([drift * (3e-6 + 2e-7 * 40)], [(3 - drift) * (3e-6 + 2e-7 * 8)])  # slow in turns
 
-    columns = length_columns([visit(d) for d in (1.0, 1.0, 2.0, 2.0)], part)
+    columns = clock.length_columns([visit(d) for d in (1.0, 1.0, 2.0, 2.0)], part)
     assert columns["fixed_s"] == pytest.approx(3e-6)
     assert columns["marginal_s"] == pytest.approx(2e-7)
     assert columns["marginal_halves_ratio"] == pytest.approx(1.0)
     no_time = [Visit([2.0], [1.0]), Visit([2.0], [3.0])]  # one half of the visits says less than none
-    assert "marginal_halves_ratio" not in length_columns(no_time, part)
+    assert "marginal_halves_ratio" not in clock.length_columns(no_time, part)
 
 
 def test_a_second_process_is_compared_by_its_least_round():
     part = Part(lambda: None, share=0.5, span=1.0)
     first, second = [Visit([4.0], [1.0]), Visit([2.0], [1.5])], [Visit([9.0], [2.0]), Visit([3.0], [7.0])]
-    columns = process_columns(first, second, part)
+    columns = clock.process_columns(first, second, part)
     assert columns == {"time_process_ratio": 1.5, "marginal_process_ratio": 1.0}
-    assert process_columns(first, second) == {"time_process_ratio": 1.5}
+    assert clock.process_columns(first, second) == {"time_process_ratio": 1.5}
 
 
 def test_a_round_takes_as_long_as_it_should_however_slow_the_first_calls_were(machine):
@@ -87,7 +72,7 @@ def test_a_round_takes_as_long_as_it_should_however_slow_the_first_calls_were(ma
 
 def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
     calls = Counter()
-    slow = machine(2 * LONG)
+    slow = machine(2 * clock.LONG)
     call = Call(lambda: (calls.update(["run"]), slow()))
     call.warm_up()
     assert len(call.visit().whole) == 1
@@ -96,7 +81,7 @@ def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
 
 @pytest.mark.parametrize(
     ("budget", "visits", "rounds"),
-    [(0.0, VISITS, 1), (2.2 * VISITS * 2, VISITS, 2), (1e9, MOST_VISITS, ROUNDS)],
+    [(0.0, VISITS, 1), (2.2 * VISITS * 2, VISITS, 2), (1e9, clock.MOST_VISITS, clock.ROUNDS)],
 )
 def test_where_time_is_short_there_are_fewer_rounds_and_never_fewer_visits(machine, budget, visits, rounds):
     seen = ([], [])

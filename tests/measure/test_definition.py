@@ -1,7 +1,5 @@
 """Digests of scenes and methods: every number is in them, and nothing of the machine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

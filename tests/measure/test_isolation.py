@@ -1,7 +1,5 @@
 """A solver that hangs, dies or lies costs its own row only."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

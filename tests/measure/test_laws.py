@@ -1,7 +1,5 @@
 """The laws measure what they say: zero on the truth, the planted size on a planted error, finite always."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Orders of convergence, compositions let in by their order, and the ladders of settings."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

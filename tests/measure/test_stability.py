@@ -1,7 +1,5 @@
 """Linear stability: limits against theory and against orbits, slow rates, numerical damping."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,19 +8,14 @@ from scipy.linalg import expm
 
 import contactbench as cb
 from bench_stability import overdamped_row, weak_row
+from contactbench.measure import stability as linear
 from contactbench.measure.stability import (
     THEORY,
     fixed_step_methods,
-    is_processed,
     kernel,
     oscillator,
-    propagation_error,
-    run_matrix,
-    slow_rate,
-    spectral_radius,
     stability,
     step_matrix,
-    true_radius,
 )
 from contactbench.scene import State
 from planted import plant_truth
@@ -80,7 +73,7 @@ def test_windows_at_random_damping_are_those_of_long_runs(method):
 
 def test_a_processed_method_is_repeated_by_its_kernel_or_as_a_whole():
     method = cb.METHODS["contact-rkn8"]
-    assert [m.name for m in fixed_step_methods() if is_processed(m)] == ["contact-rkn8"]
+    assert [m.name for m in fixed_step_methods() if linear.is_processed(m)] == ["contact-rkn8"]
     at_the_end, at_every_step = (stability(m, 10.0, 1.0).limit for m in (kernel(method), method))
     assert (at_the_end, at_every_step) == pytest.approx((2.8435, 2.3295), abs=1e-4)
     h, scene = (at_the_end + at_every_step) / 2, oscillator(10.0)
@@ -90,7 +83,12 @@ def test_a_processed_method_is_repeated_by_its_kernel_or_as_a_whole():
     )
     assert seldom.ok  # an unbounded orbit has grown 10⁶ times by then
     assert often.status is cb.Status.diverged
-    assert propagation_error(method, 1.0, 1.0) != propagation_error(method, 1.0, 1.0, every_step=True)
+
+
+@pytest.mark.parametrize(("name", "order"), [("contact-strang", 2), ("rk4", 4), ("contact-rkn8", 8)])
+def test_the_error_of_a_whole_run_falls_with_the_order_of_the_method(name, order):
+    coarse, fine = (linear.propagation_error(cb.METHODS[name], 1.0, h) for h in (0.5, 0.25))
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.4)
 
 
 @as_a_whole
@@ -106,7 +104,7 @@ def test_the_one_step_map_tends_to_the_flow(method):
 @pytest.mark.parametrize(("damping", "expected"), [(1.0, 1.08), (5.0, 2.54), (25.0, 13.3)])
 def test_splitting_force_and_friction_gets_the_creep_wrong(name, damping, expected):
     row = overdamped_row(name, "step", damping / 50.0, None)
-    assert row["true_rate"] == slow_rate(50.0)
+    assert row["true_rate"] == linear.slow_rate(50.0)
     assert row["ratio"] == pytest.approx(expected if name == "contact-abc" else 1.0, rel=0.01)
 
 
@@ -124,9 +122,9 @@ def test_the_last_kick_leaves_the_overdamped_momentum_too_large():
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 1.0])
 def test_contact_methods_damp_exactly_where_the_eigenvalues_are_complex(gamma):
     """Their determinant is e^{−γh}, so that a pair of complex eigenvalues has modulus e^{−γh/2}."""
-    found = [spectral_radius(method, gamma, 1.0, 0.3) for method in METHODS if method.contact]
-    assert found == pytest.approx([true_radius(gamma, 1.0, 0.3)] * len(found), rel=1e-13)
-    assert spectral_radius(cb.METHODS["rk4"], 0.0, 1.0, 0.3) < 1 - 1e-6  # numerical damping
+    found = [linear.spectral_radius(method, gamma, 1.0, 0.3) for method in METHODS if method.contact]
+    assert found == pytest.approx([linear.true_radius(gamma, 1.0, 0.3)] * len(found), rel=1e-13)
+    assert linear.spectral_radius(cb.METHODS["rk4"], 0.0, 1.0, 0.3) < 1 - 1e-6  # numerical damping
 
 
 @pytest.mark.parametrize("t_end", [1e4, 1e5])
@@ -142,4 +140,4 @@ def test_the_exact_solution_has_no_error_of_its_rate(t_end):
 @as_a_whole
 def test_the_matrix_of_a_run_is_the_run(method, n):
     x = method.advance(oscillator(0.5), State((0.6,), (0.8,)), 0.3, n, math)
-    np.testing.assert_allclose(run_matrix(method, 0.5, 0.3, n) @ (0.6, 0.8), [*x.q, *x.p], rtol=1e-12)
+    np.testing.assert_allclose(linear.run_matrix(method, 0.5, 0.3, n) @ (0.6, 0.8), [*x.q, *x.p], rtol=1e-12)

@@ -1,7 +1,5 @@
 """Methods and peers on scenes of many sites: every engine computes the same, and the laws hold at any size."""
 
-from __future__ import annotations
-
 import math
 
 import numba
@@ -16,7 +14,6 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import total
 from contactbench.peers.base import Peer
 from contactbench.scene import many as many_scene
-from contactbench.trace.sweeps import APART, PAD, PAGE, stride_of
 
 FIXED = [m.name for m in cb.METHODS.values() if isinstance(m, FixedStep)]
 PEERS = [m.name for m in cb.METHODS.values() if isinstance(m, Peer)]
@@ -68,15 +65,10 @@ def test_numba_agrees_with_arrays_and_components_for_every_method(method, scene)
     assert gap(states(scene.unrolled(), method), mine) < ROUND_OFF
 
 
-JAX = [
-    ("ring", SMALL["ring masses"]),
-    ("fixed", chain(9, "fixed")),
-    ("free", chain(2049, "free", mass=masses(2049))),
-]
-JAX += [("bodies", SMALL["bodies 3D"])]
+JAX = [SMALL["ring masses"], chain(9, "fixed"), chain(2049, "free", mass=masses(2049)), SMALL["bodies 3D"]]
 
 
-@pytest.mark.parametrize("scene", [scene for _, scene in JAX], ids=[name for name, _ in JAX])
+@pytest.mark.parametrize("scene", JAX, ids=["ring", "fixed", "free", "bodies"])
 def test_jax_agrees(scene):
     for method in runs_on(("contact-strang", "contact-rkn4", "rk4"), scene):
         assert gap(states(scene, method, "jax"), states(scene, method)) < ROUND_OFF
@@ -91,14 +83,6 @@ def test_bodies_agree_whatever_their_number(n):
             assert gap(mine, plain) < ROUND_OFF
 
 
-def test_energy_and_slopes_are_those_of_the_components():
-    for name, scene in SMALL.items():
-        x, other = scene.initial(("s",)), scene.unrolled()
-        z = other.initial(("s",))
-        assert gap(scene.pack(scene.rhs(x)), np.array(other.pack(other.rhs(z)))) < 1e-15, name
-        assert scene.hamiltonian(x) == pytest.approx(other.hamiltonian(z), rel=1e-15), name
-
-
 @pytest.mark.parametrize("onsite", [None, lambda q: q / 3])
 @pytest.mark.parametrize("boundary", BOUNDARIES)
 def test_a_force_may_be_constant(boundary, onsite):
@@ -106,14 +90,6 @@ def test_a_force_may_be_constant(boundary, onsite):
     for engine in ("python", "jax"):
         assert gap(states(scene, "contact-strang", engine), states(scene, "contact-strang")) < ROUND_OFF
     assert gap(states(scene.unrolled(), "contact-strang"), states(scene, "contact-strang")) < ROUND_OFF
-
-
-def test_rows_begin_at_different_places_of_a_page():
-    for n in range(2, 3000):
-        stride = stride_of(n)
-        assert n + 2 * PAD <= stride < n + 2 * PAD + 2 * APART + 8
-        assert stride % 8 == 0
-        assert APART <= stride % PAGE <= PAGE - APART
 
 
 @pytest.fixture
@@ -157,9 +133,8 @@ LARGE = 10**5
 @pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6"])
 def test_total_momentum_decays_to_round_off_however_many_sites(method, boundary):
     solution = cb.solve(chain(LARGE, boundary, held=False, gamma=0.5), method, step=0.1, save_at=[0.5, 1.0])
-    assert (
-        cb.LAWS["momentum_law"](solution) < 1e-13
-    )  # some ten terms of ΣP, of 10⁵ numbers that cancel to a part of it
+    # some ten terms of ΣP, of 10⁵ numbers that cancel to a part of it
+    assert cb.LAWS["momentum_law"](solution) < 1e-13
 
 
 def test_sums_over_a_million_sites_are_taken_in_pairs():
@@ -167,9 +142,8 @@ def test_sums_over_a_million_sites_are_taken_in_pairs():
     scene = cb.SCENES["fput"].with_(n=10**6, t_end=1.0)
     solution = cb.solve(scene, "contact-strang", step=0.1, save_at=[0.5, 1.0], carry=())
     assert cb.LAWS["momentum_law"](solution) < 3e-15
-    assert total(np.stack([scene.p, scene.q], axis=1))[0] == pytest.approx(
-        math.fsum(scene.p), rel=1e-15, abs=0
-    )
+    summed = total(np.stack([scene.p, scene.q], axis=1))[0]
+    assert summed == pytest.approx(math.fsum(scene.p), rel=1e-15, abs=0)
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 3])
@@ -200,15 +174,6 @@ def test_random_tangents_measure_what_all_of_them_do(name, monkeypatch):
     assert max(drifts["contact-strang", most] for most in (0, 65)) < KEPT
     assert 1 / 6 < drifts["rk4", 0] / drifts["rk4", 65] < 6
     assert drifts["rk4", 65] > 1e-7
-
-
-@pytest.mark.parametrize("name", ["ring held", "free masses", "bodies 3D"])
-def test_a_derivative_is_that_of_the_components(name):
-    scene = SMALL[name]
-    mine, other = (
-        cb.prepare(each, "contact-rkn4", step=0.25, save_at=[1.0]) for each in (scene, scene.unrolled())
-    )
-    assert gap(mine.sensitivity(mine.start), other.sensitivity(other.start)) < ROUND_OFF
 
 
 # -- ensembles, step maps, exponents -------------------------------------------------------------------
@@ -258,10 +223,9 @@ def test_a_step_map_takes_and_gives_an_array(name):
     slope = jax.jacfwd(step)(jnp.array(step.start), 0.1)
     ours = cb.prepare(scene, "contact-rkn4", step=0.1, save_at=[0.1])
     assert gap(np.asarray(slope), ours.sensitivity(ours.start)[0]) < ROUND_OFF
-    with pytest.raises(cb.BadInput, match="y has 3 entries: must be"):
+    with pytest.raises(cb.BadInput, match="y has 3 entries"):
         step(step.start[:3], 0.1)
-    assert len(repr(step)) < 100
-    with pytest.raises(CannotRecord, match="no step map of many sites: call it outside"):
+    with pytest.raises(CannotRecord):
         numba.njit(lambda y: step(y, 0.1))(step.start)
 
 
@@ -289,18 +253,9 @@ def test_a_blow_up_ends_as_diverged_without_warnings(method):
         assert np.isnan(run.y[-1]).all()
 
 
-OTHERS = ["rk4", "cvode-adams", "contact-adaptive"]
-
-
-@pytest.mark.parametrize("method", OTHERS)
-def test_a_mechanical_scene_of_too_many_components_is_refused_in_a_line_that_names_lattice(method):
-    n = 300
-    scene = cb.Mechanical(
-        name="large", potential=lambda q: q[0] * q[-1], q=(1.0,) * n, p=(0.0,) * n, t_end=1.0
-    )
-    sol = cb.solve(scene, method, **({"step": 0.1} if method in FIXED else {"rtol": 1e-6}))
-    assert str(sol.status) == "unsupported"
-    assert "300" in sol.message
-    assert "cb.Lattice or cb.Particles, of any size, for methods such as contact-rkn6" in sol.message
-    assert ("engine='python'" in sol.message) == ("python" in cb.METHODS[method].engines)
-    assert "\n" not in sol.message
+@pytest.mark.parametrize("method", ["rk4", "cvode-adams", "contact-adaptive"])
+def test_a_mechanical_scene_of_too_many_components_is_refused(method):
+    data = {"q": (1.0,) * 300, "p": (0.0,) * 300, "t_end": 1.0}
+    scene = cb.Mechanical(name="large", potential=lambda q: q[0] * q[-1], **data)
+    run = cb.solve(scene, method, **({"step": 0.1} if method in FIXED else {"rtol": 1e-6}))
+    assert (run.status, "300" in run.message) == (cb.Status.unsupported, True)

@@ -1,4 +1,4 @@
-"""Scenes of many sites on several devices and in several processes: what one core gives."""
+"""Scenes of many sites, and ensembles, on several devices and in several processes: what one core gives."""
 
 import os
 import socket
@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from contactbench.ensembles.chunks import TILE
 
 NAMES = ("fput", "sine_gordon")
 #: relative to the largest component, after some twenty steps
 ROUND_OFF = 1e-13
+#: of an ensemble: a number no tile divides, in shares of different size
+MEMBERS = 2 * TILE + 7
 RUN = f"""
 import sys
 import jax
@@ -28,7 +31,11 @@ runs = [run(name, 2**16) for name in {NAMES}]
 assert all("collective-permute" in each.program.as_text() for each in runs)
 uneven = run("fput", 2**16 + 1)
 assert uneven.mesh is None and str(uneven().status) == "ok"
-np.savez(path, processes=jax.process_count(), devices=[each.mesh.size for each in runs], y=[each().y for each in runs])
+mine = [slice({MEMBERS}), slice(50), slice(50, {MEMBERS})][1 + int(where[1]) if where else 0]
+out = cb.ensemble("central", "contact-rkn6", {{"q": (np.linspace(0.5, 1.5, {MEMBERS})[mine], 0.1)}}, step=0.25)
+ensemble = dict(final=out.scene.pack(out.final), statistics=[*out.statistics.values()], ok=out.endings["ok"])
+devices = [each.mesh.size for each in runs]
+np.savez(path, processes=jax.process_count(), devices=devices, y=[each().y for each in runs], **ensemble)
 """
 
 
@@ -40,21 +47,33 @@ def start(path, *where: str, **flags: str) -> subprocess.Popen:
 @pytest.fixture(scope="module")
 def one():
     scenes = (cb.SCENES[name].with_(n=2**16, t_end=0.4) for name in NAMES)
-    return [cb.solve(scene, "contact-rkn6", step=0.05, save_at=[0.2, 0.4]).y for scene in scenes]
+    data = {"q": (np.linspace(0.5, 1.5, MEMBERS), 0.1)}
+    runs = [cb.solve(scene, "contact-rkn6", step=0.05, save_at=[0.2, 0.4]).y for scene in scenes]
+    return runs, cb.ensemble("central", "contact-rkn6", data, step=0.25)
 
 
-def check(process: subprocess.Popen, path, one: list[np.ndarray], processes: int, devices: int) -> None:
+def check(process: subprocess.Popen, path, one, processes: int, devices: int) -> np.ndarray:
+    """The final states of the process's share of the ensemble, of which the statistics are over all shares."""
     assert process.wait(timeout=150) == 0
-    found = np.load(path)
+    found, (runs, whole) = np.load(path), one
     assert (found["processes"], *found["devices"]) == (processes, devices, devices)
-    for y, expected in zip(found["y"], one, strict=True):
+    for y, expected in zip(found["y"], runs, strict=True):
         np.testing.assert_allclose(y, expected, rtol=0, atol=ROUND_OFF * np.abs(expected).max())
+    np.testing.assert_allclose(found["statistics"], [*whole.statistics.values()], rtol=1e-9, atol=ROUND_OFF)
+    assert found["ok"] == MEMBERS
+    return found["final"]
+
+
+def assert_whole(shares, one):
+    whole = one[1]
+    np.testing.assert_allclose(np.hstack(shares), whole.scene.pack(whole.final), rtol=0, atol=ROUND_OFF)
 
 
 @pytest.mark.slow
 def test_sites_on_four_devices_give_what_one_core_gives(one, tmp_path):
     path = tmp_path / "found.npz"
-    check(start(path, XLA_FLAGS="--xla_force_host_platform_device_count=4"), path, one, 1, 4)
+    final = check(start(path, XLA_FLAGS="--xla_force_host_platform_device_count=4"), path, one, 1, 4)
+    assert_whole([final], one)
 
 
 @pytest.mark.slow
@@ -66,8 +85,7 @@ def test_sites_in_two_processes_give_what_one_core_gives(one, tmp_path):
     flags = {"JAX_CPU_COLLECTIVES_IMPLEMENTATION": "gloo", "JAX_NUM_CPU_DEVICES": "1"}
     hosts = [start(path, port, str(rank), **flags) for rank, path in enumerate(paths)]
     try:
-        for host, path in zip(hosts, paths, strict=True):
-            check(host, path, one, 2, 2)
+        assert_whole([check(host, path, one, 2, 2) for host, path in zip(hosts, paths, strict=True)], one)
     finally:
         for host in hosts:
             host.kill()

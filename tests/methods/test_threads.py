@@ -1,7 +1,5 @@
 """Prepared runs in several threads: all calls give what they give alone, whoever else is calling."""
 
-from __future__ import annotations
-
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier

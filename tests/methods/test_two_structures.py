@@ -3,8 +3,6 @@
 Run as a script it solves all of them, forwards or backwards, and prints the last states.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

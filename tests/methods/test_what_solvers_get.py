@@ -4,8 +4,6 @@ Tolerances, budget, final time and kind of solver are taken down where they are 
 they are not seen on the way: there the same library is called in another way, with what was asked, for the same bits.
 """
 
-from __future__ import annotations
-
 import ctypes
 from types import SimpleNamespace
 

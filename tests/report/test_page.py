@@ -1,7 +1,5 @@
 """The HTML page: what it holds is what the chapters hold; and it works in a real browser, wide and narrow."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

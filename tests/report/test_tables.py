@@ -1,7 +1,5 @@
 """What the tables to read say, on small tables made by hand; views, numbers and their markdown; a comparison."""
 
-from __future__ import annotations
-
 import json
 import re
 
@@ -10,22 +8,14 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench.report import (
-    damping,
-    ensemble,
-    gradients,
-    long_time,
-    markdown,
-    race,
-    scaling,
-    stability,
-    structure,
-    work_precision,
-)
+from contactbench.report import gradients, long_time, markdown, race, scaling, structure, work_precision
+from contactbench.report.damping import rates_view
+from contactbench.report.ensemble import beside_loops, with_rates
 from contactbench.report.headline import mission_view, most_met_cost
 from contactbench.report.laws import equal_cost_view
 from contactbench.report.numbers import duration
-from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
+from contactbench.report.stability import started_runs
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.report.write import glossary
 from contactbench.results.contest import COMPILED
 from contactbench.results.schema import TABLES
@@ -108,7 +98,7 @@ def test_a_setting_that_was_not_run_is_no_ending_and_escaping_as_the_motion_does
         row("critical", "rk4", 0.001, status="unsupported"),
     ]
     rows += [row("escape", "rk4", 0.1, status=s, end_time=1.0, blow_up_time=1.5) for s in ("diverged", "ok")]
-    assert stability.started_runs(table("stability", rows))["right"].tolist() == [False, True, False]
+    assert started_runs(table("stability", rows))["right"].tolist() == [False, True, False]
 
 
 # -- damping ---------------------------------------------------------------------------------------
@@ -120,10 +110,10 @@ def test_rates_are_compared_at_equal_cost_and_ties_are_named():
         row("overdamped", "rk4", 0.5, **fixed, rate_error=1.5e-4),
         row("overdamped", "scipy-radau", 1e-9, control="rtol", **common, evaluations=2000, rate_error=1e-10),
     ]
-    (line,) = damping.rates_view(table("damping_rates", rows)).rows  # ten times dearer is no equal cost
+    (line,) = rates_view(table("damping_rates", rows)).rows  # ten times dearer is no equal cost
     assert (line[1].text, line[1].mark) == ("contact-a and rk4 1.0e-04", Mark.tie)
     rows[2]["evaluations"] = 210
-    (line,) = damping.rates_view(table("damping_rates", rows)).rows
+    (line,) = rates_view(table("damping_rates", rows)).rows
     assert (line[1].text, line[1].mark) == ("scipy-radau 1.0e-10", Mark.best)
 
 
@@ -139,7 +129,7 @@ def test_ensembles_stand_beside_the_c_loops_of_the_same_step():
         run_of("limit-c", variant="contact-strang plain", engine="c"),
         run_of("limit-c", variant="contact-strang tiled", engine="c", time=4.0),
     ]
-    shapes, own = ensemble.beside_loops(ensemble.with_rates(table("ensemble", rows)))
+    shapes, own = beside_loops(with_rates(table("ensemble", rows)))
     assert shapes == ["plain", "tiled"]
     assert (own["stage"] / own["plain"]).tolist() == [2.0]
     assert (own["stage"] / own["tiled"]).tolist() == [0.5]
@@ -153,17 +143,14 @@ def chaotic(method, evaluations, off=0.0, defect=1e-14, reference=False):
     """Rows of all quantities at one setting; off : by how many of its error bars, a fifth of what is allowed each."""
     for quantity, true in TRUE.items():
         error = 1e-15 if quantity == SUM else long_time.ALLOWED[quantity] * true / 5
+        columns = {
+            "mean": 0.0 if quantity == SUM else true + off * error,
+            "error": 0.0 if reference else error,
+            "pairing_defect": defect if quantity == SUM else np.nan,
+        }
+        cost = {"evaluations_per_time": evaluations, "jacobians_per_time": 0.0}
         yield row(
-            "duffing",
-            method,
-            1 / evaluations,
-            quantity=quantity,
-            reference=reference,
-            evaluations_per_time=evaluations,
-            jacobians_per_time=0.0,
-            mean=0.0 if quantity == SUM else true + off * error,
-            error=0.0 if reference else error,
-            pairing_defect=defect if quantity == SUM else np.nan,
+            "duffing", method, 1 / evaluations, quantity=quantity, reference=reference, **columns, **cost
         )
 
 
@@ -198,21 +185,12 @@ def test_pairs_are_kept_only_where_every_setting_keeps_them(more, kept):
 # -- cost against size -----------------------------------------------------------------------------
 def at_sizes(method, each, power=1.0, reach=1e-3, **more):
     """Rows of an evaluation that takes `each` ns a site at n = 1024 and grows as a power of n."""
-    return [
-        row(
-            "fput",
-            method,
-            0.1,
-            n=n,
-            cores=1,
-            evaluations=10,
-            time_min_s=1e-3,
-            reach_s=reach * n / 1024,
-            **more,
-        )
-        | {"site_ns": each * (n / 1024) ** (power - 1)}
-        for n in (16, 128, 1024, 10_000)
-    ]
+    common = {"cores": 1, "evaluations": 10, "time_min_s": 1e-3}
+
+    def columns(n):
+        return {"n": n, "reach_s": reach * n / 1024, "site_ns": each * (n / 1024) ** (power - 1)}
+
+    return [row("fput", method, 0.1, **common, **columns(n), **more) for n in (16, 128, 1024, 10_000)]
 
 
 def test_the_power_by_which_time_grows_is_that_of_large_sizes():
@@ -258,10 +236,8 @@ def test_who_has_the_energy_left_right_at_the_least_cost_in_the_longest_run():
     time, evaluations = structure.answers(frames(structure_buys=RING)).to_dict("records")
     assert "T = 10⁵" in time["question"]
     assert (time["answer"], time["count"]) == ("contact-a", "8 ms; herglotz2 ×2.35, rk4 ×3.00")
-    assert (evaluations["answer"], evaluations["count"]) == (
-        "contact-a",
-        "4 per unit of time; herglotz2 ×1.17, rk4 ×2.00",
-    )
+    assert evaluations["answer"] == "contact-a"
+    assert evaluations["count"] == "4 per unit of time; herglotz2 ×1.17, rk4 ×2.00"
     contradicting = [*RING, *on_the_ring("rk5", {1e4: (1e-4, 1e-5), 1e5: (1e-4, 1e-5)}, 1.0)]
     assert structure.answers(frames(structure_buys=contradicting))["answer"].iloc[0] == "rk5"
     assert not len(structure.answers(frames()))
@@ -272,7 +248,7 @@ def test_one_setting_is_shown_at_both_lengths_and_a_bound_as_one():
     rows = structure.main_rows(table("structure_buys", [*RING, *bound]))
     shown = texts(structure.costs_view(rows))
     cost = ["8", "×3.00"]
-    assert shown["rk4"] == ["2.4 ms", *cost, "24 ms", *cost, "step=0.125", *["1.0e-02"] * 4]
+    assert shown["rk4"] == ["2.4 ms", *cost, "24 ms", *cost, "step=0.125", *["1.0e-02"] * 3]
     assert shown["contact-b"][0] == "≤ 800 µs"
     assert "rk4, the best that keeps no structure, ×3.00 that" in structure.figure(rows).title
 
@@ -299,7 +275,7 @@ def test_derivatives_are_compared_where_they_have_the_error_forward_and_in_rever
     assert [line[6].text for line in shown] == ["×1.00", "×3.00", "×4.00"]
 
 
-# -- Views, numbers and their markdown -------------------------------------------------------------
+# -- views, numbers and their markdown -------------------------------------------------------------
 def view(rows, labels, **more):
     return View("v", "Title", frame_of(rows, labels), "A legend.", **more)
 
@@ -316,12 +292,6 @@ def test_numbers_are_written_by_their_column_and_words_stand_left():
     shown = view([("rk4", 1e-3, 2.0, None)], ["method", "error", "time", "reason"], show={"time": duration})
     assert [cell.text for cell in shown.rows[0]] == ["rk4", "1.0e-03", "2 s", "—"]
     assert [head.words for head in shown.columns] == [True, False, False, True]
-
-
-def test_a_matrix_has_a_line_for_each_value_and_a_dash_where_there_is_nothing():
-    rows = pd.DataFrame({"m": ["a", "a", "b"], "s": ["x", "y", "y"], "v": [1.0, 2.0, 3.0]})
-    frame = matrix(rows, "m", "s", lambda part: part["v"].sum(), "at {}".format)
-    assert frame.to_dict("list") == {"m": ["a", "b"], "at x": [1.0, "—"], "at y": [2.0, 3.0]}
 
 
 def test_the_glossary_has_every_method_scene_and_column():

@@ -1,7 +1,5 @@
 """Runs that are killed, at any moment, and runs at the same time: no row lost, doubled or half-written."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -15,6 +13,7 @@ from contactbench.results.provenance import runs
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read
 from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
+from made_up import row
 
 #: without what is compiled by JAX and numba: a kill is one whatever it interrupts
 SMALL = (
@@ -38,11 +37,6 @@ def finish(results, *names, run="one", profile="smoke", selection="", merged=(),
 
 def methods(results, table=CONVERGENCE):
     return list(read(table, results)["method"])
-
-
-def row(method="rk4", setting="step=0.1", **more):
-    made = {"scene": "particle", "method": method, "engine": "jax", "setting": setting}
-    return made | {"status": "ok", "message": "", "profile": "smoke"} | more
 
 
 def test_a_run_ends_in_the_tables(tmp_path):
@@ -90,13 +84,14 @@ import os, sys
 from pathlib import Path
 from contactbench.results import cells, provenance, store, tables
 row = {"scene": "particle", "method": "rk4", "engine": "jax", "setting": "step=0.1", "status": "ok", "message": ""}
+alone = {name: row[name] for name in tables.LAWS_TIME.key[:-1]}
 two = [(t, row) for t in (tables.CONVERGENCE, tables.LAWS_TABLE)]
 timed = (tables.WORK_PRECISION, {**row, "time_median_s": 1.0})
 calls = []
 def killed(results, steps):
     run = cells.Cells(results, "smoke", "killed")
     run.begin({"profile": "smoke"})
-    run.save([*two, (tables.LAWS_TIME, {**row, "t": 1.0}), timed], ("bench.py", "a"))
+    run.save([*two, (tables.LAWS_TIME, {**alone, "t": 1.0}), timed], ("bench.py", "a"))
     run.save([(tables.CONVERGENCE, {**row, "method": "contact-abc"})], ("bench.py", "b"))
     replace = os.replace
     def dying(*paths):

@@ -1,25 +1,12 @@
 """Cost at equal error: what takes part, what an error costs, and who wins, ties or loses; and which runs keep a law."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
 
 from contactbench.measure.law import judge
-from contactbench.results.contest import (
-    CALLED_BACK,
-    COMPILED,
-    COUNTED,
-    ENOUGH,
-    EVALUATIONS,
-    MARGINAL,
-    TARGETS,
-    contestants,
-    contests,
-    costs,
-    standings,
-)
+from contactbench.results import contest
+from contactbench.results.contest import COMPILED, EVALUATIONS, TARGETS, contests, costs
 from contactbench.results.judgement import bound, law_rows
 from frames import frames, row, table
 
@@ -36,7 +23,7 @@ def ladder(method, factor=1.0, scene="s", engine="jax", finest=1e-13, **more):
 
 def found(*ladders, kind=COMPILED):
     """The costs of some ladders."""
-    return costs(contestants(table("work_precision", [r for rows in ladders for r in rows])), kind)
+    return costs(contest.contestants(table("work_precision", [r for rows in ladders for r in rows])), kind)
 
 
 def winners(*ladders, kind=COMPILED):
@@ -73,7 +60,7 @@ def test_loops_and_chosen_steps_do_not_compete():
 def test_kinds_of_engine_are_never_mixed():
     own, called_back = ladder("contact-a"), ladder("scipy-dop853", 0.1, engine="python")
     assert not len(contests(found(own, called_back)))  # nobody to compare with
-    assert not len(contests(found(own, called_back, kind=CALLED_BACK)))
+    assert not len(contests(found(own, called_back, kind=contest.CALLED_BACK)))
     assert winners(own, called_back, kind=EVALUATIONS) == {"other"}
 
 
@@ -86,7 +73,7 @@ def test_one_integrator_of_two_makers_is_one_contestant_where_engines_do_not_mat
     shapes = ladder("scipy-dop853", 2.0, engine="python"), ladder("cyrk-dop853", 3.0, engine="c++")
     assert set(found(*shapes, kind=EVALUATIONS)["method"]) == {"dop853"}
     assert set(found(*shapes)["method"]) == {"cyrk-dop853"}
-    assert set(found(*shapes, kind=CALLED_BACK)["method"]) == {"scipy-dop853"}
+    assert set(found(*shapes, kind=contest.CALLED_BACK)["method"]) == {"scipy-dop853"}
 
 
 def test_a_solver_that_does_not_count_takes_no_part_in_a_contest_in_evaluations():
@@ -98,9 +85,9 @@ def test_a_solver_that_does_not_count_takes_no_part_in_a_contest_in_evaluations(
 def test_a_marginal_time_needs_halves_and_no_closed_form():
     timed = [r | {"marginal_s": 1e-6, "marginal_halves_ratio": 1.0} for r in ladder("rk4")]
     exact = [r | {"control": "exact"} for r in timed]
-    assert set(found(timed, kind=MARGINAL)["method"]) == {"rk4"}
+    assert set(found(timed, kind=contest.MARGINAL)["method"]) == {"rk4"}
     noise = [r | {"marginal_halves_ratio": ratio} for r, ratio in zip(timed, (2.0, 0.5) * 9, strict=False)]
-    assert not len(found(exact, noise, ladder("contact-a"), kind=MARGINAL))
+    assert not len(found(exact, noise, ladder("contact-a"), kind=contest.MARGINAL))
 
 
 # -- who wins --------------------------------------------------------------------------------------
@@ -112,7 +99,7 @@ def test_win_tie_and_loss_of_the_contact_methods(factor, winner):
     won = contests(rows)
     assert won["winner"].tolist() == [winner] * len(TARGETS)
     assert won["ratio"].tolist() == pytest.approx([factor] * len(TARGETS))
-    ranked = standings(rows)
+    ranked = contest.standings(rows)
     assert (ranked["verdict"] == "tie").all() == (winner == "tie")
     assert set(ranked[ranked["ratio"] == 1.0]["verdict"]) == {"tie" if winner == "tie" else "win"}
 
@@ -135,13 +122,13 @@ def test_a_margin_is_of_its_pair_and_of_two_processes():
     apart = [[r | {"time_process_ratio": 1.12} for r in rows] for rows in quiet]
     assert winners(*apart) == {"tie"}
     assert winners(*quiet, kind=EVALUATIONS) == {"tie"}
-    assert set(contests(found(*quiet, kind=EVALUATIONS))["margin"]) == {COUNTED}
+    assert set(contests(found(*quiet, kind=EVALUATIONS))["margin"]) == {contest.COUNTED}
 
 
 def test_a_pair_takes_the_spread_of_its_noisier_engine():
     own = [r | {"time_process_ratio": 1.01} for r in ladder("contact-a")]
     jax = [r | {"time_process_ratio": 1.3, "engine": "c"} for r in ladder("rk4", 1.1)]
-    assert len(own) >= ENOUGH
+    assert len(own) >= contest.ENOUGH
     assert contests(found(own, jax))["margin"].tolist() == pytest.approx([1.3] * len(TARGETS))
 
 
@@ -150,7 +137,7 @@ def test_a_cell_too_noisy_to_judge_is_undecided_and_still_beats_what_is_far_off(
     noisy = ladder("contact-a", time_halves_ratio=halves)
     rows = found(noisy, ladder("rk4", 1.1), ladder("cvode-bdf", 100.0))
     assert set(contests(rows)["winner"]) == {"undecided"}
-    verdicts = standings(rows).groupby("method")["verdict"].first()
+    verdicts = contest.standings(rows).groupby("method")["verdict"].first()
     assert verdicts["rk4"] == "undecided"
     assert verdicts["cvode-bdf"] == ("loss" if halves == 2.0 else "undecided")
 

@@ -1,7 +1,5 @@
 """Scenes of many sites: what they take, refuse and say, and that they are scenes like any other."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math
@@ -36,7 +34,6 @@ def ensemble(q):
 CALLS = [
     # how many, and where
     (lambda: chain(4).with_(n=0), "n = 0: must be a whole number ≥ 2"),
-    (lambda: chain(4).with_(n=1), "n = 1: must be a whole number ≥ 2"),
     (lambda: chain(4).with_(n="a"), "n = 'a': must be a finite number"),
     (lambda: chain(4).with_(n=8), "q has shape (4,): must be 8 numbers, or a function of the index"),
     (lambda: chain(4, mass=masses(4), q=np.sin, p=np.cos).with_(n=8), "mass has shape (4,): must be"),
@@ -50,24 +47,18 @@ CALLS = [
     (lattice(q=[1.0, math.nan, 0.0, 0.0]), "q: must be finite; entry 1 is not"),
     (lattice(q="abc"), "q = 'abc': must be 4 numbers"),
     (lattice(q=lambda i: {}["a"]), "<lambda> (test_many.py, line "),
-    (lattice(q=lambda: 0), "takes 0 positional arguments"),
     (lambda: cb.prepare(bodies(3, 2), "rk4", step=0.1)(q=np.zeros(6)), "two bodies are at one place"),
     # masses, numbers
     (lattice(mass=0), "mass: must be > 0 and finite, and so 1/mass; the least is 0.0"),
-    (lattice(mass=[1, 1, -2, 1]), "the least is -2.0"),
     (lattice(mass=[1, 2]), "mass has shape (2,): must be one number > 0, or 4"),
     (particles(masses=(1.0, -1.0, 1.0)), "masses: must be > 0 and finite"),
     (lattice(gamma=math.nan), "gamma = nan: must be a finite number"),
     (lattice(parameters={"k": 1.0, "beta": 1.0}), "parameter 'beta': is taken by none of onsite, bond"),
-    (lattice(parameters={"k": 1.0, "gamma": 1.0}), "parameter 'gamma': must have a name of its own"),
-    (lambda: FPUT.with_(bet=1.0), "did you mean 'beta'?"),
     # potentials
     (lattice(held=False, bond=None), "needs an onsite potential, a bond, or both"),
     (lattice(bond=lambda r, k: k / r), "bond: must be finite at rest, r = 0, with its derivative"),
-    (lattice(bond=lambda r, k: k * cb.math.sqrt(r * r)), "bond: must be finite at rest"),
     (lattice(bond=lambda r, k: r if r > k else k), "its bond cannot be recorded: `if`"),
     (lattice(bond=lambda r, k: k * math.sin(r)), "math.sin takes plain numbers only: use cb.math.sin"),
-    (lattice(bond=lambda r, l: r * l), "missing 1 required positional argument: 'l'"),
     (lattice(bond=lambda r, k: {}["a"]), "KeyError: 'a'"),
     (lattice(bond=lambda r, k: k), "bond: must be one number that depends on its arguments"),
     (lattice(bond=lambda r, k: "x"), "its bond cannot be recorded"),
@@ -123,20 +114,19 @@ def test_what_is_given_cannot_be_changed_afterwards():
 
 
 # -- as an object --------------------------------------------------------------------------------------
-def test_it_is_printed_in_a_line_of_words():
-    for scene in (FPUT.with_(n=10**6), cb.SCENES["planets"]):
-        assert len(repr(scene)) < 100
-        assert len(repr(cb.prepare(scene, "rk4", step=10.0))) < 200
-        assert len(repr(cb.solve(scene.with_(t_end=1.0), "rk4", step=1.0))) < 200
-
-
 def test_it_equals_what_has_the_same_values():
     scene = chain(4, mass=masses(4))
     assert scene == chain(4, mass=masses(4))
     assert copy.deepcopy(scene) is scene
-    changes = ({"gamma": 0.3}, {"q": np.ones(4)}, {"mass": 1.0}, {"k": 2.0}, {"boundary": "free"}, {"s": 0.0})
-    for change in changes:
-        assert scene != scene.with_(**change)
+    for change in {
+        "gamma": 0.3,
+        "q": np.ones(4),
+        "mass": 1.0,
+        "k": 2.0,
+        "boundary": "free",
+        "s": 0.0,
+    }.items():
+        assert scene != scene.with_(**dict([change]))
     assert scene != cb.SCENES["particle"]
 
 
@@ -195,21 +185,14 @@ cb.SCENES.add(cb.Lattice(
 """
 
 
-def test_command_line_solves_and_prints_json(capsys):
+def test_command_line_prints_json_and_a_few_numbers_of_many(capsys):
     assert main(["solve", "fput", "contact-rkn6", "--step", "0.1", "--json"]) == 0
     out = json.loads(capsys.readouterr().out)
     assert len(out["state"]) == 129
     assert out["J"][0] == pytest.approx(64 * 0.3 * math.exp(-1e-3 * 20), rel=1e-12)
-    assert main(["solve", "fput", "rk4", "--step", "0.1", "--set", "n=1"]) == 2
-    assert "n = 1: must be a whole number ≥ 2" in capsys.readouterr().err
-
-
-def test_command_line_prints_a_few_numbers_of_many(capsys):
     assert main(["solve", "fput", "rk4", "--step", "0.1"]) == 0
     (state,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("state"))
-    assert "'q4': " in state
-    assert "q5" not in state
-    assert "… 129 numbers" in state
+    assert ("'q4': " in state, "q5" in state) == (True, False)
 
 
 def test_command_line_takes_one_from_a_plug_in(capsys, tmp_path, registries):
@@ -226,9 +209,3 @@ def test_command_line_takes_one_from_a_plug_in(capsys, tmp_path, registries):
         out = capsys.readouterr().out
         assert "mine" in out
         assert "np.float64" not in out
-
-
-def test_command_line_compares(capsys, tmp_path):
-    line = f"compare toda rk4 contact-rkn6 --error 1e-3 --set n=8 --set t_end=2 --quiet --csv {tmp_path / 'out.csv'}"
-    assert main(line.split()) == 0
-    assert "contact-rkn6" in capsys.readouterr().out

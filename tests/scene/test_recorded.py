@@ -1,7 +1,5 @@
 """What is made from a user's functions belongs to what they compute now: programs, references, solutions."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

@@ -13,6 +13,7 @@ from contactbench.measure.laws import laws_of, row
 from contactbench.measure.order import error_at, order_at
 from contactbench.numbers import quadrature
 from contactbench.scenes.driven import (
+    DETEST,
     DRIVEN,
     DUFFING,
     FORCED_OSCILLATOR,
@@ -37,6 +38,20 @@ def test_closed_forms_are_those_of_the_textbook():
 
 
 # -- what other authors print ------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("scene", "published"),
+    [
+        (DETEST[0], (1.456723600728308e-1, -9.883500195574063e-2)),
+        (DETEST[1], (-1.004178858647128e-1, 2.411400132095954e-1)),
+    ],
+)
+def test_published_solutions_of_detest(scene, published):
+    """Enright, Pryce, ACM Trans. Math. Softw. 13, 28 (1987), Algorithm 648: the end of E1 and E3, 16 digits printed."""
+    np.testing.assert_allclose(cb.reference(scene, [scene.t_end], ()).y[0, :2], published, rtol=0, atol=2e-14)
+    end = cb.solve(scene, "contact-rkn6", step=0.05, save_at=[scene.t_end], carry=()).y[0, :2]
+    np.testing.assert_allclose(end, published, rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize(("n", "zero"), [(1.5, 3.65375373621912608), (3.0, 6.896848619376960)])
 def test_published_zeros_of_the_lane_emden_functions(n, zero):
     """Boyd, Numer. Math. Theor. Meth. Appl. 4, 142 (2011), as quoted by Dedalus's example; to nine digits.

@@ -1,7 +1,5 @@
 """The hard scenes: their truths, what is known about them, and what must not break on them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -93,21 +91,6 @@ def test_the_clock_decides_nothing(monkeypatch):
     assert math.isfinite(row["contact_drift"])
 
 
-def test_a_derivative_is_taken_or_not_by_evaluations(monkeypatch):
-    """Differences of the solver repeat its run for every tangent (3), increment, and side."""
-    from contactbench.methods import prepared
-
-    def solution():
-        scene = cb.SCENES["critical"]
-        return cb.solve(scene, "cvode-adams", engine="c+python", rtol=1e-6, save_at=[scene.t_end])
-
-    cost = 2 * 3 * len(prepared.INCREMENTS) * solution().counts.rhs_equivalents
-    monkeypatch.setattr(prepared, "CALLBACK_BUDGET", cost - 1)
-    assert not solution().differential.taken
-    monkeypatch.setattr(prepared, "CALLBACK_BUDGET", cost)
-    assert solution().differential.taken
-
-
 @pytest.mark.parametrize("name", [name for name, m in cb.METHODS.items() if m.adaptive])
 def test_every_adaptive_method_gets_its_full_range(name):
     from bench_stability import TOLERANCES, settings
@@ -165,17 +148,3 @@ def test_momentum_law_where_strong_damping_cancels_it():
     assert cb.LAWS["momentum_law"](solution) < 1e-12
     solution.y[:, 2] += 1e-3 * np.abs(solution.y[:, 0])  # a momentum across the force: J where there is none
     assert cb.LAWS["momentum_law"](solution) > 1e-3
-
-
-@pytest.mark.parametrize(
-    ("method", "setting"),
-    [
-        ("contact-strang", {"step": 0.05}),
-        ("rk4", {"step": 0.05, "engine": "python"}),
-        ("heyoka-taylor", {"rtol": 1e-8}),
-    ],
-)
-def test_laws_of_underflow_are_finite(method, setting):
-    solution = cb.solve("underflow", method, save_at=saved(cb.SCENES["underflow"], 25), **setting)
-    assert solution.ok
-    assert_finite(solution)

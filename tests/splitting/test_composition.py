@@ -1,7 +1,5 @@
 """The compositions as data, the loop that merges their joints, and the subflows they are made of."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -11,29 +9,19 @@ from mpmath import mp
 
 import contactbench as cb
 import contactbench.splitting.composition
-from cases import USER, in_mp, pairs, random_state
+from cases import in_mp, pairs, random_state
 from contactbench.splitting import flows
 from contactbench.splitting.composition import advance, plan, refusal
 from contactbench.splitting.flows import damped_time, flows_of
 from contactbench.splitting.tables import ABC, COMPOSITIONS, PRINTED, STRANG
 from contactbench.xla import jax, jnp
-from properties import consistent, flowed, mechanical_flows_solve_their_equations
+from properties import flowed
 
 PARTICLE, *BODIES = (cb.SCENES[name] for name in ("particle", "rigid_body", "rigid_body_anisotropic"))
 
 
 def on_scenes(scenes):
     return pairs(COMPOSITIONS, scenes, lambda c, scene: refusal(c, scene) is None, ("composition", "scene"))
-
-
-@pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
-def test_every_part_of_the_hamiltonian_is_applied_for_one_whole_step(composition):
-    assert consistent(composition)
-
-
-def test_the_printed_scheme_is_not_palindromic_and_its_palindromes_are():
-    assert [c.palindromic for c in (PRINTED, ABC, STRANG)] == [False, True, True]
-    assert [name for name, _ in PRINTED.stages] == ["kick", "damp", "drift", "kick"]
 
 
 @on_scenes([PARTICLE, *BODIES])
@@ -49,14 +37,6 @@ def test_merging_joints_changes_nothing(composition, scene, mp50):
         apart = advance(one, exact, apart, h, 1, mp50) if one.stages else apart
     for a, b in zip(scene.pack(together), scene.pack(apart), strict=True):
         assert abs(a - b) < mp50.mpf(10) ** -45
-
-
-@pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
-def test_counts_are_the_gradients_really_computed(composition):
-    calls = []
-    probe = PARTICLE._replaced(gradient=lambda q, **given: calls.append(q) or PARTICLE.gradient(q, **given))
-    advance(composition, probe, random_state(PARTICLE), 0.1, 7, math)
-    assert plan(composition, PARTICLE).count(flows_of(PARTICLE), ("gradient",), 7) == len(calls)
 
 
 @on_scenes(BODIES)
@@ -98,21 +78,6 @@ def test_without_damping_each_is_velocity_verlet_bit_for_bit(composition):
 
 
 # -- subflows --------------------------------------------------------------------------------------
-DAMPINGS = [
-    USER.with_(name=name, **dampings)
-    for name, dampings in {
-        "undamped": {"gamma": 0.0},
-        "quadratic damping": {"gamma": 0.0, "kappa": 0.6},
-        "both dampings": {"kappa": 0.6},
-        "negative kappa": {"kappa": -0.6},
-        "antidamped": {"gamma": -0.4},
-    }.items()
-]
-
-
-@pytest.mark.parametrize("scene", DAMPINGS, ids=lambda scene: scene.name)
-def test_every_subflow_solves_its_own_equations(scene, mp50):
-    assert mechanical_flows_solve_their_equations([scene])
 
 
 # -- kinetic energy and Γ = γs + ½κs² together -----------------------------------------------------

@@ -4,8 +4,6 @@ Mutants are made one at a time, of the source (each + and − and unary minus) a
 coefficient by one part in a thousand), and shown to the properties of properties.py.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import textwrap

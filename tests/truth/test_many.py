@@ -1,7 +1,5 @@
 """The truth of many sites: modes of a ring in closed form, and two solvers that agree as far as they say."""
 
-from __future__ import annotations
-
 from time import perf_counter
 
 import numpy as np
@@ -72,7 +70,7 @@ def test_two_solvers_in_doubles_have_the_digits_that_they_say(scene):
 def test_a_large_scene_has_a_reference_with_the_digits_that_it_says():
     scene = chain(200, t_end=2.0)
     found = cb.reference(scene, [2.0, 1.0])
-    assert (found.source, found.t.tolist(), found.decimals) == ("live", [2.0, 1.0], [])
+    assert (found.source, found.t.tolist(), found.decimals) == ("two solvers", [2.0, 1.0], [])
     assert 10 <= found.digits <= 15
     finer = cb.solve(scene, "contact-rkn8", step=0.02, save_at=[1.0, 2.0])
     assert digits(finer.y[::-1], found.y) > 10

@@ -38,7 +38,7 @@ def curve(panel: str, name: str, kind: str, x: Any, y: Any, z: Any = IN_THE_PLAN
 
 def paper_2() -> Iterator[Row]:
     """Yield the phase portrait of the oscillator: closed orbits at λ = 0, spirals for λ > 0."""
-    orbit, spiral = np.linspace(0, 2 * math.pi, 161), np.linspace(0, 25.0, 301)
+    orbit, spiral = np.linspace(0, 2 * math.pi, 81), np.linspace(0, 25.0, 201)
     closed, open_ = (0.0, "conservative", orbit), (0.2, "dissipative", spiral)
     for q0, (gamma, kind, t) in ((0.5, closed), (1.0, closed), (1.5, closed), (1.5, open_)):
         truth = reference(SCENES["oscillator"].with_(gamma=gamma, q=(q0,)), t, ()).states()
@@ -51,7 +51,7 @@ def paper_3() -> Iterator[Row]:
         scene = SCENES["central"].with_(gamma=gamma)
         run = numerical(scene, "contact-strang", 0.1, 40)
         J = scene.momentum(run.states())[0]
-        fine = np.linspace(0, scene.t_end, 101)
+        fine = np.linspace(0, scene.t_end, 61)
         yield from curve("decay", f"λ = {gamma:g}", "law", fine, np.exp(-gamma * fine))
         yield from curve("decay", f"λ = {gamma:g}, contact-strang", "method", run.t, J / J[0])
 
@@ -62,7 +62,7 @@ def paper_4() -> Iterator[Row]:
         M = np.full(3, 0.08)
         M[axis] = math.sqrt(1 - 2 * 0.08 * 0.08)
         scene = SCENES["rigid_body"].with_(gamma=0.03, M=tuple(M), t_end=100.0)
-        path = numerical(scene, "contact-abc", 0.05, 250).M
+        path = numerical(scene, "contact-abc", 0.05, 200).M
         yield from curve("momentum", f"near axis {axis + 1}", "stable" if axis != 1 else "unstable", *path.T)
 
 
@@ -83,7 +83,7 @@ def paper_5() -> Iterator[Row]:
             for angle in (0.25, 0.5, 0.7):  # from the axis towards axis 2
                 M = np.zeros(3)
                 M[axis], M[1] = sign * math.cos(angle), math.sin(angle)
-                path = numerical(free.with_(M=tuple(M), t_end=60.0), "contact-abc", 0.1, 300).M
+                path = numerical(free.with_(M=tuple(M), t_end=60.0), "contact-abc", 0.1, 200).M
                 turns = np.unwrap(np.arctan2(path[:, 1], path[:, 2 - axis]))
                 once = int(np.argmax(np.abs(turns - turns[0]) > 2 * math.pi)) or len(path)
                 name = f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad"
@@ -93,7 +93,7 @@ def paper_5() -> Iterator[Row]:
 def paper_7() -> Iterator[Row]:
     """Yield, left, H0 along time at h = 0.01.  Right, the error of H0 against the step, with fitted orders."""
     scene = SCENES["particle"]
-    t = np.linspace(0, scene.t_end, 201)
+    t = np.linspace(0, scene.t_end, 101)
     truth = scene.energy(reference(scene, t, ()).states())
 
     def law(t: Any) -> Any:
@@ -117,7 +117,7 @@ def paper_8() -> Iterator[Row]:
     """Yield the splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
     for gamma, kind in ((0.0, "conservative"), (0.1, "dissipative")):
         scene = SCENES["particle"].with_(gamma=gamma, t_end=60.0)
-        run = numerical(scene, "contact-printed", PAPER_STEP, 400)
+        run = numerical(scene, "contact-printed", PAPER_STEP, 300)
         energy = scene.energy(run.states())
         label = f"γ = {gamma:g}"
         yield from curve("phase", label, kind, run.q[:, 0], run.p[:, 0])
@@ -136,13 +136,13 @@ def paper_stability() -> Iterator[Row]:
     for axis, reach in enumerate((3.0, 1.0, 1.0)):  # far enough for a full D to destabilise the outer two
         e = unit[axis]
         j, k = sorted({0, 1, 2} - {axis})
-        sides = np.linspace(0, 0.6, 21)
+        sides = np.linspace(0, 0.6, 16)
         pairs = [(x, y, np.diag(x * unit[j] + y * unit[k])) for x in sides for y in sides]
         off = np.outer(unit[j], unit[k])
         beside = [
             (d, c, np.diag(d * (1 - e)) + np.clip(c, -d, d) * (off + off.T))
-            for d in np.linspace(0, reach, 41)
-            for c in np.linspace(-reach, reach, 81)
+            for d in np.linspace(0, reach, 21)
+            for c in np.linspace(-reach, reach, 41)
             if abs(c) <= d * (1 + 1e-12)
         ]
         for panel, grid in ((f"axis {axis + 1}, diagonal", pairs), (f"axis {axis + 1}, full", beside)):
@@ -150,7 +150,7 @@ def paper_stability() -> Iterator[Row]:
             for (x, y, _), rate in zip(grid, rates, strict=True):
                 kind = "unstable" if rate > zero else "stable" if rate < -zero else "neutral"
                 yield (panel, "growth rate", kind, x, y, rate)
-        d = np.linspace(0, reach, 601)
+        d = np.linspace(0, reach, 121)
         j, k = (axis + 1) % 3, (axis + 2) % 3
         linear, constant = a[j] - a[k], d**2 + (a[axis] - a[j]) * (a[axis] - a[k])
         root = np.sqrt(linear**2 / 4 + constant)

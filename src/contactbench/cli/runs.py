@@ -61,7 +61,7 @@ def solve(arguments: argparse.Namespace) -> int:
     if arguments.out:
         solution.to_frame().to_csv(arguments.out, index=False, lineterminator="\n")
     if arguments.plot:
-        plot(solution, arguments.plot)
+        solution.plot().savefig(arguments.plot)
     run = summary(solution)
     laws = solution.laws() if arguments.laws else None
     if arguments.json:
@@ -97,41 +97,6 @@ def steps(text: str, t_end: float) -> Any:
     except (OSError, ValueError):
         allowed = "must be a number, geometric:COUNT:A, or a file of numbers"
         raise BadInput(f"--step {text}: {allowed}") from None
-
-
-def plot(solution: Any, path: Path) -> None:
-    from contactbench.report.draw import render
-    from contactbench.report.drawing import Axis, Curve, Figure, Panel
-
-    t, scene, states = tuple(solution.t.tolist()), solution.scene, solution.states()
-    groups: dict[str, dict[str, Any]] = {}
-    for name, values in zip(solution.labels, solution.y.T, strict=True):
-        groups.setdefault(name[0], {})[name] = values
-    groups["energies"] = {"H0": scene.energy(states)}
-    if scene.is_contact and states.s is not None:
-        groups["energies"]["H"] = scene.hamiltonian(states)
-    panels = []
-    for group in groups.values():
-        curves = (
-            Curve(t, tuple(values.tolist()), label=name, role=f"shade {i % 5}", markers=False)
-            for i, (name, values) in enumerate(group.items())
-        )
-        panels.append(Panel("", Axis("t"), Axis(", ".join(group)), tuple(curves)))
-    if solution.q is not None and solution.p is not None:
-        pairs = zip(solution.q.T[:5], solution.p.T[:5], strict=True)
-        portrait = tuple(
-            Curve(
-                tuple(q.tolist()),
-                tuple(p.tolist()),
-                f"(q{i + 1}, p{i + 1})",
-                role=f"shade {i}",
-                markers=False,
-            )
-            for i, (q, p) in enumerate(pairs)
-        )
-        panels.append(Panel("phase portrait", Axis("q"), Axis("p"), portrait))
-    title = f"{scene.name}: {solution.method}, {solution.setting}"
-    render(Figure("run", title, tuple(panels), legend="each", across=2)).savefig(path)
 
 
 def summary(solution: Any) -> dict[str, Any]:
@@ -258,7 +223,7 @@ def add(command: Command) -> None:
     one = command("solve", solve, "solve one scene with one method and print where it ended", SOLVE)
     one.add_argument("scene", help="its name (contactbench list scenes)")
     one.add_argument("method", help="its name (contactbench list methods)")
-    plot = "motion and energies over time, phase portrait (.svg, .png, .pdf)"
+    plot = "motion, phase portrait and energies (.svg, .png, .pdf)"
     add_common(one, plot=plot, out="the saved states as CSV")
     step = "step size of a fixed-step method; or its steps: geometric:COUNT:A (growing as A + t), or a file of them"
     one.add_argument("--step", help=step)

@@ -56,12 +56,10 @@ REPORT = "Nothing is solved: every number is from the tables.  report.html is on
 
 def bench(arguments: argparse.Namespace) -> int:
     from contactbench.gate import benchmark
-    from contactbench.methods import METHODS
-    from contactbench.plugins import OWN
-    from contactbench.scenes import SCENES
+    from contactbench.plugins import brought
 
     options = ["--profile", arguments.profile]
-    if not OWN.issuperset([*METHODS, *SCENES]):
+    if brought():
         options.append("--own")
     if arguments.k:
         options += ["-k", arguments.k]

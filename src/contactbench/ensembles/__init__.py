@@ -55,6 +55,10 @@ class Ensemble:
     measures: dict[str, np.ndarray] | None = None
     end_time: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        ends = ", ".join(f"{count} {status}" for status, count in self.endings.items() if count)
+        return f"<Ensemble of {self.scene.name} by {self.method}: {ends}, to t = {self.t[-1]:.6g}>"
+
     @property
     def ok(self) -> np.ndarray | None:
         """Which of this process's trajectories did not diverge."""
@@ -82,11 +86,15 @@ def ensemble(
 
     Parameters
     ----------
-    scene, method, step
-        As in `prepare`.
+    scene
+        Itself, or the name of a registered one.
+    method
+        The name of a fixed-step one.
     initial_conditions
         A State, BodyState or dict of fields, each component a number or an array (n,) with one entry per
         trajectory, of many sites q and p of shape (numbers, n); fields left out are the scene's own.
+    step
+        As in `prepare`.
     measure_at
         Increasing times at which divergence is noticed and laws are measured, the last of them the end; by default
         the scene's end time alone.

@@ -56,7 +56,7 @@ class Lyapunov:
     energy
         Mean of H0 at the ends of the intervals.
     evaluations
-        Per trajectory and unit of time, of the kind that the method's counts name.
+        Per trajectory and unit of time, of the kind that the method's counts name; nan of methods that iterate.
     diverged
         How many trajectories were left out because they left the scene's scale.
     rates
@@ -108,13 +108,19 @@ def lyapunov(
 
     Parameters
     ----------
-    scene, method, step, rtol
-        As in `solve`; equal steps in every interval.  Of the methods that choose their steps those of CyRK are taken:
-        they solve the variational equations with the tangents in their error control, afresh in every interval.
+    scene
+        Itself, or the name of a registered one.
+    method
+        The name of a fixed-step one, or of CyRK's: they solve the variational equations with the tangents in their
+        error control, afresh in every interval.
     every
         Time between two orthonormalisations, at whose ends the energy is taken.
     intervals, settle
         How many intervals count, and how many come before, at least one, for trajectories and tangents to settle.
+    step
+        As in `solve`; equal steps in every interval.
+    rtol
+        As in `solve`.
     initial_conditions
         As in `ensemble`, an entry per trajectory; by default one, the scene's own.  Where trajectories end on
         different attractors the result is the mean over them.
@@ -201,7 +207,8 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
         loop: Any = (many_loop if sites else loop_of)(run.method_, r.scene, r.carry, tangent=True)
     except CannotRecord as error:
         raise BadInput(f"method = {run.method!r}: {error}") from error
-    numbers, evaluations = np.array(r.scene.numbers()), run.totals.evaluations
+    numbers, counted = np.array(r.scene.numbers()), run.totals.evaluations
+    evaluations = math.nan if counted is None else counted
     if sites:
 
         def one(x: np.ndarray, v: np.ndarray) -> np.ndarray:

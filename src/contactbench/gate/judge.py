@@ -22,12 +22,10 @@ import pandas as pd
 from contactbench.errors import BadInput
 from contactbench.gate import benchmark, revisions, speed
 from contactbench.gate.compare import Findings, Frames, benchmark_runs, compare, compare_tables, keys, rows_of
-from contactbench.methods import METHODS
-from contactbench.plugins import OWN
+from contactbench.plugins import brought
 from contactbench.results import provenance
 from contactbench.results.schema import TABLES, Table
 from contactbench.results.store import OldTable, read
-from contactbench.scenes import SCENES
 
 PARTS = ("accuracy", "speed")
 TRAILER = re.compile(r"^Tables-changed:(.*)$", re.MULTILINE | re.IGNORECASE)
@@ -69,7 +67,7 @@ def gate(
     budget: float | None = None,
 ) -> Findings:
     root = revisions.repository(folder)
-    if not revisions.ours(root) and OWN.issuperset([*METHODS, *SCENES]):
+    if not revisions.ours(root) and not brought():
         raise BadInput(f"{root}: no method or scene of your own; name their file with --plugin FILE")
     base = revisions.base(root, base)
     found = Findings()

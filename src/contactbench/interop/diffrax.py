@@ -286,7 +286,7 @@ class ReversibleAdjoint(diffrax.AbstractAdjoint):
 def Contact(method: str) -> ContactSolver:
     """Return a solver for ``diffeqsolve(terms, solver, t0, t1, dt0, (q, p), args, ConstantStepSize())``.
 
-    terms : (velocity, MultiTerm(force, damping)), those of `diffrax.SemiImplicitEuler` with a damping: q' =
+    The terms are (velocity, MultiTerm(force, damping)), those of `diffrax.SemiImplicitEuler` with a damping: q' =
     velocity(t, p), linear in p; p' = force(t, q) + damping(t, p), the last −γ p, −γ(t) p, or of a rate for each
     momentum.  With one rate and a force that is a gradient every step is part of a contact map, less the action s.
     q and p may be any trees of arrays of double precision.
@@ -297,7 +297,10 @@ def Contact(method: str) -> ContactSolver:
     diffrax's.  Between steps it interpolates by cubics, whose error is of order h⁴ and which are no contact map
     (``SaveAt(steps=True)`` and ``t1=True`` need none).
 
-    Raises `BadInput` for a method that is no composition of kicks, drifts and damping.
+    Raises
+    ------
+    BadInput
+        For a method that is no composition of kicks, drifts and damping.
     """
     chosen = METHODS[method]
     if not isinstance(chosen, ContactMethod):
@@ -311,7 +314,10 @@ def Contact(method: str) -> ContactSolver:
 def terms_of(scene: Scene | str) -> tuple[Any, Any]:
     """Return the terms of a scene; ``args`` are its parameters by name, or None for its own.
 
-    Raises `BadInput` for a scene that is not mechanical, or whose damping is not linear.
+    Raises
+    ------
+    BadInput
+        For a scene that is not mechanical, or whose damping is not linear.
     """
     scene = scene_of(scene)
     if scene.kind not in ("mechanical", "driven") or scene.nonlinear_damping:  # type: ignore[attr-defined]

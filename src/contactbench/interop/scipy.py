@@ -238,11 +238,22 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     Events and dense output are SciPy's, by a Hermite interpolant of degree five, whose error falls as h⁶ (three and
     h⁴ where a force takes floats only).  It is no contact map: laws hold at the steps, not between them.
 
-    method : a fixed-step method.  carry : which of s and R are part of y; by default all the scene has.  The time of
-    a driven scene is SciPy's and no part of y.
     The solver's own ``rhs(t, y)``, ``start`` and ``labels`` are the scene's; ``nfev`` counts what the steps evaluate.
-    Raises `BadInput` for a method that is no step map or cannot do the scene; the solver for a ``fun`` that is not
-    the scene's right-hand side, and without ``max_step``.
+
+    Parameters
+    ----------
+    method
+        A fixed-step method.
+    scene
+        Itself, or its name.  The time of a driven scene is SciPy's and no part of y.
+    carry
+        Which of s and R are part of y; by default all the scene has.
+
+    Raises
+    ------
+    BadInput
+        For a method that is no step map or cannot do the scene; the solver for a ``fun`` that is not the scene's
+        right-hand side, and without ``max_step``.
     """
     step = step_map(scene, method, carry)
     if step.scene.has_users_functions:

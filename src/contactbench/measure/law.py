@@ -76,8 +76,16 @@ class Measured:
 class Law:
     """A measure, and what those who show or compare it must know.
 
-    definition : its meaning, a header or axis label; label : a short name, mathtext.  needs : the fields it
-    reads.  gate : how two runs are compared.  shown : the documents that list it.
+    Attributes
+    ----------
+    definition, label
+        Its meaning, a header or axis label, and a short name in mathtext.
+    needs
+        The fields it reads.
+    gate
+        How two runs are compared.
+    shown
+        The documents that list it.
     """
 
     name: str
@@ -94,9 +102,14 @@ class Law:
     claimed: Callable[[Solution], bool] = lambda solution: False
 
     @property
+    def about(self) -> str:
+        """Its definition: what registries list."""
+        return self.definition
+
+    @property
     def structural(self) -> bool:
         """Whether it is a law of the map itself, kept or not whatever the error of the solution."""
-        return self.gate is Gate.structure and "laws" in self.shown and not self.name.endswith("_frozen")
+        return self.gate is Gate.structure and "laws" in self.shown
 
     def __call__(self, solution: Solution) -> float:
         """The measure; nan unless the run ended `ok` and the law is defined for its method.

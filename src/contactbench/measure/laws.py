@@ -275,12 +275,12 @@ def distribution_drift(solution: Solution) -> Deviation | float:
     return distribution_deviation(solution, solution.differential)
 
 
-@law(f"contact_drift with {FROZEN}", "contact drift, steps frozen", **CONTACT)
+@law(f"contact_drift with {FROZEN}", "contact drift, steps frozen", shown=(), **CONTACT)
 def contact_drift_frozen(solution: Solution) -> Deviation | float:
     return pulled_deviation(solution, pullback(solution, solution.frozen_differential))
 
 
-@law(f"distribution_drift with {FROZEN}", "ker η drift, steps frozen", **CONTACT)
+@law(f"distribution_drift with {FROZEN}", "ker η drift, steps frozen", shown=(), **CONTACT)
 def distribution_drift_frozen(solution: Solution) -> Deviation | float:
     return distribution_deviation(solution, solution.frozen_differential)
 
@@ -317,7 +317,7 @@ def pairing_drift(solution: Solution) -> Deviation | float:
     return pulled_deviation(solution, pairs(solution.differential, len(solution.start().q)))
 
 
-@law(f"pairing_drift with {FROZEN}", "pairing drift, steps frozen", **PAIRS)
+@law(f"pairing_drift with {FROZEN}", "pairing drift, steps frozen", shown=(), **PAIRS)
 def pairing_drift_frozen(solution: Solution) -> Deviation | float:
     return pulled_deviation(solution, pairs(solution.frozen_differential, len(solution.start().q)))
 
@@ -406,11 +406,7 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
     elif scene.is_contact:
         if solution.differential.taken:
             columns["map_growth"] = growth(solution.differential)
-        true, frozen = solution.differential.source, solution.frozen_differential
-        bounds = ", ".join(name for name, measured in found.items() if measured.bound)
-        parts = [true, f"steps frozen: {frozen.source}" if frozen.taken and frozen.source != true else ""]
-        parts.append(f"upper bounds: {bounds}" if bounds else "")
-        columns["derivative"] = "; ".join(filter(None, parts))
+        columns["derivative"] = solution.differential.source
     of_map = columns.get("map_growth") or condition_number(scene) or 1.0
     for name, measured in found.items():
         if LAWS[name].structural and not math.isnan(measured.value):

@@ -35,16 +35,26 @@ def composition(
 ) -> ContactMethod:
     """Register the contact integrator that applies kicks and damped drifts in turn.
 
-    kick, drift : coefficients in the order in which they act, numbers or strings of digits; the longer list
-        begins and ends (lists of the same length begin with a kick).  Each adds up to one; what the rounding
-        of printed digits leaves of that goes to the middle, so that the conformal factor of a step is e^{−γh}.
-    nystrom : the order rests on the potential depending on q alone; rigid bodies are then refused.
-
     The order is measured, on the particle and, unless `nystrom`, on the rigid body.  The method is then one of
     METHODS: it has its row in `compare`, and from a plug-in in every table.
-    Raises `BadInput` for lists whose lengths do not alternate, sums that are not one, a name that is taken, or an
-    order that is not there.
 
+    Parameters
+    ----------
+    kick, drift
+        Coefficients in the order in which they act, numbers or strings of digits; the longer list begins and ends
+        (lists of the same length begin with a kick).  Each adds up to one; what the rounding of printed digits
+        leaves of that goes to the middle, so that the conformal factor of a step is e^{−γh}.
+    nystrom
+        Whether the order rests on the potential depending on q alone; rigid bodies are then refused.
+
+    Raises
+    ------
+    BadInput
+        For lists whose lengths do not alternate, sums that are not one, a name that is taken, or an order that is
+        not there.
+
+    Examples
+    --------
     >>> import contactbench as cb
     >>> leapfrog = cb.composition("my-leapfrog", order=2, kick=[0.5, 0.5], drift=[1])
     """

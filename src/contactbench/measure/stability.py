@@ -232,20 +232,20 @@ THEORY: dict[str, Callable[[float, float], float]] = {
 
 
 # -- strong damping --------------------------------------------------------------------------------
-def propagation_error(method: Any, gamma: float, h: float, every_step: bool = False) -> float:
+def propagation_error(method: Any, gamma: float, h: float) -> float:
     """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T, the time in which a motion falls by e; inf where M overflows."""
     n = max(1, round(1 / slow_rate(gamma) / h))
     exact = scipy.linalg.expm(np.array([[0.0, 1.0], [-1.0, -gamma]]) * (n * h))
     with np.errstate(all="ignore"):
-        run = run_matrix(method, gamma, h, n, every_step)
+        run = run_matrix(method, gamma, h, n)
         if not np.isfinite(run).all():
             return math.inf
         return float(np.linalg.norm(run - exact, 2) / np.linalg.norm(exact, 2))
 
 
-def run_matrix(method: Any, gamma: float, h: float, n: int, every_step: bool = False) -> np.ndarray:
-    """The map (q, p) → (q, p) of n steps of size h, of which the end or every step is saved; ω = 1."""
-    own = method if every_step else kernel(method)
+def run_matrix(method: Any, gamma: float, h: float, n: int) -> np.ndarray:
+    """The map (q, p) → (q, p) of n steps of size h, of which the end is saved; ω = 1."""
+    own = kernel(method)
     steps = np.linalg.matrix_power(step_matrix(own, gamma, 1.0, h), n)
     if own is method:
         return steps

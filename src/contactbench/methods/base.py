@@ -165,6 +165,15 @@ class Adaptive(Method):
         return self.evaluations_per_step if engine in CALLBACKS else None
 
 
+def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
+    """Why a method that takes components one by one refuses a scene, or None."""
+    if scene.kind == "many":
+        return f"{method.name} has no loop over sites; scene {scene.name!r} has many"
+    if not fits:
+        return f"{method.name} needs {needs}, which scene {scene.name!r} does not have"
+    return scene.own_equations
+
+
 # -- from a question to a prepared solver -------------------------------------------------------------------
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
     chosen = method if isinstance(method, Method) else METHODS[method]
@@ -184,27 +193,44 @@ def prepare(
     engine: str | None = None,
     max_steps: int | None = None,
 ) -> Prepared:
-    """A solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
+    """Return a solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
 
-    step : step size of a fixed-step method.  Steps never straddle a saved time: each interval
+    Parameters
+    ----------
+    scene
+        Itself, or the name of a registered one.
+    method
+        Itself, or the name of a registered one.
+    step
+        Size of the steps of a fixed-step method.  Steps never straddle a saved time: each interval
         between saved times, the last of which is the end, is divided into the fewest equal steps not longer
         than `step`.  The steps taken may so be shorter, down to the distance of two saved times; the solution's
         `step` is the longest one.
+
         A sequence of steps is taken as it is, whatever the motion: every step of a contact method is the contact map
         it would be among equal ones.  Saved times are ends of steps, by default all, or every k-th; steps after the
         last are left out.  A method starts afresh where the step changes or a time is saved, so that one with a
-        processor (contact-rkn6, contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
-    rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
-        rtol instead of step chooses its step from pilots, which are part of every call and its counts; the
-        solution's `step_chosen` is that step.  An exact method takes neither.
-    save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
-        most 1001 of them, for fixed steps, and 201 equally spaced times for others.  The counts of a fixed-step
-        method depend on them, since it starts afresh at each: with save_at=[t_end] it takes the fewest steps.
-    carry : which of s and R to integrate; by default all the scene has.
-    engine : "numba", "jax", "python", …; by default the method's first that can run this scene: a step map
-        or a force that branches on values cannot be compiled.  Under NUMBA_DISABLE_JIT Python comes first.
-    max_steps : budget; a run that needs more ends with status `budget`.
-    Raises `BadInput` for anything it cannot work with.
+        processor (contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
+    rtol, atol
+        Tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given rtol instead of step
+        chooses its step from pilots, which are part of every call and its counts; the solution's `step_chosen` is
+        that step.  An exact method takes neither.
+    save_at
+        Increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at most 1001 of them, for
+        fixed steps, and 201 equally spaced times for others.  The counts of a fixed-step method depend on them,
+        since it starts afresh at each: with save_at=[t_end] it takes the fewest steps.
+    carry
+        Which of s and R to integrate; by default all the scene has.
+    engine
+        "numba", "jax", "python", …; by default the method's first that can run this scene: a step map or a force
+        that branches on values cannot be compiled.  Under NUMBA_DISABLE_JIT Python comes first.
+    max_steps
+        Budget; a run that needs more ends with status `budget`.
+
+    Raises
+    ------
+    BadInput
+        For anything it cannot work with.
     """
     scene, chosen = lookup(scene, method)
     request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
@@ -360,9 +386,12 @@ def engines_of(method: Method) -> tuple[str, ...]:
 
 
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
-    """Solve a scene once; takes the keywords of `prepare`.
+    """Solve a scene once, by the keywords of `prepare`.
 
-    Raises `BadInput` as it does, and where a gradient is not that of the potential at a saved state.
+    Raises
+    ------
+    BadInput
+        As `prepare` does, and where a gradient is not that of the potential at a saved state.
     """
     for name in options.keys() & {"events", "dense_output", "t_eval"}:
         how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"

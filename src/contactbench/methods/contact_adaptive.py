@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, SHORTEST, Adaptive
+from contactbench.methods.base import METHODS, SHORTEST, Adaptive, unfit
 from contactbench.methods.jax_engine import CompiledRun
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request, stopwatch
 from contactbench.numbers.control import XlaNumbers, choose
@@ -385,15 +385,8 @@ class AdaptiveContactMethod(Adaptive):
     tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.kind == "general damping":
-            return f"{self.name} needs a merged drift and damping; scene {scene.name!r} has none"
-        if scene.kind == "driven":
-            return f"{self.name} has no step density for forces that change with time, as on scene {scene.name!r}"
-        if scene.kind == "many":
-            return f"{self.name} has no loop over sites; scene {scene.name!r} has many"
-        if scene.kind != "mechanical":
-            return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
-        return scene.own_equations
+        needs = "forces that depend on q alone and a merged drift and damping"
+        return unfit(self, scene, scene.kind == "mechanical", needs)
 
     def prepare(self, request: Request) -> Prepared:
         return RUNS[request.engine](self.name, request)

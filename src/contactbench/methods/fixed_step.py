@@ -68,10 +68,14 @@ class FixedStep(Method):
     )
 
     def prepare(self, request: Request) -> Prepared:
-        run = (MANY_RUNS if request.scene.kind == "many" else RUNS)[request.engine]
+        run = self.runs_on(request.scene)[request.engine]
         if request.step is not None:
             return run(self.name, request, self)
         return ChosenStep(self.name, request, self, run)
+
+    def runs_on(self, scene: Scene) -> dict[str, type[FixedStepRun]]:
+        """Return the class of run of each engine."""
+        return MANY_RUNS if scene.kind == "many" else RUNS
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         """n ≥ 1 steps of size h."""
@@ -174,11 +178,27 @@ CLAIMS: dict[str, Callable[[str, Any], Any]] = {
 def fixed_step(
     name: str, order: int, *, evaluations: int = 1, about: str = "", **claims: Any
 ) -> Callable[[Step], Step]:
-    """Decorator that registers ``step(scene, x, h, xp) -> x`` as a method.
+    """Return a decorator that registers ``step(scene, x, h, xp) -> x`` as a method.
 
-    It then runs on every engine and appears in every table, figure and test.  `claims` are the
-    properties it declares: kind, family, contact, symmetric, factor.
-    Raises `BadInput` for what is none of these.
+    It then runs on every engine and appears in every table, figure and test.
+
+    Parameters
+    ----------
+    name
+        A key in tables and a word on the command line.
+    order
+        Of convergence.
+    about
+        One line with the source.
+    evaluations
+        Of the right-hand side, or of what the claim `kind` says, in a step.
+    **claims
+        The properties it declares: kind, family, contact, symmetric, factor.
+
+    Raises
+    ------
+    BadInput
+        For what is none of these.
     """
 
     if not isinstance(name, str) or not NAME.fullmatch(name):

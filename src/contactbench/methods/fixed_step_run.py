@@ -8,7 +8,7 @@ from collections.abc import Hashable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -172,6 +172,8 @@ class FixedStepRun(Prepared):
     method_: Any
 
     sensitivity_source = "forward-mode AD through the same steps, compiled"
+    #: whether the loop carries the evaluations spent so far, as a last number
+    counted: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -210,8 +212,6 @@ class FixedStepRun(Prepared):
     def cost(self, n: np.ndarray) -> Counts:
         """Counts of intervals of n[k] steps; every interval starts afresh."""
         steps = total(n)
-        if self.method_.iterates:  # known when they have been taken
-            return Counts(steps, None, 0, 0, self.kind)
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, evaluations, 0, 0, self.kind)
 
@@ -220,19 +220,11 @@ class FixedStepRun(Prepared):
 
     @abstractmethod
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Packed states after each interval of n[k] steps of size h[k]; shape (k, d).
+        """Packed states after each interval of n[k] steps of size h[k]; shape (k, d)."""
 
-        Of a method that iterates (k, d + 1): the evaluations spent so far come last.
-        """
-
-    def counting(self, y0: np.ndarray) -> np.ndarray:
-        """Return the start of `intervals`: a packed state, and of a method that iterates no evaluations yet."""
-        return np.append(y0[: len(self.start)], 0.0) if self.method_.iterates else y0
-
-    def counted(self, y: np.ndarray) -> Counts:
-        """Return the counts of a run from what `intervals` gave."""
-        spent = y[-1, -1] if self.method_.iterates else math.nan
-        return self.totals._replace(evaluations=int(spent)) if math.isfinite(spent) else self.totals
+    def take(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
+        """Take the steps of this division: packed states after each of its intervals, and the counts."""
+        return self.intervals(y0, self.h, self.n), self.totals
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
@@ -240,10 +232,10 @@ class FixedStepRun(Prepared):
             needed = str(self.needed) if self.needed < UNCOUNTED else f"more than {UNCOUNTED:.0e}"
             message = f"{needed} steps needed, max_steps = {r.max_steps}"
             return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.budget, message)
-        return self.judge(y0, self.intervals(y0, self.h, self.n)[self.saved])
+        y, counts = self.take(y0)
+        return self.judge(y0, y[self.saved], counts)
 
-    def judge(self, y0: np.ndarray, y: np.ndarray) -> Outcome:
-        counts, y = self.counted(y), y[:, : len(y0)]
+    def judge(self, y0: np.ndarray, y: np.ndarray, counts: Counts) -> Outcome:
         out = self.finish(y0, self.from_start(y0, y), counts)
         return out if out.status is not Status.diverged else self._locate(y0, out)
 
@@ -294,7 +286,7 @@ class FixedStepRun(Prepared):
         r = self.request
         y = y[1:] if self.saves_start else y
         if r.steps is not None:
-            y = self.intervals(y0, self.h, self.n)[:, : len(y0)]
+            y = self.intervals(y0, self.h, self.n)
         starts = np.concatenate([y0[None], y[:-1]])
         logs = [
             self.method_.log_factor(r.scene, r.scene.unpack(start, r.carry), h, n)
@@ -328,15 +320,15 @@ class NumbaLoop(FixedStepRun):
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
-        r, counted = self.request, self.method_.iterates
-        self.loop = loop_of(self.method_, r.scene, r.carry, counted=counted)
+        r = self.request
+        self.loop = loop_of(self.method_, r.scene, r.carry, counted=self.counted)
         self.run = self.loop.run
         self.compile_s = self.loop.seconds
         super().__post_init__()
 
     def divide(self, step: float) -> None:
         super().divide(step)
-        self.size = len(self.n), len(self.start) + self.method_.iterates
+        self.size = len(self.n), len(self.start) + self.counted
         #: arguments of the loop that depend on the steps only, unless there are too many to be kept
         self.ahead = None
         if len(self.n) * self.loop.program.width <= AHEAD:
@@ -348,14 +340,13 @@ class NumbaLoop(FixedStepRun):
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         if self.ahead is None:
-            return self.intervals(y0, self.h, self.n)[-1][: len(y0)]
+            return self.intervals(y0, self.h, self.n)[-1]
         after = np.empty(self.size)
-        self.run(self.counting(y0), *self.ahead, after)
-        return after[-1][: len(y0)]
+        self.run(y0, *self.ahead, after)
+        return after[-1]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        short = not (self.saves_start or self.method_.iterates)
-        if short and self.ahead is not None and self.needed <= self.request.max_steps:
+        if not self.saves_start and self.ahead is not None and self.needed <= self.request.max_steps:
             after = np.empty(self.size)
             if self.run(y0, *self.ahead, after) < 0:  # nothing to look for
                 return Outcome(after[self.saved], self.totals, Status.ok, "", self._end, True)
@@ -363,9 +354,9 @@ class NumbaLoop(FixedStepRun):
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         if n is not self.n or self.ahead is None:
-            return self.loop.states(self.numbers, self.counting(y0), h, n)
+            return self.loop.states(self.numbers, y0, h, n)
         after = np.empty(self.size)
-        self.run(self.counting(y0), *self.ahead, after)
+        self.run(y0, *self.ahead, after)
         return after
 
 
@@ -384,13 +375,13 @@ class PythonLoop(FixedStepRun):
     def record(self) -> None:
         elapsed = stopwatch()
         with suppress(CannotRecord):
-            r, counted = self.request, self.method_.iterates
-            program = program_of(self.method_, r.scene, r.carry, counted=counted)
+            r = self.request
+            program = program_of(self.method_, r.scene, r.carry, counted=self.counted)
             self.setup, self.run = execute(program.setup), execute(program.run)
             self.program, self.compile_s = program, elapsed()
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        spans, y0 = list(zip(h.tolist(), n.tolist(), strict=True)), self.counting(y0)
+        spans = list(zip(h.tolist(), n.tolist(), strict=True))
         if self.program is not None:
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
                 return np.array(self.run_program(self.program, y0.tolist(), spans))
@@ -411,19 +402,58 @@ class PythonLoop(FixedStepRun):
         return rows
 
     def as_written(self, y: list[float], spans: list[tuple[float, int]]) -> list[list[float]]:
-        r = self.request
         rows: list[list[float]] = []
         with suppress(*NO_NUMBER):
-            d, spent = len(self.start), 0.0
-            x = r.scene.unpack(y[:d], r.carry)
-            if self.method_.iterates:
-                for h, n in spans:
-                    x, more = self.method_.advance_counted(r.scene, x, h, n, math)
-                    rows.append([*r.scene.pack(x), spent := spent + more])
-                return rows
-            for state in trajectory(self.method_, r.scene, x, spans, math):
-                rows.append(r.scene.pack(state))
+            rows.extend(self.states(y, spans))
         return rows + [[math.nan] * len(y)] * (len(spans) - len(rows))
+
+    def states(self, y: list[float], spans: list[tuple[float, int]]) -> Iterator[list[float]]:
+        scene, carry = self.request.scene, self.request.carry
+        for x in trajectory(self.method_, scene, scene.unpack(y, carry), spans, math):
+            yield scene.pack(x)
+
+
+# -- methods that iterate ----------------------------------------------------------------------------
+class Counted(FixedStepRun):
+    """Runs of a method whose evaluations are known only when they have been made."""
+
+    counted = True
+
+    def cost(self, n: np.ndarray) -> Counts:
+        return super().cost(n)._replace(evaluations=None)
+
+    def take(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
+        y = self.carried(y0, self.h, self.n)
+        spent = y[-1, -1]
+        return y[:, :-1], self.totals._replace(evaluations=int(spent) if math.isfinite(spent) else None)
+
+    def carried(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Return what `intervals` does, and the evaluations spent so far; shape (k, d + 1)."""
+        return super().intervals(np.append(y0, 0.0), h, n)  # type: ignore[safe-super]
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return self.carried(y0, h, n)[:, :-1]
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return self.intervals(y0, self.h, self.n)[-1]
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        return FixedStepRun.integrate(self, y0)
+
+
+class CountedNumbaLoop(Counted, NumbaLoop):
+    """By the compiled loop."""
+
+
+class CountedPythonLoop(Counted, PythonLoop):
+    """By Python."""
+
+    def states(self, y: list[float], spans: list[tuple[float, int]]) -> Iterator[list[float]]:
+        scene, spent = self.request.scene, y[-1]
+        x = scene.unpack(y[:-1], self.request.carry)
+        for h, n in spans:
+            x, more = self.method_.advance_counted(scene, x, h, n, math)
+            yield [*scene.pack(x), spent := spent + more]
 
 
 def trajectory(method: Any, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:

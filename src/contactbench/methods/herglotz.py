@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from contactbench.methods.base import METHODS
+from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Mechanical, Scene, State
@@ -47,13 +47,8 @@ class Herglotz(FixedStep):
         return sum(map(math.log, factors)) if min(factors) > 0 else math.nan
 
     def refuses(self, scene: Any) -> str | None:
-        if scene.kind == "many":
-            return f"{self.name} has no loop over sites; scene {scene.name!r} has many"
-        if scene.kind not in ("mechanical", "driven", "general damping"):
-            return f"{self.name} needs a configuration q in Rⁿ, which scene {scene.name!r} does not have"
-        if scene.nonlinear_damping:
-            return f"{self.name} is derived for Γ = γ s; scene {scene.name!r} has another Γ"
-        return scene.own_equations
+        fits = scene.kind in ("mechanical", "driven", "general damping") and not scene.nonlinear_damping
+        return unfit(self, scene, fits, "a configuration q in Rⁿ and damping Γ = γ s")
 
 
 def explicit_kick(scene: Mechanical, x: State, h: Any, force: Any, potential: Any) -> State:

@@ -12,13 +12,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from contactbench.methods.base import METHODS
+from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import CountedNumbaLoop, CountedPythonLoop, FixedStepRun
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.scene import Mechanical, Scene, State, dot, shifted
 from contactbench.splitting.flows import flows_of
 
+RUNS: dict[str, type[FixedStepRun]] = {"numba": CountedNumbaLoop, "python": CountedPythonLoop}
 #: iterations that may differ by more than the one before
 FIRST = 3
 #: iterations after which a step has none, and the last increment that is none, relative to what is iterated
@@ -62,8 +64,11 @@ class Implicit(FixedStep):
     """
 
     each: int = field(kw_only=True)
-    engines: tuple[str, ...] = ("numba", "python")
+    engines: tuple[str, ...] = tuple(RUNS)
     iterates = True
+
+    def runs_on(self, scene: Scene) -> dict[str, type[FixedStepRun]]:
+        return RUNS
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         return self.advance_counted(scene, x, h, n, xp, repeat)[0]
@@ -113,9 +118,7 @@ class Gauss(Implicit):
     """
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.kind == "many":
-            return f"{self.name} iterates on components one by one; scene {scene.name!r} has sites"
-        return scene.own_equations
+        return unfit(self, scene, True, "")
 
 
 def gauss(stages: int) -> Callable[[Any, Any, Any, Any], Any]:
@@ -148,9 +151,8 @@ class DiscreteGradient(Implicit):
     """Damping for h/2, a step that keeps H0 = T + V, and damping for h/2: H0 never rises where Γ' ≥ 0."""
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.kind not in ("mechanical", "general damping"):
-            return f"{self.name} needs forces that depend on q alone; scene {scene.name!r} has others"
-        return scene.own_equations
+        fits = scene.kind in ("mechanical", "general damping")
+        return unfit(self, scene, fits, "forces that depend on q alone")
 
 
 #: where the motion turns: of a way² smaller than this part of q², what lacks in V is rounding, being of order way³

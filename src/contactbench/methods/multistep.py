@@ -24,7 +24,7 @@ from itertools import accumulate
 from math import prod
 from typing import Any
 
-from contactbench.methods.base import METHODS
+from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Scene, State, dot, scaled
@@ -83,11 +83,12 @@ class Multistep(FixedStep):
         return [-sum(adams[j + 1 :], Fraction(0)) for j in range(self.forces)]
 
     def refuses(self, scene: Any) -> str | None:
-        if scene.kind != "mechanical" or scene.nonlinear_damping:
-            return f"{self.name} needs forces that depend on q alone and damping γ s; scene {scene.name!r} has others"
+        fits = scene.kind == "mechanical" and not scene.nonlinear_damping
+        if (why := unfit(self, scene, fits, "forces that depend on q alone and damping Γ = γ s")) is not None:
+            return why
         if scene.gamma * scene.t_end > LONGEST:
             return f"{self.name} takes γ t up to {LONGEST:g}; scene {scene.name!r} goes on for longer"
-        return scene.own_equations
+        return None
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
         """Return n, one for the momentum, and those of the points before the start."""
@@ -99,14 +100,8 @@ class Multistep(FixedStep):
         beta, velocity = ([number(c, xp) for c in row] for row in (self.beta, self.velocity))
         alpha = list(accumulate((1, *self.alpha)))[1:-1]  # of the increments z_n − z_{n−1}
         ends = [number(c, xp) * xp.exp(-gamma * h * j) for j, c in enumerate(self.quadrature)]
-        loss, gain, fading = (
-            f(h)
-            for f in (
-                lambda h: -xp.expm1(-gamma * h / 2),
-                lambda h: xp.expm1(gamma * h / 2),
-                lambda h: -xp.expm1(-gamma * h),
-            )
-        )
+        loss, gain = -xp.expm1(-gamma * h / 2), xp.expm1(gamma * h / 2)
+        fading = -xp.expm1(-gamma * h)
         one, nothing = xp.exp(0 * h), 0 * h
 
         def force(z: Any, shrunk: Any, grown: Any) -> tuple[Any, Any]:

@@ -25,7 +25,7 @@ from contactbench.trace.formula import argument_names, formula
 class OneStep:
     """``step(y, h, numbers=None, **parameters) -> y``: one step of size h from the packed state y.
 
-    y : a tuple with an entry for each of `labels`; of a scene of many sites an array.  numbers : the scene's
+    y is a tuple with an entry for each of `labels`; of a scene of many sites an array.  numbers are the scene's
     parameters as a tuple in the order of `names`, by default its own; any of them can also be given by name, as in
     ``step(y, h, gamma=0.2)``.
     All of it may be floats, NumPy arrays (entry by entry), or JAX values under ``jit``, ``vmap`` and ``grad``,
@@ -120,9 +120,22 @@ def namespace(*values: Any) -> Any:
 def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None) -> OneStep:
     """One step of a fixed-step method on a scene, as a pure function for one's own code: see `OneStep`.
 
-    carry : which of s and R are part of the state; by default all the scene has.
-    Raises `BadInput` for a method that is no step map or cannot do the scene.
+    Parameters
+    ----------
+    scene
+        Itself, or the name of a registered one.
+    method
+        The name of a fixed-step one.
+    carry
+        Which of s and R are part of the state; by default all the scene has.
 
+    Raises
+    ------
+    BadInput
+        For a method that is no step map or cannot do the scene.
+
+    Examples
+    --------
     >>> import contactbench as cb
     >>> step = cb.step_map("particle", "contact-strang", carry=())
     >>> y = step.start

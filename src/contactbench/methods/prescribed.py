@@ -30,13 +30,26 @@ def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.
 
     They suit motions that slow down as 1/(a + t), as under a damping γ = 2/t.
 
-    t_end, count : end and number of the steps.
-    a : the time that passes before they have doubled, or nearly; far shorter than `t_end` the grid is geometric,
+    Parameters
+    ----------
+    t_end
+        Where the steps end, from 0.
+    count
+        How many there are.
+    a
+        The time that passes before they have doubled, or nearly; far shorter than `t_end` the grid is geometric,
         far longer it is equidistant.
-    plateau : so many steps in a row are equal, which saves methods what they pay where a step changes, if
-        nothing is saved in between; divides `count`.
-    Raises `BadInput` for anything else.
+    plateau
+        So many steps in a row are equal, which saves methods what they pay where a step changes, if nothing is
+        saved in between; divides `count`.
 
+    Raises
+    ------
+    BadInput
+        For anything else.
+
+    Examples
+    --------
     >>> import contactbench as cb
     >>> cb.geometric_steps(7.0, 3, a=1.0).round(12).tolist()
     [1.0, 2.0, 4.0]

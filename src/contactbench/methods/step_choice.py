@@ -75,7 +75,7 @@ class ChosenStep(Prepared):
             evaluations = sum(pilot.evaluations for pilot in pilots)
             known = [pilot.y for pilot in pilots if pilot.steps == self.run.needed]
             if known:
-                out = self.run.judge(y0, known[0])
+                out = self.run.judge(y0, known[0], self.run.totals)
             else:
                 out = self.run.integrate(y0)
                 evaluations += out.counts.evaluations or 0
@@ -127,8 +127,8 @@ class ChosenStep(Prepared):
         run = self.run
         run.divide(step)
         size = step if math.isclose(run.needed * step, self._end) else self._end / run.needed
-        y = run.intervals(y0, run.h, run.n)
-        return Pilot(run.needed, size, step, run.counted(y).evaluations or 0, y)
+        y, counts = run.take(y0)
+        return Pilot(run.needed, size, step, counts.evaluations or 0, y)
 
     def between(self, pilots: list[Pilot], finest: float, target: float) -> float:
         """The step between two pilots at which the error, measured against the finest, is the target."""

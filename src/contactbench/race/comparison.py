@@ -43,8 +43,9 @@ from contactbench.methods.prepared import Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
+from contactbench.scene.many import Many
 from contactbench.solution import Counts, Solution, Status
-from contactbench.truth import Reference, confirmed, reference
+from contactbench.truth import OutOfTime, Reference, confirmed, reference
 
 ERRORS = (1e-3, 1e-6, 1e-9)
 BUDGET = 60.0
@@ -52,6 +53,9 @@ BUDGET = 60.0
 REFERENCE, CHECK, SCOUTING, LAWS = 0.4, 0.42, 0.6, 0.8
 #: seconds for the reference at least, which it takes to compile it on a loaded machine: without one there is no race
 LEAST_REFERENCE = 5.0
+#: how many times the time that one of two solvers was seen to need makes a budget enough: there is another, and
+#: high precision is tried before
+SPARE = 5.0
 #: calls of a run in the shortest race: to warm up, and a round of each visit
 FEWEST_CALLS = 1 + VISITS
 KINDS = ("compiled", "callbacks")
@@ -65,6 +69,10 @@ ONCE = 2.0
 LEFT_OUT = ("solution_error", "energy_law_relative", "energy_increases", "own_factor_drift")
 #: what a derivative of the map costs, roughly: compilations of the solver, and runs
 COMPILATIONS, RUNS = 2.0, 100.0
+#: seconds that compiling a derivative takes at least, where the method itself was found compiled
+CACHED = 0.2
+#: components from which on compiling it takes longer, as their cube
+MANY = 20
 #: types of the columns beside the laws
 COLUMNS = dict.fromkeys(("scene", "method", "family", "engine", "kind"), "str")
 COLUMNS |= {"error_asked": "float64", "setting": "str"}
@@ -112,7 +120,7 @@ def compare(
     methods :
         Names, by default all.
     errors :
-        Errors asked for, of max ‖y − y*‖ / max ‖y*‖ over the ends of five runs.
+        Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs.
     budget :
         Seconds for everything; the reference may take five whatever it is.
     progress :
@@ -130,8 +138,8 @@ def compare(
         (win; tie; undecided where the margin is too wide to judge, or a rival was cut off that might be sooner done;
         loss), laws_kept, a column for each law, status, reason (why a method got no further, or was not timed).
         ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
-        claimed), "runs" (every setting tried), "unrefined" (methods without a last search for a coarser setting),
-        "interrupted", "seconds".
+        claimed), "runs" (every setting tried), "of_floats" (functions that cannot be recorded), "unrefined" (methods
+        without a last search for a coarser setting), "interrupted", "seconds".
 
     Raises
     ------
@@ -154,6 +162,20 @@ def compare(
     truth = None if reference is None else users_reference(scene, reference)
     names = list(dict.fromkeys(given))
     return Comparison(scene, names, wanted, positive("budget", budget), progress, truth).frame()
+
+
+def reference_within(scene: Scene, budget: float, seconds: float) -> Reference:
+    """Return the reference at the ends of the runs; raise `OutOfTime`, which says what budget or end time would do."""
+    try:
+        return reference(scene, ends(scene), carry_of(scene), seconds)
+    except OutOfTime as why:
+        factor = max(SPARE * why.needed / seconds, 2.0)
+        ways = "a larger budget, an earlier t_end"
+        if math.isfinite(factor):
+            more, sooner = (float(f"{x:.2g}") for x in (factor * budget, scene.t_end / factor))
+            ways = f"--budget {more:g}s (budget={more:g}), t_end={sooner:g}"
+        what = f"no reference for scene {scene.name!r} in its part of the budget, {seconds:.2g} s"
+        raise OutOfTime(f"{what}: give {ways}, or reference=, your own", why.needed) from why
 
 
 def users_reference(scene: Scene, given: Callable[[np.ndarray], Any]) -> Reference:
@@ -389,7 +411,7 @@ class Comparison:
         self.interrupted = False
         self.bar.set_description("reference")
         seconds = max(self.left(REFERENCE), LEAST_REFERENCE)
-        truth = truth or reference(scene, ends(scene), seconds=seconds)
+        truth = truth or reference_within(scene, budget, seconds)
         self.question = Question(scene, truth, errors, RUN_SHARE * budget)
         #: what the reference itself may be off by, relative to the largest state: no error below is claimed
         self.floor = max(10.0**-truth.digits, float(np.finfo(float).eps))
@@ -399,6 +421,8 @@ class Comparison:
         self.times: dict[int, dict[str, Any]] = {}
         self.unrefined: list[str] = []
         self.laws: dict[int, dict[str, Any]] = {}
+        #: how many times longer than foreseen the derivative of a map has taken
+        self.slower = 1.0
         self.columns = {
             law.name: law.label or law.name
             for law in laws_of(scene)
@@ -428,6 +452,7 @@ class Comparison:
         frame.attrs = {
             "runs": tuple(run for each in self.scouts for run in each.runs()),
             "reference": known | {"error": self.floor},
+            "of_floats": question.scene.functions_of_floats,
             "unrefined": self.unrefined,
             "interrupted": self.interrupted,
             "seconds": perf_counter() - self.begun,
@@ -479,7 +504,9 @@ class Comparison:
             pairs = [(each, a) for each in self.scouts if (a := self.chosen(each, error)) is not None]
             for each, attempt in sorted(pairs, key=lambda pair: differentiation_time(*pair)):
                 if id(attempt) not in self.laws and not self.interrupted:
+                    begun, foreseen = perf_counter(), differentiation_time(each, attempt)
                     self.laws[id(attempt)] = self.laws_at(each, attempt)
+                    self.slower = max(self.slower, (perf_counter() - begun) / foreseen)
 
     def laws_at(self, each: Scout, attempt: Attempt) -> dict[str, Any]:
         """Return how far a run that carries every field is from the laws; nothing where that would take too long."""
@@ -489,7 +516,11 @@ class Comparison:
         options = setting_to(scene.t_end, scene, each.control, attempt.value) | {"engine": each.engine}
         times = ends(scene) if each.control != GROWING else None
         solution = prepare(scene, each.method.name, save_at=times, **options)()
-        return row(solution, "" if differentiation_time(each, attempt) <= left else "no time was left")
+        late = "" if self.slower * differentiation_time(each, attempt) <= left else "no time was left"
+        try:
+            return row(solution, late)
+        except UserError:  # a function of floats, and laws are taken of arrays
+            return {}
 
     def time(self) -> None:
         """Time each kind of engine by itself, the compiled first; the slowest are left out where time is short."""
@@ -554,7 +585,11 @@ class Comparison:
 
 
 def differentiation_time(each: Scout, attempt: Attempt) -> float:
-    return COMPILATIONS * each.compile_s + RUNS * attempt.seconds
+    scene = each.question.scene
+    components = 0 if isinstance(scene, Many) else scene.motion
+    return (
+        COMPILATIONS * max(each.compile_s, CACHED) * (1 + (components / MANY) ** 3) + RUNS * attempt.seconds
+    )
 
 
 def judge_times(frame: pd.DataFrame) -> pd.DataFrame:

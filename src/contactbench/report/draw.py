@@ -29,13 +29,19 @@ from contactbench.report.numbers import SUPERSCRIPTS
 WIDTHS, HEIGHT = {1: 8.0, 2: 9.6, 3: 11.0}, 4.2
 #: inches of a character of the title, between names in the margin, and of a line of title or legend
 LETTER, APART, LINE = 0.1, 0.2, 0.24
-#: a curve of more points than this has markers at some of them; of so many more it is drawn as a picture
-MARKED, MANY = 16, 800
+#: a curve of more points than this has markers at some of them; so many points without a line are drawn as a picture
+MARKED, MANY = 16, 150
 OTHERS = "other methods"
 #: the mark of a file that was made here
 MADE_HERE = '<style id="contactbench">'
-#: numbers with more digits than are seen: of points, hundredths are
+#: numbers with more digits than are seen: of points, hundredths are, of a path of straight lines tenths
 DIGITS = re.compile(r"-?\d+\.\d{3,}")
+FRACTION, PATH = re.compile(r"-?\d+\.\d+"), re.compile(r'(?<= d=")M [^"]*')
+#: what says nothing: dates, comments, indentation, names of groups that nothing refers to, turns by nothing
+IDLE = re.compile(
+    r"\s*<metadata>.*?</metadata>|\s*<!--.*?-->|(?<=\n) +|(?<=<g) id=\"[\w.]+_\d+\"| transform=\"rotate\(-0 [^)]*\)\"",
+    re.DOTALL,
+)
 RC: dict[Any, Any] = {
     "font.size": 10.5,
     "axes.titlesize": 10.5,
@@ -149,8 +155,11 @@ def scale(axes: Axes, which: str, axis: Axis, values: Sequence[float]) -> None:
 
 def draw_panel(axes: Any, panel: Panel) -> None:
     for curve in panel.curves:
+        cloud = not curve.line
         every = len(curve.x) // 8 if len(curve.x) > MARKED and curve.line else 1
-        axes.plot(curve.x, curve.y, markevery=every, rasterized=len(curve.x) > MANY, **properties(curve))
+        axes.plot(
+            curve.x, curve.y, markevery=every, rasterized=cloud and len(curve.x) > MANY, **properties(curve)
+        )
     points = [] if panel.equal else seen(panel)  # the aspect decides
     scale(axes, "x", panel.x, [x for x, _ in points])
     scale(axes, "y", panel.y, [y for _, y in points])
@@ -191,12 +200,21 @@ def render(figure: Figure) -> Drawing:
     return drawing
 
 
+def short_path(path: re.Match[str]) -> str:
+    """Return a path on one line, lines after a move without their letter."""
+    text = " ".join(path[0].split())
+    if "C" in text or "Q" in text:
+        return text
+    return FRACTION.sub(lambda digits: f"{float(digits[0]):.1f}".removesuffix(".0"), text.replace(" L ", " "))
+
+
 def svg(figure: Figure) -> str:
     drawing, file = render(figure), io.StringIO()
     with plt.rc_context(RC):
         drawing.savefig(file, format="svg", metadata={"Date": None})
     plt.close(drawing)
-    text = re.sub(r"\s*<metadata>.*?</metadata>|\s*<!--.*?-->", "", file.getvalue(), flags=re.DOTALL)
+    text = IDLE.sub("", file.getvalue())
+    text = PATH.sub(short_path, text)
     text = re.sub(
         "<[^>]*>", lambda tag: DIGITS.sub(lambda digits: f"{round(float(digits[0]), 2):g}", tag[0]), text
     )

@@ -161,7 +161,7 @@ def parts(frames: Frames) -> list[Part | None]:
     rows, time = structural_rows(frames), frames["laws_time"]
     equal = frames["decay_laws"].groupby(["scene", "cost"], sort=False)
     ranges = [law_view(frames, law, column) for law, column in laws_in(LAWS_TABLE).items()]
-    scenes = dict.fromkeys(time[time["status"] == "ok"]["scene"])
+    scenes = dict.fromkeys(time["scene"])
     along = (Section(s, (along_time(time, s),)) for s in scenes)
     shown = [equal_cost_view(part, frames) for _, part in equal]
     ranging = f"Smallest … largest over all settings. {LEGEND}"
@@ -219,7 +219,7 @@ ALONG_TIME = {
 
 
 def along_time(frame: pd.DataFrame, scene: str) -> Figure:
-    rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
+    rows = frame[frame["scene"] == scene]
     panels = []
     for column, (title, label) in ALONG_TIME.items():
         if rows[column].notna().any():

@@ -108,7 +108,8 @@ def costs_view(frame: pd.DataFrame) -> View:
     labels += [("", name) for name in ("power of n", "to 10⁻⁶", "compilation", "memory, MB")]
     legend = (
         f"Least round. Power of n: of the time of an evaluation, from n = {LARGE} on. To 10⁻⁶: at the "
-        f"largest n ≤ {SIZE}. Memory: beside one state, at the largest n. Bold: the least of one core, compiled; "
+        f"largest n ≤ {SIZE}. Compilation: of what no row before has "
+        "compiled. Memory: beside one state, at the largest n. Bold: the least of one core, compiled; "
         "italic: a tie. —: not run, or not reached."
     )
     show = {"power of n": "{:.2f}".format, "compilation": duration, "memory, MB": "{:.2g}".format}

@@ -156,4 +156,4 @@ def limit_parts(frames: Frames) -> list[Part]:
 
 
 TITLE, QUESTION = "Stability limits", "Up to which step does a bounded motion stay bounded?"
-CHAPTERS.add(Chapter("limits", TITLE, QUESTION, 52, ("stability_limits", "one_step"), limit_parts))
+CHAPTERS.add(Chapter("limits", TITLE, QUESTION, 52, ("stability_limits",), limit_parts))

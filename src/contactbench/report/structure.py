@@ -104,12 +104,12 @@ def costs_view(rows: pd.DataFrame) -> View:
             line.append(as_cell(math.nan if own is None else own["run_s"] / least.loc[end, "run_s"], times))
         at = at_allowed(rows[rows["method"] == method])
         line.append(at["setting"].iloc[0] if len(at) else None)
-        errors = ((column, end) for column in ("energy_error", "rate_error") for end in spans)
+        errors = [("energy_error", end) for end in spans] + [("rate_error", spans[-1])]
         lines.append([*line, *(at[at["t_end"] == end][column].max() for column, end in errors)])
     at_spans = [f"T = {power(end)}" for end in spans]
     heads = [(f"to 1 %, {at}", head) for at in at_spans for head in ("time", "evaluations", "ratio")]
     heads += [("one setting", "setting")]
-    heads += [(what, at) for what in ("its error", "|γ_eff/γ − 1|") for at in at_spans]
+    heads += [("its error", at) for at in at_spans] + [("|γ_eff/γ − 1|", at_spans[-1])]
     legend = (
         f"{SCENE}, n = {SITES}, γ = {power(GAMMA)}. Medians of the starts, interpolated between settings. Time of the "
         "whole run, from that of its beginning and the evaluations of both; evaluations per unit of time; ratio of the "

@@ -27,7 +27,7 @@ from contactbench.results.store import read, replacing
 Registries = Mapping[str, Mapping[str, Any]]
 README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from results/: end -->")
 #: points by which what is drawn may be elsewhere
-APART = 0.02
+APART = 0.11
 NAME = re.compile(r"\b[a-z]+[0-9a-f]{10}\b")
 NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 

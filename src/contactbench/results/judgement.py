@@ -29,13 +29,11 @@ def laws_in(table: Table, view: str = "laws") -> dict[str, Column]:
 
 def structural_laws() -> dict[str, Column]:
     """Return the laws of the map itself, which a method either keeps or not whatever its error."""
-    laws = laws_in(LAWS_TABLE).items()
-    return {n: c for n, c in laws if c.rule is Rule.structure and not n.endswith(FROZEN)}
+    return {name: column for name, column in laws_in(LAWS_TABLE).items() if column.rule is Rule.structure}
 
 
 def laws_at_equal_cost() -> list[str]:
-    own = [n for n in DECAY_LAWS.columns if n in laws_in(LAWS_TABLE) and not n.endswith(FROZEN)]
-    return [n for n in own if n != "solution_error"]
+    return [n for n in DECAY_LAWS.columns if n in laws_in(LAWS_TABLE) and n != "solution_error"]
 
 
 def bound(rows: pd.DataFrame, law: str) -> pd.Series:

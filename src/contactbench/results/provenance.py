@@ -41,7 +41,7 @@ def environment(profile: str) -> dict[str, Any]:
             versions[name] = metadata.version(name)
     package = Path(__file__).parents[3]
     root = package if Path.cwd().is_relative_to(package) else Path.cwd()  # a project that uses this one
-    manifest = root / "references" / "MANIFEST.json"
+    manifest = package / "references" / "MANIFEST.json"
     return {
         "utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "profile": profile,

@@ -80,7 +80,6 @@ CLAIMS_TABLE = declare("claims")
 PAPER_FIGURES = declare("paper_figures")
 STABILITY = declare("stability")
 STABILITY_LIMITS = declare("stability_limits")
-ONE_STEP = declare("one_step")
 DAMPING_RATES = declare("damping_rates")
 STRONG_DAMPING = declare("strong_damping")
 LONG_TIME = declare("long_time")
@@ -103,11 +102,21 @@ def shipped_folder() -> Path | None:
 
 
 def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
-    """A result table as the benchmark wrote it: typed columns, times included.
+    """Return a result table as the benchmark wrote it: typed columns, times included.
 
-    name : of a table, such as "laws", "work_precision", "stability", "claims", "ensemble".
-    folder : of a run of your own; by default the tables that came with the package.
-    ``attrs["columns"]`` says what each column means.  Raises `BadInput` for an unknown name or absent tables.
+    ``attrs["columns"]`` says what each column means.
+
+    Parameters
+    ----------
+    name
+        Of a table, such as "laws", "work_precision", "stability", "claims", "ensemble".
+    folder
+        Of a run of your own; by default the tables that came with the package.
+
+    Raises
+    ------
+    BadInput
+        For an unknown name or absent tables.
     """
     from contactbench.results.store import read  # takes long to load, as pandas does
 

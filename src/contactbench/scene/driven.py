@@ -36,8 +36,10 @@ class Driven(Mechanical):
 
     Parameters
     ----------
-    potential, gradient
-        ``V(q, t, **parameters) -> number`` and ``dV(q, t, **parameters) -> n-tuple``.
+    potential
+        ``V(q, t, **parameters) -> number``.
+    gradient
+        ``dV(q, t, **parameters) -> n-tuple``; by default derived.
     t
         The time at the start.
     gamma
@@ -99,7 +101,7 @@ class Driven(Mechanical):
             signature(self.rate).bind(self.t, **self.parameters)  # type: ignore[arg-type]
         except TypeError as why:
             form = "must be a function of the time, lambda t: …, and of the parameters by name"
-            raise BadInput(f"rate: {form} ({why}); a damping that depends on q has no flow here") from why
+            raise BadInput(f"rate: {form} ({why}); a damping that depends on q: solve_ivp") from why
         except ValueError:  # a function written in C has no signature
             pass
         require_number("rate", self._value("rate"))

@@ -53,8 +53,10 @@ class RigidBody(Scene):
     ----------
     inertia
         Three principal moments > 0.
-    M, R
-        Angular momentum in the body, and attitude (see `quaternion_of`), at the start.
+    M
+        Angular momentum in the body at the start.
+    R
+        Attitude at the start (see `quaternion_of`).
     gamma
         Isotropic damping, D = γ 1: a contact system with H = ½ M·I⁻¹M + γ s.
     damping

@@ -1,4 +1,4 @@
-"""Scenes with time in them: a forced oscillator, its damping constant or not; the Lane–Emden equation; chaos.
+"""Scenes with time in them: a forced oscillator, its damping constant or not; Lane–Emden; chaos; two of DETEST.
 
 H = T(p) + V(q, t) + γ(t) s, the class of Bravetti, Seri, Vermeeren, Zadra, Celest. Mech. Dyn. Astron. 132, 7 (2020),
 doi:10.1007/s10569-019-9946-9, whose examples the Lane–Emden scenes are.
@@ -50,6 +50,25 @@ def square_well_gradient(q, t):
     return (q[0],)
 
 
+def bessel(q, t):
+    """V = ½ (1 − ¼ t⁻²) q²: of γ = 1/t the Bessel equation of order ½."""
+    return (1 - 1 / (4 * t * t)) * q[0] * q[0] / 2
+
+
+def bessel_gradient(q, t):
+    return ((1 - 1 / (4 * t * t)) * q[0],)
+
+
+def soft_spring(q, t, softness, force, drive):
+    """V = ½ q² − ¼ q⁴/c − F q sin Ωt."""
+    square = q[0] * q[0]
+    return square / 2 - square * square / (4 * softness) - force * q[0] * xm.sin(drive * t)
+
+
+def soft_spring_gradient(q, t, softness, force, drive):
+    return (q[0] - q[0] * q[0] * q[0] / softness - force * xm.sin(drive * t),)
+
+
 def sextic(q, t):
     """V = q⁶/6: index 5."""
     cube = q[0] * q[0] * q[0]
@@ -70,6 +89,17 @@ def spherical(t, **parameters):
 def spherical_span(t, h, xp, **parameters):
     """∫γ = 2 log(1 + h/t), φ = t h/(t + h)."""
     return 2 * xp.log1p(h / t), t * h / (t + h)
+
+
+def cylindrical(t):
+    """γ = 1/t, the divergence of a radius in the plane."""
+    return 1 / t
+
+
+def cylindrical_span(t, h, xp):
+    """∫γ = log(1 + h/t), φ = t log(1 + h/t)."""
+    spent = xp.log1p(h / t)
+    return spent, t * spent
 
 
 def pulsating(t, friction, depth, pulse, **parameters):
@@ -130,15 +160,24 @@ def lane_emden_0(scene: Driven, t: Any, mp: Any) -> DrivenState:
 
 def lane_emden_1(scene: Driven, t: Any, mp: Any) -> DrivenState:
     """q = (A sin t + B cos t)/t, with sin t/t among them."""
-    t0, u0 = scene.t, scene.t * scene.q[0]
-    w0 = scene.q[0] + t0 * scene.p[0]  # u = tq oscillates
+    return spreading_wave(scene, t, mp, mp.mpf(1))
+
+
+def bessel_half(scene: Driven, t: Any, mp: Any) -> DrivenState:
+    """q = (A sin t + B cos t)/√t, with J_½ = √(2/π) sin t/√t among them."""
+    return spreading_wave(scene, t, mp, mp.mpf(1) / 2)
+
+
+def spreading_wave(scene: Driven, t: Any, mp: Any, a: Any) -> DrivenState:
+    """Return u/tᵃ, u'' = −u, the motion under γ = 2a/t; s − ½ q p falls as 1/t²ᵃ, the potential being quadratic."""
+    t0, now = scene.t, scene.t + t
+    u0 = t0**a * scene.q[0]
+    w0 = t0**a * (scene.p[0] + a * scene.q[0] / t0)
     sin, cos = mp.sin(t), mp.cos(t)
-
-    def motion(now: Any) -> tuple[Any, Any]:
-        u, w = u0 * cos + w0 * sin, w0 * cos - u0 * sin
-        return u / now, w / now - u / now**2
-
-    return with_action(scene, t, motion, lambda t: 0)
+    u, w = u0 * cos + w0 * sin, w0 * cos - u0 * sin
+    q, p = u / now**a, (w - a * u / now) / now**a
+    rest = (t0 / now) ** (2 * a) * (scene.s - scene.q[0] * scene.p[0] / 2)
+    return DrivenState((q,), (p,), now, q * p / 2 + rest)
 
 
 def lane_emden_5(scene: Driven, t: Any, mp: Any) -> DrivenState:
@@ -256,4 +295,34 @@ DUFFING = Driven(
     t_end=25.0,
 )
 
-DRIVEN = (FORCED_OSCILLATOR, FORCED_PULSATING, *LANE_EMDEN, DUFFING)
+_DETEST = "of Hull, Enright, Fellen, Sedgwick, SIAM J. Numer. Anal. 9, 603 (1972), doi:10.1137/0709052"
+#: of the five of class E those whose damping is −γ(t) p
+DETEST = (
+    Driven(
+        name="detest_e1",
+        experiments=("laws",),
+        about=f"problem E1 {_DETEST}: the Bessel equation of order ½, its x + 1 the time",
+        potential=bessel,
+        gradient=bessel_gradient,
+        rate=cylindrical,
+        span=cylindrical_span,
+        exact=bessel_half,
+        q=(0.6713967071418031,),
+        p=(0.09540051444747454,),
+        t=1.0,
+        t_end=20.0,
+    ),
+    Driven(
+        name="detest_e3",
+        experiments=_LAWS,
+        about=f"problem E3 {_DETEST}: y″ = y³/6 − y + 2 sin 2.78535t, undamped",
+        potential=soft_spring,
+        gradient=soft_spring_gradient,
+        parameters={"softness": 6.0, "force": 2.0, "drive": 2.78535},
+        q=(0.0,),
+        p=(0.0,),
+        t_end=20.0,
+    ),
+)
+
+DRIVEN = (FORCED_OSCILLATOR, FORCED_PULSATING, *LANE_EMDEN, DUFFING, *DETEST)

@@ -334,15 +334,20 @@ def check_method(
 
     Parameters
     ----------
-    engines, scenes : by default all engines of the method, and one scene of every kind.
+    engines
+        By default all of the method.
+    scenes
+        By default one of every kind.
 
     Returns
     -------
-    The rules that were followed, on which engine and scene, and what was measured.
+    list of Finding
+        The rules that were followed, on which engine and scene, and what was measured.
 
     Raises
     ------
-    Violation : a rule is broken.
+    Violation
+        Where a rule is broken.
     """
     return list(method_findings(method, engines, scenes))
 

@@ -12,7 +12,10 @@ from typing import Any, NamedTuple
 class Violation(AssertionError):
     """A rule of a contract is broken.
 
-    rule : its number in the contract.
+    Attributes
+    ----------
+    rule
+        Its number in the contract.
     """
 
     def __init__(self, rule: int, message: str) -> None:
@@ -23,7 +26,14 @@ class Violation(AssertionError):
 class Finding(NamedTuple):
     """A rule that is kept, or does not apply: where, and what was measured.
 
-    engine : of a method; empty for a scene.  not_here : why the rule does not apply there, or empty.
+    Attributes
+    ----------
+    rule, name, scene, measured
+        Its number and name, where it was followed, and what was measured.
+    engine
+        Of a method; empty for a scene.
+    not_here
+        Why the rule does not apply there, or empty.
     """
 
     rule: int

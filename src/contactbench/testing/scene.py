@@ -245,10 +245,12 @@ def check_scene(scene: Scene) -> list[Finding]:
 
     Returns
     -------
-    The rules that were followed, and what was measured.
+    list of Finding
+        The rules that were followed, and what was measured.
 
     Raises
     ------
-    Violation : a rule is broken.
+    Violation
+        Where a rule is broken.
     """
     return list(scene_findings(scene))

@@ -105,7 +105,15 @@ class BlowUp(BadInput):
 
 
 class OutOfTime(BadInput):
-    """A computation that was given so much time and needs more."""
+    """A computation that was given so much time and needs more: about `needed` seconds, as far as could be seen."""
+
+    def __init__(self, message: str, needed: float = math.inf) -> None:
+        super().__init__(message)
+        self.needed = needed
+
+
+class DoublesOnly(BadInput):
+    """Equations that can be evaluated in double precision only."""
 
 
 class Stopwatch:
@@ -123,9 +131,11 @@ class Stopwatch:
     def check(self, t: float) -> None:
         if self.is_over(t):
             faster = "" if find_spec("heyoka") else ", or install heyoka, which is much faster"
+            needed = (perf_counter() - self.begun) * self.span / t if t > 0 else math.inf
             raise OutOfTime(
                 f"no reference for scene {self.scene.name!r} in the time it was given (t = {t:.3g} of "
-                f"{self.span:.3g} so far): allow it more, or choose an earlier t_end{faster}"
+                f"{self.span:.3g} so far): allow it more, or choose an earlier t_end{faster}",
+                needed,
             )
 
 
@@ -268,7 +278,7 @@ def extrapolated(
     slope: Callable[[np.ndarray], np.ndarray], y: np.ndarray, step: Any, most: int, tolerance: Any
 ) -> tuple[int, np.ndarray | None]:
     """Return one extrapolated step and the number of columns it took; None if `most` are not enough."""
-    first, size = slope(y), np.abs(y).max()
+    first = slope(y)
     previous: list[np.ndarray] = []
     for j in range(1, most + 1):
         h = step / (2 * j)
@@ -279,6 +289,7 @@ def extrapolated(
         for k, below in enumerate(previous, start=1):  # Aitken–Neville in h²
             weight = (step * 0 + j * j) / (j - k) ** 2 - 1
             row.append(row[-1] + (row[-1] - below) / weight)
+        size = max(np.abs(y).max(), np.abs(row[-1]).max())  # a start may be all zeros
         if j > 2 and distance(row[-1], row[-2]) <= tolerance * size:
             return j, row[-1]
         if np.abs(mid).max() > 1e6 * (1 + size):

@@ -1,7 +1,7 @@
-"""The truth of scenes of many sites: component by component where they are few, else two solvers of arrays.
+"""The truth where high precision takes too long, as of many sites: two solvers in double precision.
 
-Few is what high precision can do in seconds.  Beyond, two solvers in double precision that share nothing but the
-right-hand side, SciPy's DOP853 and extrapolation, run at their tightest: the truth is known as far as they agree.
+SciPy's DOP853 and extrapolation share nothing but the right-hand side, and run at their tightest: the truth is known
+as far as they agree.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def doubles(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float
     for solver in (by_dop853, by_extrapolation):
         with np.errstate(all="ignore"):
             rows = solver(
-                lambda y: np.asarray(scene.slopes(0.0, y, carry)),
+                lambda y: np.asarray(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry)))),
                 start,
                 t.tolist(),
                 Stopwatch(scene, float(t[-1]), deadline),

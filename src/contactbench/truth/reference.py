@@ -1,4 +1,4 @@
-"""The truth: a closed form, a frozen file, or a live high-precision solution, in that order.
+"""The truth: a closed form, a frozen file, a live high-precision solution, or what two solvers agree on, in that order.
 
 Numbers of a scene and times are taken as the decimals they print as (0.1 means one tenth), so that
 the truth does not depend on a float's binary expansion.  No method under test is imported here.
@@ -23,6 +23,8 @@ from contactbench.scene.many import Many
 from contactbench.truth.engines import (
     NEVER,
     BlowUp,
+    DoublesOnly,
+    OutOfTime,
     Rows,
     agreeing_digits,
     decimal_context,
@@ -44,16 +46,24 @@ from contactbench.truth.many import FEW, doubles
 LIVE_BITS = (140, 300, 600)
 #: seconds that a live reference may take unless more are allowed
 LIVE_SECONDS = 300.0
+#: the part of them for high precision; two solvers have the rest
+HIGH = 0.6
 
 
 @dataclass(frozen=True, repr=False)
 class Reference:
     """The true states of a scene at given times.
 
-    t : (k,).  y : (k, d) float64, correctly rounded, columns as in ``scene.labels(carry)``.
-    decimals : the same numbers as k rows of d decimal strings with every digit that is known.
-    digits : decimal digits known to be right, relative to the largest entry of a column, the
-    worst column.  source : "closed form", "frozen" or "live".
+    Attributes
+    ----------
+    t, y
+        Times, (k,), and states, (k, d), correctly rounded, columns as in ``scene.labels(carry)``.
+    decimals
+        The same numbers as k rows of d decimal strings with every digit that is known.
+    digits
+        Decimal digits known to be right, relative to the largest entry of a column, the worst column.
+    source
+        "closed form", "frozen", "live", or "two solvers", which has no decimals.
     """
 
     scene: Scene
@@ -115,32 +125,42 @@ def reference(
     verify(scene)
     verify_along(scene)
 
+    begun = perf_counter()
+
     def make() -> Reference:
         if isinstance(scene, Many):
             return of_many(scene, t, carry, seconds)
         stored = closed_form(scene, t, carry) or frozen(scene, t, carry)
-        decimals, digits, source = stored or live(scene, t, carry, perf_counter() + seconds)
+        decimals, digits, source = stored or live(scene, t, carry, begun + HIGH * seconds)
         y = np.array([[float(x) for x in row] for row in decimals])
         t.setflags(write=False)
         y.setflags(write=False)  # shared by every caller through the cache
         return Reference(scene, carry, t, y, decimals, digits, source)
 
     identity = scene.identity if scene.exact is None or is_ours(scene.exact) else None
-    return _cache.get(key(identity, digest(scene), scene.exact, carry, t.tobytes()), make)
+    try:
+        return _cache.get(key(identity, digest(scene), scene.exact, carry, t.tobytes()), make)
+    except (OutOfTime, DoublesOnly):
+        if isinstance(scene, Many):
+            raise
+        return by_two_solvers(scene, t, carry, begun + seconds - perf_counter())
+
+
+def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
+    unique, back = np.unique(t, return_inverse=True)
+    y, digits = doubles(scene, unique, carry, perf_counter() + seconds)
+    return Reference(scene, carry, t, y[back], [], digits, "two solvers")
 
 
 def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
     """Return the truth of a scene of many sites: of few of them component by component, to many digits."""
     if scene.motion <= FEW and scene.exact is None:
         return replace(reference(scene.unrolled(), t, carry, seconds), scene=scene)
-    unique, back = np.unique(t, return_inverse=True)
-    if scene.exact is not None:
-        states = [scene.exact(scene, time, np) for time in unique.tolist()]
-        rows = [scene.pack(x if "s" in carry else x._replace(s=None)) for x in states]
-        y, digits, source = np.array(rows), 13, "closed form"
-    else:
-        (y, digits), source = doubles(scene, unique, carry, perf_counter() + seconds), "live"
-    return Reference(scene, carry, t, y[back], [], digits, source)
+    if scene.exact is None:
+        return by_two_solvers(scene, t, carry, seconds)
+    states = [scene.exact(scene, time, np) for time in t.tolist()]
+    rows = [scene.pack(x if "s" in carry else x._replace(s=None)) for x in states]
+    return Reference(scene, carry, t, np.array(rows), [], 13, "closed form")
 
 
 # -- closed forms ------------------------------------------------------------------------------------
@@ -272,9 +292,12 @@ def computations(
     except BadInput:
         raise
     except Exception as error:
-        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, 150)}"
+        better = plain_function(error)
+        says = better or f"{type(error).__name__}: {one_line(error, 150)}"
         why = f"its equations fail in high precision{place_of(error)}: {says}"
-        raise BadInput(f"no reference for scene {scene.name!r}: {why}") from error
+        raise (BadInput if better else DoublesOnly)(
+            f"no reference for scene {scene.name!r}: {why}"
+        ) from error
 
 
 def confirmed(found: Reference, seconds: float = NEVER) -> int | None:

@@ -1,6 +1,4 @@
-"""Steps that are prescribed: the map is that of the single steps, in every engine, and keeps what each one keeps."""
-
-from __future__ import annotations
+"""Steps: prescribed ones, those chosen for a tolerance, and one alone as a pure function."""
 
 import numpy as np
 import pytest
@@ -133,3 +131,109 @@ def test_a_geometric_grid():
     assert grid.sum() == pytest.approx(20.0, rel=1e-15)
     np.testing.assert_allclose(grid[1:] / grid[:-1], 41 ** (1 / 24), rtol=1e-12)
     assert len(np.unique(cb.geometric_steps(20.0, 24, 0.5, plateau=8))) == 3
+
+
+# -- a step for a tolerance ------------------------------------------------------------------------
+#: by order, what is reached in a number of steps that a test can wait for
+RTOLS = {1: (1e-3,), 2: (1e-3, 1e-5)}
+
+
+@pairs(FIXED, [cb.SCENES[name] for name in ("oscillator", "particle", "central", "rigid_body")])
+@pytest.mark.quick(scene="oscillator")
+@pytest.mark.quick(scene="rigid_body", method="contact-bm4")
+def test_error_is_within_a_factor_of_ten_of_the_tolerance(method, scene):
+    for rtol in RTOLS.get(method.order, (1e-3, 1e-6, 1e-8)):
+        solution = cb.solve(scene, method.name, rtol=rtol, save_at=[scene.t_end], carry=())
+        assert rtol / 10 < cb.LAWS["solution_error"](solution) < 2 * rtol
+
+
+def test_the_pilots_are_counted():
+    run = cb.prepare("particle", "contact-rkn6", rtol=1e-8, save_at=[20.0])
+    solution = run()
+    alone = cb.solve("particle", "contact-rkn6", step=20.0 / solution.counts.steps, save_at=[20.0])
+    np.testing.assert_allclose(alone.y, solution.y, rtol=1e-12)
+    assert alone.counts.evaluations < solution.counts.evaluations < 2.5 * alone.counts.evaluations
+    assert solution.setting == "rtol=1e-08"
+
+
+def test_other_initial_data_get_a_step_of_their_own():
+    run = cb.prepare("particle", "contact-rkn6", rtol=1e-8, save_at=[20.0])
+    gentle, wild = run(q=(0.01, 0.0), p=(0.0, 0.0)), run(q=(2.5, 1.0), p=(1.0, 2.0))
+    assert wild.counts.steps != gentle.counts.steps
+    for solution in (gentle, wild):
+        assert cb.LAWS["solution_error"](solution) < 2e-8
+
+
+@pytest.mark.parametrize("engine", ["jax", "python"])
+def test_a_tolerance_out_of_reach_ends_as_budget(engine):
+    options = {"rtol": 1e-9, "save_at": [20.0], "max_steps": 2000}
+    solution = cb.solve("particle", "contact-printed", engine=engine, **options)
+    assert solution.status is cb.Status.budget
+    assert "rtol = 1e-09" in solution.message
+    assert np.isnan(solution.y).all()
+
+
+@pytest.mark.parametrize(("method", "rtol"), [("contact-o8", 1e-6), ("contact-rkn6", 1e-7), ("rk4", 1e-8)])
+def test_steps_that_saved_times_shorten_are_not_taken_for_halved_ones(method, rtol):
+    """On 200 saved times the pilots do not halve: by nominal steps the error was 12, 6 and 2 times the tolerance."""
+    scene = cb.SCENES["particle"].with_(t_end=200.0) if method != "rk4" else cb.SCENES["oscillator"]
+    solution = cb.solve(scene, method, rtol=rtol)
+    true = cb.solve(scene, "heyoka-taylor", rtol=1e-15, save_at=solution.t)
+    y, z = (np.hstack([s.q, s.p]) for s in (solution, true))
+    assert np.linalg.norm(y - z, axis=1).max() <= rtol * np.linalg.norm(z, axis=1).max()
+
+
+# -- one step as a function of its own -------------------------------------------------------------
+STEP = 0.1
+
+
+def test_it_is_pure():
+    step = cb.step_map("particle", "contact-bm4")
+    once = step(step.start, STEP)
+    step(once, STEP, gamma=3.0)
+    assert step(step.start, STEP) == once
+    assert step.scene.gamma == cb.SCENES["particle"].gamma
+
+
+def test_parameters_by_name_and_as_a_tuple():
+    step = cb.step_map("particle", "contact-strang")
+    other = cb.step_map(cb.SCENES["particle"].with_(gamma=0.4, coupling=0.2), "contact-strang")
+    numbers = list(step.scene.numbers())
+    numbers[step.names.index("gamma")], numbers[step.names.index("coupling")] = 0.4, 0.2
+    assert step(step.start, STEP, gamma=0.4, coupling=0.2) == other(step.start, STEP)
+    assert step(step.start, STEP, tuple(numbers)) == other(step.start, STEP)
+
+
+def test_numba_calls_it_in_a_compiled_loop():
+    import numba
+
+    step = cb.step_map("rigid_body", "contact-strang")
+
+    @numba.njit
+    def run(y, h, n):
+        for _ in range(n):
+            y = step(y, h)
+        return y
+
+    y = step.start
+    for _ in range(50):
+        y = step(y, STEP)
+    np.testing.assert_allclose(run(step.start, STEP, 50), y, rtol=1e-13, atol=1e-14)
+
+
+def test_jax_compiles_vectorises_and_differentiates_it():
+    from contactbench.xla import jax, jnp
+
+    step = cb.step_map("particle", "contact-rkn6")
+    np.testing.assert_allclose(jax.jit(step)(step.start, STEP), step(step.start, STEP), rtol=1e-14)
+    rates = jnp.array([0.0, 0.1, 0.5])
+    many = jax.vmap(lambda gamma: jnp.stack(step(step.start, STEP, gamma=gamma)))(rates)
+    for gamma, row in zip(rates.tolist(), many, strict=True):
+        np.testing.assert_allclose(row, step(step.start, STEP, gamma=gamma), rtol=1e-13)
+    step = cb.step_map("particle", "contact-strang", carry=())
+
+    def end(gamma):
+        return step(step(step.start, 1.0, gamma=gamma), 1.0, gamma=gamma)[0]
+
+    difference = (end(0.1 + 1e-5) - end(0.1 - 1e-5)) / 2e-5
+    assert float(jax.grad(end)(0.1)) == pytest.approx(difference, rel=1e-7)

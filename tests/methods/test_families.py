@@ -1,0 +1,242 @@
+"""Families of methods by what defines them: Herglotz, collocation, discrete gradient, multistep."""
+
+import math
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from mpmath import mp
+
+import contactbench as cb
+from cases import USER, by_name, in_mp, random_state
+from contactbench.measure.laws import absolute_error
+from contactbench.methods.implicit import gauss_tableau
+from contactbench.scene import dot
+
+HERGLOTZ = [cb.METHODS["herglotz1"], cb.METHODS["herglotz2"]]
+each = pytest.mark.parametrize("method", HERGLOTZ, ids=lambda m: m.name)
+SCENES = [cb.SCENES["particle"].with_(mass=1.7), cb.SCENES["oscillator"].with_(gamma=2.0), USER]
+
+
+def lagrangian(name, scene, h, q0, q1, s0, s1):
+    """The two discrete Lagrangians, written as in their definitions."""
+    v = [(b - a) / h for a, b in zip(q0, q1, strict=True)]
+    kinetic = scene.mass * dot(v, v) / 2
+    if name == "herglotz1":
+        return kinetic - scene.V(q0) - scene.gamma * s0
+    return kinetic - (scene.V(q0) + scene.V(q1)) / 2 - scene.gamma * (s0 + s1) / 2
+
+
+@each
+@by_name(SCENES)
+def test_steps_satisfy_the_discrete_herglotz_principle(method, scene, mp50):
+    """s by its recursion and q by the discrete contact Euler–Lagrange equation, from L alone.
+
+    (1 + h ∂L_k/∂s_k) D₂L_{k−1} / (1 − h ∂L_{k−1}/∂s_k) + D₁L_k = 0, derivatives by central
+    differences; neither p nor any formula of the implementation enters.
+    """
+    exact, x = in_mp(scene, random_state(scene, 21))
+    h, delta = mp50.mpf("0.13"), mp50.mpf(10) ** -15
+    path = [x]
+    for _ in range(2):
+        path.append(method.step(exact, path[-1], h, mp50))
+    L = lambda *a: lagrangian(method.name, exact, h, *a)  # noqa: E731
+
+    def partial(arguments, which, i=None):
+        def at(d):
+            moved, own = list(arguments), arguments[which]
+            moved[which] = own + d if i is None else tuple(c + d * (k == i) for k, c in enumerate(own))
+            return L(*moved)
+
+        return (at(delta) - at(-delta)) / (2 * delta)
+
+    (a, b, c) = path
+    first, second = (a.q, b.q, a.s, b.s), (b.q, c.q, b.s, c.s)
+    for before, after, arguments in ((a, b, first), (b, c, second)):
+        assert abs(after.s - before.s - h * L(*arguments)) < mp50.mpf(10) ** -45
+    weight = (1 + h * partial(second, 2)) / (1 - h * partial(first, 3))
+    for i in range(len(x.q)):
+        equation = weight * partial(first, 1, i) + partial(second, 0, i)
+        assert abs(equation) < mp50.mpf(10) ** -27  # differences: 10⁻³⁰ truncation, 10⁻³⁵ cancellation
+
+
+@pytest.mark.parametrize(("name", "order"), [("herglotz1", 1), ("herglotz2", 2)])
+def test_contact_drift_sees_the_factor_and_distribution_drift_does_not(name, order):
+    """σⁿ against e^{−γt}: an error of order h, or h², in the factor alone."""
+    scene = cb.SCENES["particle"]
+    solutions = [cb.solve(scene, name, step=h, save_at=[5.0, 10.0]) for h in (0.1, 0.05, 0.025, 0.0125)]
+    drifts = [cb.LAWS["contact_drift"](s) for s in solutions]
+    assert drifts[0] > 1e-6  # γt (γh)²/12 = 8.3e-6 for the second method
+    for coarse, fine in pairwise(drifts):
+        assert math.log2(coarse / fine) == pytest.approx(order, abs=0.05)
+    steps = 100
+    expected = cb.METHODS[name].conformal_factor(scene, 0.1) ** steps / math.exp(-scene.gamma * 10.0) - 1
+    assert drifts[0] == pytest.approx(abs(expected), rel=1e-9)
+    # measured 3e-15; the tangents grow to about 30 on the way
+    assert max(cb.LAWS["distribution_drift"](s) for s in solutions) < 1e-13
+
+
+@each
+def test_a_damping_it_is_not_derived_for_is_refused(method):
+    solution = cb.solve(cb.SCENES["particle"].with_(kappa=0.5), method.name, step=0.1)
+    assert solution.status is cb.Status.unsupported
+    assert np.isnan(solution.y).all()
+
+
+# -- implicit steps --------------------------------------------------------------------------------
+GAUSS = {"gauss4": 2, "gauss6": 3}
+CENTRAL = cb.SCENES["central"]
+
+
+@pytest.mark.parametrize("stages", GAUSS.values())
+def test_gauss_tableaus_are_collocation_of_the_highest_order_and_symplectic(stages, mp50):
+    A, b = gauss_tableau(stages, mp)
+    c, s = [mp.fsum(row) for row in A], range(stages)
+    off = [mp.fsum(b[i] * c[i] ** k for i in s) - mp.mpf(1) / (k + 1) for k in range(2 * stages)]
+    for k in s:
+        off += [mp.fsum(A[i][j] * c[j] ** k for j in s) - c[i] ** (k + 1) / (k + 1) for i in s]
+    off += [b[i] * A[i][j] + b[j] * A[j][i] - b[i] * b[j] for i in s for j in s]
+    assert max(map(abs, off)) < mp.mpf(10) ** -48
+
+
+@pytest.mark.parametrize("name", GAUSS)
+def test_gauss_keeps_quadratic_invariants_and_is_symplectic_without_damping(name):
+    still = CENTRAL.with_(gamma=0.0, t_end=200.0)
+    solution = cb.solve(still, name, step=0.2, save_at=np.linspace(20, 200, 10))
+    J = solution.q[:, 0] * solution.p[:, 1] - solution.q[:, 1] * solution.p[:, 0]
+    assert np.ptp(J) < 1e-13  # measured: 2e-15
+    run = cb.prepare(still, name, step=0.2, save_at=[2.0], carry=())
+    M, omega = run.sensitivity(run.start)[0], np.kron([[0, 1], [-1, 0]], np.eye(2))
+    np.testing.assert_allclose(M.T @ omega @ M, omega, atol=1e-13)
+    turned = cb.solve("rigid_body", name, step=0.2, save_at=[20.0])
+    R = turned.R[-1]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-13)
+
+
+@pytest.mark.parametrize(("gamma", "step"), [(0.0, 0.1), (0.0, 0.4), (0.05, 0.4)])
+def test_the_discrete_gradient_never_gains_energy(gamma, step):
+    """At steps at which its phase is far off; without damping the energy stays as it is."""
+    scene = CENTRAL.with_(gamma=gamma, t_end=400.0)
+    solution = cb.solve(scene, "discrete-gradient", step=step)
+    x = scene.unpack(solution.y.T, solution.carry)
+    energy = scene.kinetic(x.p) + scene.V(x.q)
+    assert solution.ok
+    rises, round_off = np.diff(energy).max(), 1e-12 * energy[0]
+    assert rises < round_off
+    assert gamma or np.ptp(energy) < 10 * round_off
+
+
+@pytest.mark.parametrize("name", [*GAUSS, "discrete-gradient"])
+@pytest.mark.parametrize("engine", ["numba", "jax"])
+def test_members_of_an_ensemble_stop_iterating_one_by_one(name, engine):
+    q = (np.linspace(0.2, 1.4, 11), np.linspace(0.6, -0.5, 11))
+    scene = CENTRAL.with_(t_end=5.0)
+    found = cb.ensemble(scene, name, {"q": q}, step=0.1, engine=engine)
+    for k in (0, 5, 10):
+        alone = cb.prepare(scene, name, step=0.1, save_at=[5.0])(q=(q[0][k], q[1][k]))
+        np.testing.assert_allclose([c[k] for c in found.final.q], alone.q[-1], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", [*GAUSS, "discrete-gradient"])
+def test_a_step_that_does_not_converge_ends_the_run(name):
+    stiff = cb.SCENES["oscillator"].with_(omega=100.0, t_end=10.0)
+    for engine in ("numba", "python"):
+        assert cb.solve(stiff, name, step=0.5, engine=engine).status is cb.Status.diverged
+
+
+@pytest.mark.parametrize("name", [*GAUSS, "discrete-gradient"])
+def test_pilots_and_saved_times_are_counted_truly(name):
+    whole = cb.solve("particle", name, step=0.1, save_at=[20.0]).counts
+    parts = cb.solve("particle", name, step=0.1, save_at=[5.0, 10.0, 20.0]).counts
+    assert abs(parts.evaluations - whole.evaluations) < 0.02 * whole.evaluations
+    chosen = cb.solve("particle", name, rtol=1e-2, save_at=[20.0])
+    alone = cb.solve("particle", name, step=chosen.step, save_at=[20.0])
+    assert alone.counts.evaluations < chosen.counts.evaluations < 6 * alone.counts.evaluations
+
+
+# -- multistep methods -----------------------------------------------------------------------------
+NAMES = "quinlan-tremaine8", "quinlan-tremaine12", "stormer12"
+#: the denominator of the symmetric β and half of them, as printed
+PRINTED = {
+    "quinlan-tremaine8": "12096 17671 -23622 61449 -50516",
+    "quinlan-tremaine12": "53222400 90987349 -229596838 812627169 -1628539944 2714971338 -3041896548",
+}
+#: Störmer's formula in backward differences (Hairer, Nørsett, Wanner I, §III.10)
+DIFFERENCES = (
+    "1 0 1/12 1/12 19/240 3/40 863/12096 275/4032 33953/518400 8183/129600 3250433/53222400 4671/78848"
+)
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_the_forces_of_symmetric_methods_are_the_printed_ones(name):
+    denominator, *half = map(int, PRINTED[name].split())
+    half = [Fraction(c, denominator) for c in half]
+    assert cb.METHODS[name].beta == [*half, *half[-2::-1]]
+    assert (1, *cb.METHODS[name].alpha) == (1, *cb.METHODS[name].alpha)[::-1]
+
+
+def test_stormers_forces_are_those_of_its_backward_differences():
+    powers, beta = [Fraction(1)], [Fraction(0)] * 12
+    for sigma in map(Fraction, DIFFERENCES.split()):
+        beta = [b + sigma * p for b, p in zip(beta, [*powers, *[Fraction(0)] * 12], strict=False)]
+        powers = [a - b for a, b in zip([*powers, 0], [0, *powers], strict=True)]
+    assert cb.METHODS["stormer12"].beta == beta
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_momenta_and_actions_are_exact_on_polynomials(name):
+    """h z' from the last increment and z''; ∫ g over ten steps: both of a higher degree than the method's own."""
+    method = cb.METHODS[name]
+    K = method.forces
+    for d in range(2, K + 3):
+        second = [Fraction(d * (d - 1) * (10 - j) ** (d - 2)) for j in range(K + 1)]
+        found = 10**d - 9**d + sum(c * a for c, a in zip(method.velocity, second, strict=True))
+        assert found == d * 10 ** (d - 1)
+
+    def ends(n, d):
+        return sum(c * Fraction(n - j) ** d for j, c in enumerate(method.quadrature))
+
+    for d in range(K + 1):
+        inner = sum(i**d for i in range(1, 11))
+        assert inner + ends(10, d) - ends(0, d) == Fraction(10 ** (d + 1), d + 1)
+
+
+#: steps over the whole run, and twice the error measured
+STEPS = {
+    "quinlan-tremaine8": (32_000, 8.5e-9),
+    "quinlan-tremaine12": (16_000, 2.4e-9),
+    "stormer12": (16_000, 7.2e-8),
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_long_run_takes_one_gradient_a_step(name):
+    scene, (n, bound) = cb.SCENES["particle_long"], STEPS[name]
+    solution = cb.solve(scene, name, step=scene.t_end / n, save_at=[scene.t_end])
+    error, size = absolute_error(solution)
+    assert error.max() / size < bound
+    assert n < solution.counts.evaluations == cb.METHODS[name].counts(scene, n) < n + 350
+    starts = cb.solve(scene, name, step=scene.t_end / n, save_at=scene.t_end * np.arange(1, 5) / 4)
+    assert starts.counts.evaluations - n == 4 * (solution.counts.evaluations - n)
+
+
+def test_the_energy_of_a_symmetric_method_has_no_drift_at_a_step_that_stormers_does_not_bear():
+    scene, errors = cb.SCENES["central"].with_(gamma=0.0, t_end=2000.0), []
+    for t in np.linspace(100, 2000, 20):
+        end = cb.solve(scene, "quinlan-tremaine12", step=0.1, save_at=[t], carry=()).y[-1]
+        x = scene.unpack(end.tolist(), ())
+        errors.append(abs(scene.energy(x) - scene.energy(scene.initial(()))))
+    assert max(errors[10:]) < 2 * max(errors[:10]) < 1e-4  # measured: 1.3 times as large
+    assert cb.solve(scene, "stormer12", step=0.1, save_at=[2000.0]).status is cb.Status.diverged
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_it_has_no_formula_for_is_refused(name):
+    with pytest.raises(cb.BadInput):
+        cb.step_map("particle", name)
+    with pytest.raises(cb.BadInput):
+        cb.prepare("particle", name, rtol=1e-6)
+    ahead = cb.SCENES["oscillator"].with_(gamma=2.0, t_end=701.0)  # e^{γt} would overflow
+    for scene in ("rigid_body", "quadratic_damping", "forced_oscillator", "fput", ahead):
+        assert cb.solve(scene, name, step=0.1).status is cb.Status.unsupported

@@ -1,0 +1,192 @@
+"""What a user meets first: what an import loads, public names, and what a run returns, says and draws."""
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import contactbench as cb
+from contactbench.cli import main
+from contactbench.errors import FUNCTIONS
+from contactbench.measure.laws import LAWS, laws_of
+from contactbench.numbers import functions
+
+# -- what is loaded --------------------------------------------------------------------------------
+SOLVERS = {"jax", "numba", "mpmath", "diffrax", "heyoka", "sksundae", "CyRK", "scipy.integrate"}
+#: other libraries, and parts of the package, that take long to load
+HEAVY = SOLVERS | {"matplotlib", "pandas", "scipy.linalg", "scipy.optimize"}
+HEAVY |= {
+    f"contactbench.{part}" for part in ("ensembles", "gate", "race", "report", "results.store", "testing")
+}
+#: what only some programs need, and the list of claims: short commands do without
+SELDOM = {"scipy", "numpy.polynomial", "difflib", "logging", "concurrent.futures", "contactbench.claims"}
+
+
+@pytest.mark.parametrize(
+    ("statement", "without"),
+    [
+        ("import contactbench", HEAVY | SELDOM),
+        ("from contactbench.methods import METHODS", HEAVY | SELDOM),
+        ("from contactbench.cli import main; main(['--help'])", HEAVY | SELDOM),
+        ("from contactbench.cli import main; main(['list'])", HEAVY),
+        ("import contactbench.report.write", {"jax", "diffrax", "heyoka", "sksundae"}),
+    ],
+)
+def test_nothing_more_is_loaded_and_the_environment_is_left_alone(statement, without):
+    program = (
+        "import contextlib, io, os, sys; before = dict(os.environ)\n"
+        f"with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit): {statement}\n"
+        "assert before == dict(os.environ); print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert not done.stderr
+    assert "contactbench" in (found := set(done.stdout.split()))
+    assert not found & without
+
+
+def test_dir_shows_the_public_names_and_they_exist():
+    assert dir(cb) == sorted([*cb.__all__, "diffrax", "scipy", "__version__"])
+    assert all(getattr(cb, name) is not None for name in dir(cb))
+    assert set(functions.__all__) == {*FUNCTIONS, "atan2", "pi"}
+    assert all(hasattr(cb.math, name) for name in functions.__all__)
+
+
+# -- functions of plain numbers in a force ---------------------------------------------------------
+ONE = {"name": "one", "q": (0.5,), "p": (0.0,), "t_end": 1.0, "gamma": 0.1}
+
+
+def pendulum(sin, cos):
+    return cb.Mechanical(potential=lambda q: -cos(q[0]), gradient=lambda q: (sin(q[0]),), **ONE)
+
+
+BY_MATH = {"potential": lambda q: -math.cos(q[0]), "gradient": lambda q: (math.sin(q[0]),)}
+MATH, BARE = cb.Mechanical(**BY_MATH, **ONE), pendulum(math.sin, math.cos)
+
+
+@pytest.mark.parametrize(("scene", "name"), [(MATH, "math.sin"), (BARE, "sin")], ids=["math", "bare"])
+@pytest.mark.parametrize("method", ["numba", "jax", "diffrax-tsit5", "heyoka-taylor", "reference"])
+def test_a_function_of_plain_numbers_is_named_with_its_line(scene, name, method):
+    try:
+        if method == "reference":
+            cb.reference(scene, [1.0])
+        if method in ("numba", "jax"):
+            message = cb.solve(scene, "rk4", step=0.1, engine=method).message
+        else:
+            message = cb.solve(scene, method, rtol=1e-6).message
+    except cb.BadInput as error:
+        message = str(error)
+    assert f"{name} takes plain numbers only" in message
+    assert "test_public.py, line" in message
+
+
+def test_laws_of_such_a_force_say_why_they_have_no_number():
+    assert cb.solve(BARE, "contact-rkn8", step=0.1).laws()["note"].str.contains("use cb.math.").any()
+
+
+# -- steps -----------------------------------------------------------------------------------------
+def test_a_solution_says_the_steps_it_took():
+    even, uneven = (cb.solve("particle", "rk4", step=h, save_at=[20.0]) for h in (0.1, 0.3))
+    assert (even.step_chosen, even.step) == (0.1, 0.1)
+    assert uneven.step == 20.0 / uneven.counts.steps < 0.3 == uneven.step_chosen
+    assert "step=0.3, 0.298507 taken" in repr(uneven)
+    assert math.isnan(cb.solve("particle", "cvode-adams", rtol=1e-6).step)
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+def test_the_step_chosen_from_a_tolerance_gives_the_same_run(engine):
+    chosen = cb.solve("particle", "contact-rkn6", rtol=1e-6, save_at=[20.0], engine=engine)
+    assert 0 < chosen.step <= chosen.step_chosen
+    again = cb.solve("particle", "contact-rkn6", step=chosen.step_chosen, save_at=[20.0], engine=engine)
+    assert np.array_equal(again.y, chosen.y)
+    capped = cb.solve("particle", "contact-strang", rtol=1e-2, save_at=np.linspace(0, 20, 401), engine=engine)
+    assert capped.step == pytest.approx(0.05)
+    assert capped.step_chosen > 0.06
+
+
+# -- frames, laws, figures -------------------------------------------------------------------------
+def test_a_solution_is_a_frame():
+    solution = cb.solve("particle", "contact-strang", step=0.1)
+    frame = solution.to_frame()
+    assert list(frame.columns) == ["t", "q1", "q2", "p1", "p2", "s"]
+    np.testing.assert_array_equal(frame["t"], solution.t)
+    np.testing.assert_array_equal(frame[["p1", "p2"]], solution.p)
+    np.testing.assert_array_equal(frame["s"], solution.s)
+    body = cb.solve("rigid_body", "contact-strang", step=0.5, carry=("R",)).to_frame()
+    assert list(body.columns) == ["t", "M1", "M2", "M3", "R_w", "R_x", "R_y", "R_z"]
+
+
+@pytest.mark.parametrize(
+    ("scene", "carry"), [("central", ("s",)), ("central", ()), ("rigid_body_anisotropic", ())]
+)
+def test_its_laws_are_all_that_apply(scene, carry):
+    solution = cb.solve(scene, "contact-strang", step=0.5, save_at=[5.0, 10.0], carry=carry)
+    laws, fields = solution.laws(), cb.SCENES[scene].optional
+    own = [law for law in laws_of(cb.SCENES[scene]) if {n for n in law.needs if n in fields} <= set(carry)]
+    assert list(laws.index) == [law.name for law in own]
+    for law in own:
+        np.testing.assert_equal(laws.loc[law.name, "deviation"], LAWS[law.name](solution))
+    assert (laws["note"] == "").all()
+
+
+def test_a_law_without_a_number_says_why():
+    short = cb.solve("particle", "rk4", step=0.1, max_steps=10).laws()
+    assert short["deviation"].isna().all()
+    assert set(short["note"]) == {"budget"}
+    rest = cb.SCENES["quadratic_damping"].with_(q=(0.0, 0.0), p=(0.0, 0.0), s=0.0)
+    laws = cb.solve(rest, "rk4", step=0.1, save_at=[1.0]).laws()
+    assert math.isnan(laws.loc["hamiltonian_law", "deviation"])
+    assert "H(0) = 0" in laws.loc["hamiltonian_law", "note"]
+
+
+def test_the_command_line_writes_run_and_plot_and_prints_laws(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line = ["solve", "central", "contact-strang", "--step", "0.1", "--t-end", "2", "--laws"]
+    assert main([*line, "--plot", "run.svg", "--out", "run.csv"]) == 0
+    assert {"momentum_law", "contact_drift"} <= set(capsys.readouterr().out.split())
+    run = pd.read_csv("run.csv")
+    assert (run["t"].iloc[-1], len(run)) == (2.0, 21)
+    assert (tmp_path / "run.svg").read_text().count("<path") > 10
+    assert main([*line, "--json"]) == 0
+    assert '"momentum_law":' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("scene", ["particle", "rigid_body", "forced_pulsating", "quadratic_damping"])
+def test_a_solution_is_drawn(scene):
+    from matplotlib import pyplot
+
+    solution = cb.solve(scene, "contact-strang", step=0.1)
+    figure = solution.plot()
+    motion, portrait, energies = figure.axes
+    first = solution.M if solution.q is None else solution.q
+    np.testing.assert_array_equal(motion.lines[0].get_ydata(), first[:, 0])
+    np.testing.assert_array_equal(portrait.lines[0].get_xdata(), first[:, 0])
+    assert energies.lines[0].get_label() == "H0"
+    pyplot.close(figure)
+
+
+def test_the_law_of_h_is_where_h_is():
+    """H decays as e^{−γt}; measured 1.5e-3 away at h = 0.1 and 3.7e-4 at 0.05, as order two says."""
+    gaps = []
+    for h in (0.1, 0.05):
+        lines = {name: y for name, y, _ in cb.solve("particle", "contact-strang", step=h).energies()}
+        gaps.append(np.abs(lines["H"] - lines["law of H"]).max())
+    assert 3 < gaps[0] / gaps[1] < 5
+    assert gaps[1] < 4e-4
+
+
+def test_notebooks_show_short_tables():
+    for shown in (cb.solve("particle", "rk4", step=0.1), cb.SCENES["particle"], cb.SCENES, cb.METHODS):
+        html = shown._repr_html_()
+        assert (html[:7], html[-8:]) == ("<table>", "</table>")
+        assert html.count("<tr>") < 60
+        assert "<lambda>" not in html
+
+
+def test_three_masses_are_solved():
+    given = {"q": (1.0, 1.0, 1.0), "p": (0.0, 0.0, 0.0), "t_end": 2.0, "mass": (1.0, 2.0, 5.0)}
+    scene = cb.Mechanical(name="masses", potential=lambda q: sum(x * x for x in q) / 2, **given)
+    end = cb.solve(scene, "contact-rkn6", step=0.05).q[-1]
+    np.testing.assert_allclose(end, np.cos(2.0 / np.sqrt([1.0, 2.0, 5.0])), rtol=0, atol=1e-10)
