@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
+from time import perf_counter
 
 import pytest
 
@@ -37,6 +37,8 @@ def midpoint(scene, x, h, xp):
     return cb.shifted(x, h, scene.rhs(half))
 """
 HALF = "    half = cb.shifted(x, h / 2, scene.rhs(x))\n"
+#: seconds of each of a stranger's paths
+WITHIN = 300.0
 #: a change of the method's one line, and what the gate finds
 WRONG = HALF.replace("/ 2", "/ 2.001")
 SLOW = HALF + "    for _ in range(2):\n        half = cb.shifted(half, 0 * h, scene.rhs(half))\n"
@@ -108,35 +110,49 @@ def test_it_is_measured_and_gated(repository):
     assert "| convergence | particle | my-method |" in red.stdout
 
 
-@pytest.mark.slow
-def test_a_stranger_has_three_paths(repository):
-    """From a wheel in an empty environment: race a problem, verify a method, gate a repository."""
-    wheels, home = repository / "wheels", repository / "environment"
-    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", wheels, ROOT]
+# -- a stranger's three paths, from a wheel in an empty environment, each within five minutes ---------
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    place = tmp_path_factory.mktemp("stranger")
+    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", place, ROOT]
     subprocess.run(build, check=True)
-    subprocess.run([sys.executable, "-m", "venv", home], check=True)
-    install = [home / "bin" / "pip", "install", "-q", "-q", f"{next(wheels.glob('*.whl'))}[bench]"]
-    subprocess.run([*install, "-c", ROOT / "constraints.txt"], check=True)
-    shutil.rmtree(wheels)
-    (repository / ".gitignore").write_text("results/.cells\n__pycache__\nenvironment\n")
+    subprocess.run([sys.executable, "-m", "venv", place / "environment"], check=True)
+    install = [place / "environment" / "bin" / "pip", "install", "-q", "-q"]
+    wheel = f"{next(place.glob('*.whl'))}[bench]"
+    subprocess.run([*install, wheel, "-c", ROOT / "constraints.txt"], check=True)
+    return place / "environment" / "bin" / "contactbench"
 
-    program = home / "bin" / "contactbench"
 
-    def run(*arguments):
-        return call(repository, *arguments, command=[program], without=["PYTHON", "PYTEST_"])
+@pytest.fixture
+def run(repository, program):
+    """Return what runs the program on the repository's plug-in, expects an exit status, and returns what it prints."""
+    begun = perf_counter()
 
-    raced = run("compare", "double-well", "my-method", "contact-rkn8", "rk4")
-    assert raced.returncode == 0, raced.stderr
-    assert "contact-rkn8" in raced.stdout
-    checked = run("check", "my-method")
-    assert checked.returncode == 0, checked.stdout + checked.stderr
-    made = run("bench", "-k", "my-method")
-    assert made.returncode == 0, made.stdout + made.stderr
+    def run(*arguments, status=0):
+        ended = call(repository, *arguments, command=[program], without=["PYTHON", "PYTEST_"])
+        assert ended.returncode == status, ended.stdout + ended.stderr
+        return ended.stdout
+
+    yield run
+    assert perf_counter() - begun < WITHIN
+
+
+@pytest.mark.slow
+def test_a_stranger_races_a_problem(run):
+    assert "contact-rkn8" in run("compare", "double-well", "contact-rkn8", "rk4", "cvode-adams")
+
+
+@pytest.mark.slow
+def test_a_stranger_verifies_and_races_an_integrator(run):
+    run("check", "my-method")
+    assert "my-method" in run("compare", "double-well", "my-method", "contact-strang", "rk4")
+
+
+@pytest.mark.slow
+def test_a_stranger_gates_a_repository(run, repository):
+    run("bench", "-k", "my-method and (oscillator or particle or central or double-well)")
     commit(repository)
     commit(repository)
-    same = run("gate")
-    assert same.returncode == 0, same.stdout + same.stderr
+    run("gate")
     commit(repository, MY.replace(HALF, SLOW))
-    slower = run("gate", "--only", "speed")
-    assert slower.returncode == 1, slower.stdout + slower.stderr
-    assert "**slower**" in slower.stdout
+    assert "**slower**" in run("gate", "--only", "speed", status=1)

@@ -34,6 +34,8 @@ LIMIT = {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "
 SIZE = {"n": 1024, "cores": 1, "time_min_s": 1e-3, "site_ns": 0.5, "reach_s": 1e-3}
 RING = {"gamma": 1e-5, "t_end": 1e4, "n": 16, "energy_error": 1e-3, "evaluations_per_time": 8.0}
 RING |= {"time_min_s": 2e-6, "timed_evaluations": 100}
+DERIVATIVE = {"mode": "forward", "t_end": 20.0, "error_asked": 1e-6}
+DERIVATIVE |= {"gradient_error": 1e-7, "time_min_s": 1e-4}
 CLAIM = {"id": "C01", "where": "§2", "claim": "so", "verdict": "holds", "status": "ok", "measured": 1.0}
 SOME = {
     "work_precision": [
@@ -49,6 +51,7 @@ SOME = {
     "long_time": [row("duffing", m, 0.1, reference=m == "rk4", **LONG) for m in ("contact-a", "rk4")],
     "structure_buys": [row("chaotic_ring", m, 0.1, **RING) for m in ("contact-a", "rk4")],
     "scaling": [row("fput", "rk4", 0.1, evaluations=10, **SIZE)],
+    "gradients": [row("particle", m, 0.1, **DERIVATIVE) for m in ("contact-a", "rk4")],
     "claims": [CLAIM],
 }
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench.report import long_time, markdown, race, scaling, structure, work_precision
+from contactbench.report import gradients, long_time, markdown, race, scaling, structure, work_precision
 from contactbench.report.damping import rates_view
 from contactbench.report.ensemble import beside_loops, with_rates
 from contactbench.report.headline import mission_view, most_met_cost
@@ -251,6 +251,28 @@ def test_one_setting_is_shown_at_both_lengths_and_a_bound_as_one():
     assert shown["rk4"] == ["2.4 ms", *cost, "24 ms", *cost, "step=0.125", *["1.0e-02"] * 3]
     assert shown["contact-b"][0] == "≤ 800 µs"
     assert "rk4, the best that keeps no structure, ×3.00 that" in structure.figure(rows).title
+
+
+# -- derivatives -----------------------------------------------------------------------------------
+def derivative(method, mode, seconds, error=5e-7):
+    case = {"t_end": 20.0, "error_asked": 1e-6, "memory_kB": 4.0}
+    return row("particle", method, 0.1, mode=mode, gradient_error=error, time_min_s=seconds, **case)
+
+
+def test_derivatives_are_compared_where_they_have_the_error_forward_and_in_reverse():
+    rows = [derivative("rk4", "loss alone", 1e-4), derivative("rk4", "forward", 3e-4)]
+    rows += [derivative("rk4", "backsolve", 1e-4, error=2e-6), derivative("rk4", "checkpointed", 4e-4)]
+    forward, reverse = gradients.answers(frames(gradients=rows)).to_dict("records")
+    assert (forward["answer"], forward["count"]) == ("rk4", "300 µs")
+    assert (reverse["answer"], reverse["count"]) == ("rk4, checkpointed", "400 µs")
+    contradicting = [*rows, derivative("contact-a", "reversible", 2e-4)]
+    reverse = gradients.answers(frames(gradients=contradicting)).to_dict("records")[1]
+    assert (reverse["answer"], reverse["count"]) == (
+        "contact-a, reversible",
+        "200 µs; rk4, checkpointed ×2.00",
+    )
+    shown = gradients.costs_view(table("gradients", rows)).rows
+    assert [line[6].text for line in shown] == ["×1.00", "×3.00", "×4.00"]
 
 
 # -- views, numbers and their markdown -------------------------------------------------------------

@@ -33,6 +33,7 @@ import diffrax  # noqa: E402
 import equinox as eqx  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
+from jax.flatten_util import ravel_pytree  # noqa: E402
 
 #: relative differences of steps that are round-off of the times: the run goes on as it is
 EQUAL = 1e-9
@@ -106,6 +107,9 @@ class Flows:
         q = moved(q, self.velocity.vf(t, worth, self.args))
         return q, jax.tree.map(lambda p, G: p + jnp.expm1(-G) * p, p, total)
 
+    def apply(self, flow: str, t: Any, y: Any, h: Any) -> Any:
+        return getattr(self, flow)(t, y, h)
+
     def run(self, stages: Sequence[Stage], t: Any, y: Any, h: Any) -> tuple[Any, Any]:
         """Apply stages, in a loop where their flows alternate; return the time and the state after them."""
         if len(stages) > PAIR and len(stages) % PAIR:
@@ -116,7 +120,7 @@ class Flows:
         def round_of(carried: Any, coefficients: Any) -> Any:
             t, y = carried
             for name, coefficient in zip(names, coefficients, strict=False):
-                y = getattr(self, name)(t, y, coefficient * h)
+                y = self.apply(name, t, y, coefficient * h)
                 t = t + coefficient * h if name in CLOCKS else t
             return (t, y), None
 
@@ -128,6 +132,11 @@ class Flows:
 
 #: the flows in which time passes, as in `Driven`
 CLOCKS = ("damp", "drift_damp")
+
+
+def time_of(stages: Sequence[Stage]) -> float:
+    """Return the time that passes in stages, in steps: counted anew in each step, it gathers no round-off."""
+    return float(sum(coefficient for flow, coefficient in stages if flow in CLOCKS))
 
 
 class ContactSolver(diffrax.AbstractSolver):
@@ -150,31 +159,128 @@ class ContactSolver(diffrax.AbstractSolver):
         return self.composition.order
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
-        """Return what a run goes on from: the kernel's time and state, and the size of a step."""
+        """Return what a run goes on from: the kernel's state, and the size of a step."""
         t0, h = jnp.asarray(t0, dtype=float), jnp.asarray(t1 - t0, dtype=float)
-        return *Flows(terms, t0, y0, args).run(self.plan.opening, t0, y0, h), h
+        return Flows(terms, t0, y0, args).run(self.plan.opening, t0, y0, h)[1], h
 
     def step(
         self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
     ) -> tuple[Any, None, dict[str, Any], Any, Any]:
         """Take a step; where its size is another than before, the run is opened anew."""
-        plan, (t, y, before), h = self.plan, solver_state, t1 - t0
+        plan, (y, before), t0, h = self.plan, solver_state, jnp.asarray(t0, dtype=float), t1 - t0
         flows = Flows(terms, t0, y0, args)
         anew = made_jump | (jnp.abs(h - before) > EQUAL * jnp.abs(h))
-        opened = lambda: flows.run(plan.opening, jnp.asarray(t0, dtype=float), y0, h)  # noqa: E731
-        t, y = jax.lax.cond(anew, opened, lambda: (t, y))
-        t, y = flows.run(plan.inner, t, y, h)
+        y = jax.lax.cond(anew, lambda: flows.run(plan.opening, t0, y0, h)[1], lambda: y)
+        t, y = flows.run(plan.inner, t0 + time_of(plan.opening) * h, y, h)
         _, y1 = flows.run(plan.closing, t, y, h)
         ends = {"y0": y0, "y1": y1}
         for name, time, end in (("k0", t0, y0), ("k1", t1, y1)):
             ends[name] = jax.tree.map(lambda slope: h * slope, self.func(terms, time, end, args))
-        return y1, None, ends, (*flows.run(plan.joint, t, y, h), h), diffrax.RESULTS.successful
+        return y1, None, ends, (flows.run(plan.joint, t, y, h)[1], h), diffrax.RESULTS.successful
 
     def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
         """Return the slope of y."""
         velocity, force, damping = parts(terms)
         q, p = y0
         return velocity.vf(t0, p, args), moved(force.vf(t0, q, args), damping.vf(t0, p, args))
+
+
+# -- the derivative without the states ---------------------------------------------------------------
+class Backward(Flows):
+    """The subflows taken back, h < 0 where a run had h > 0, on (y, ȳ, total).
+
+    ȳ : the derivative in y, and total : in the parameters as far as it is summed up.  A kick and the same kick taken
+    back are at the same q: one gradient is evaluated for both.
+    """
+
+    def __init__(self, terms: Any, t: Any, y: Any, args: Any) -> None:
+        super().__init__(terms, t, y, args)
+        self.parameters, self.rest = eqx.partition((args, terms), eqx.is_inexact_array)
+
+    def apply(self, flow: str, t: Any, y: Any, h: Any) -> Any:
+        end, slope, total = y
+        start, t_start = super().apply(flow, t, end, h), t + h if flow in CLOCKS else t
+
+        def forward(y: Any, parameters: Any) -> Any:
+            args, terms = eqx.combine(parameters, self.rest)
+            return Flows(terms, t_start, y, args).apply(flow, t_start, y, -h)
+
+        slope, more = jax.vjp(forward, start, self.parameters)[1](slope)
+        return start, slope, moved(total, more)
+
+
+@eqx.filter_custom_vjp
+def end_of(inputs: Any, ys: Any, run: Any) -> Any:
+    """Return ys, the saved end of a run, as a function of its inputs (y0, args, terms)."""
+    return ys
+
+
+@end_of.def_fwd
+def keep_end(perturbed: Any, inputs: Any, ys: Any, run: Any) -> tuple[Any, Any]:
+    return ys, ys
+
+
+@end_of.def_bwd
+def take_back(ys: Any, slopes: Any, perturbed: Any, inputs: Any, _: Any, run: Any) -> tuple[Any, Any, Any]:
+    """Return the derivatives in y0, args and terms."""
+    (y0, args, terms), (solver, tolerance, t0, t1, dt0) = inputs, run
+    n = jnp.maximum(jnp.round((t1 - t0) / dt0).astype(int), 1)
+    h, plan = (t1 - t0) / n, solver.plan
+    y1 = jax.tree.map(lambda y: y[-1], ys)
+    slope = jax.tree.map(  # None where the end is not used
+        lambda y, given: jnp.zeros_like(y) if given is None else given[-1], y1, slopes
+    )
+    flows = Backward(terms, t1, y1, args)
+
+    def back(stages: Sequence[Stage], t: Any, y: Any) -> tuple[Any, Any]:
+        return flows.run(stages[::-1], t, y, -h)
+
+    def before(k: Any, y: Any) -> tuple[Any, Any]:
+        return back(plan.inner, t1 - (k + time_of(plan.closing)) * h, y)
+
+    _, y = back(plan.closing, t1, (y1, slope, jax.tree.map(jnp.zeros_like, flows.parameters)))
+    y = jax.lax.fori_loop(0, n - 1, lambda k, y: back(plan.joint, *before(k, y))[1], y)
+    _, (start, slope, total) = back(plan.opening, *before(n - 1, y))
+    off, size = (jnp.linalg.norm(ravel_pytree(y)[0]) for y in (moved(start, y0, -1.0), y0))
+    wrong = ~(off <= tolerance * size) | (jnp.abs(h - dt0) > EQUAL * jnp.abs(h))
+    return eqx.error_if(slope, wrong, LOST), *total
+
+
+LOST = (
+    "taken back, the run does not end at its start: where dt0 divides the span, round-off has grown too much for "
+    "ReversibleAdjoint; take RecursiveCheckpointAdjoint, or several shorter runs"
+)
+
+
+class ReversibleAdjoint(diffrax.AbstractAdjoint):
+    """Reverse mode for `Contact` in memory that does not grow with the steps: ``adjoint=ReversibleAdjoint()``.
+
+    The steps are taken back from the end, each flow by itself, at the cost of about one run more; the derivative is
+    that of the numerical map.  A run taken back grows where it was damped, and round-off with it, by up to e^{∫γ}: the
+    start is found again and compared.  tolerance : how far off it may be, relative to y0; beyond, the run fails, and
+    so it does where dt0 does not divide the span.  For derivatives in y0, args and terms.
+
+    Raises `BadInput` for another solver than `Contact`, steps that are not constant, an event, and where more than the
+    end is saved.
+    """
+
+    tolerance: float = 1e-6
+
+    def loop(self, *, args: Any, terms: Any, init_state: Any, **options: Any) -> Any:
+        solver, (t0, t1, dt0) = options["solver"], (options[name] for name in ("t0", "t1", "dt0"))
+        constant = isinstance(options["stepsize_controller"], diffrax.ConstantStepSize)
+        end_alone = eqx.tree_equal(options["saveat"], diffrax.SaveAt(t1=True))
+        if not (isinstance(solver, ContactSolver) and constant and end_alone and options["event"] is None):
+            raise BadInput(
+                "ReversibleAdjoint: for Contact with ConstantStepSize and SaveAt(t1=True), no event"
+            )
+        inputs = init_state.y, args, terms
+        once = {"args": args, "terms": terms, "init_state": init_state, **options}
+        dynamic, static = eqx.partition(once, eqx.is_array)
+        once = eqx.combine(jax.lax.stop_gradient(dynamic), static)
+        state, stats = diffrax.ForwardMode().loop(**once)
+        ys = end_of(inputs, state.save_state.ys, (solver, self.tolerance, t0, t1, dt0))
+        return eqx.tree_at(lambda state: state.save_state.ys, state, ys), stats
 
 
 def Contact(method: str) -> ContactSolver:

@@ -138,8 +138,8 @@ def compare(
         (win; tie; undecided where the margin is too wide to judge, or a rival was cut off that might be sooner done;
         loss), laws_kept, a column for each law, status, reason (why a method got no further, or was not timed).
         ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
-        claimed), "runs" (every setting tried), "unrefined" (methods without a last search for a coarser setting),
-        "interrupted", "seconds".
+        claimed), "runs" (every setting tried), "of_floats" (functions that cannot be recorded), "unrefined" (methods
+        without a last search for a coarser setting), "interrupted", "seconds".
 
     Raises
     ------
@@ -452,6 +452,7 @@ class Comparison:
         frame.attrs = {
             "runs": tuple(run for each in self.scouts for run in each.runs()),
             "reference": known | {"error": self.floor},
+            "of_floats": question.scene.functions_of_floats,
             "unrefined": self.unrefined,
             "interrupted": self.interrupted,
             "seconds": perf_counter() - self.begun,
@@ -515,9 +516,11 @@ class Comparison:
         options = setting_to(scene.t_end, scene, each.control, attempt.value) | {"engine": each.engine}
         times = ends(scene) if each.control != GROWING else None
         solution = prepare(scene, each.method.name, save_at=times, **options)()
-        return row(
-            solution, "" if self.slower * differentiation_time(each, attempt) <= left else "no time was left"
-        )
+        late = "" if self.slower * differentiation_time(each, attempt) <= left else "no time was left"
+        try:
+            return row(solution, late)
+        except UserError:  # a function of floats, and laws are taken of arrays
+            return {}
 
     def time(self) -> None:
         """Time each kind of engine by itself, the compiled first; the slowest are left out where time is short."""

@@ -4,4 +4,14 @@ A chapter answers one question with a summary, views and figures as data (chapte
 markdown.py, draw.py and page/ render them.
 """
 
-from contactbench.report import claims, damping, ensemble, headline, long_time, scaling, stability, structure
+from contactbench.report import (
+    claims,
+    damping,
+    ensemble,
+    gradients,
+    headline,
+    long_time,
+    scaling,
+    stability,
+    structure,
+)

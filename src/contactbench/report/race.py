@@ -40,8 +40,9 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
     second = reference["confirmed"]
     agreed, confirmed = "two precisions of one engine agree", f"{second} of them confirmed by a second engine"
     checked = agreed if second is None else confirmed
-    if reference["source"] == "given":
-        checked = "not checked"
+    checked = {"given": "not checked", "two solvers": "to which DOP853 and extrapolation agree"}.get(
+        reference["source"], checked
+    )
     yield (
         f"Reference: {reference['source']}, {reference['digits']} digits, {checked}; errors below "
         f"{reference['error']:.1e} are not claimed."
@@ -50,13 +51,19 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
         "Times are least rounds. Two within their margin tie: what the halves of their visits differ by here, and two "
         f"processes elsewhere ({PROCESSES - 1:.0%}); within a margin wider than {WIDEST - 1:.0%} they are undecided."
     )
+    if functions := frame.attrs["of_floats"]:
+        yield (
+            f"Of floats only: {', '.join(functions)}. Methods call back into Python; a cubic spline is C² only, and at "
+            "its knots errors cease to fall with the order of a method."
+        )
     yield from cuts(frame)
     if unrefined := frame.attrs["unrefined"]:
         yield f"No time was left to look for a cheaper setting of {', '.join(unrefined)}."
     ok = frame[frame["status"] == "ok"]
     unknown = [str(m) for m, rows in ok.groupby("method", sort=False) if not has_laws(rows).any()]
     if unknown:
-        yield f"No time was left to measure the laws of {', '.join(unknown)}."
+        why = "" if not functions else ", or a function takes no arrays"
+        yield f"The laws of {', '.join(unknown)} are not measured: no time was left{why}."
     if frame.attrs["interrupted"]:
         yield "Interrupted: this is what there was."
 

@@ -84,6 +84,8 @@ DAMPING_RATES = declare("damping_rates")
 STRONG_DAMPING = declare("strong_damping")
 LONG_TIME = declare("long_time")
 STRUCTURE_BUYS = declare("structure_buys")
+GRADIENTS = declare("gradients")
+REVERSIBILITY = declare("reversibility")
 #: the quantities that long runs are averaged for: H0 once in a period, where the force vanishes; Lyapunov's exponent
 #: per unit of time; the dimension of Kaplan and Yorke, of the section once in a period; and 0 for the true flow
 ENERGY, EXPONENT, DIMENSION = "mean H0 at phase 0", "largest exponent", "dimension"

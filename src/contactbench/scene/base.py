@@ -90,10 +90,13 @@ def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
 
 #: what no scene of a kind takes, and the nearest way to it; the table is in docs/compare.md
 INSTEAD = {
-    "kinetic": "the kinetic energy is ‖p‖²/2m, of a mass for every component: mass=(1., 2., 5.)",
+    "kinetic": "it is ‖p‖²/2m, of a mass for every component: mass=(1., 2., 5.); of one that depends on q, solve_ivp",
+    "hamiltonian": "it is ‖p‖²/2m + V(q): potential=lambda q: …, mass=(1., 2., 5.); of any other, SciPy's solve_ivp",
     "magnetic": "no force may depend on p but for damping; SciPy's solve_ivp takes any right-hand side",
-    "torque": "the torque of a potential of the attitude is cb.HeavyTop(weight=…, axis=…)",
-    "friction": "damping is −γ p, or −Γ'(s) p (cb.GeneralDamping): friction with a jump has no smooth flow",
+    "torque": "of a weight cb.HeavyTop(weight=…, axis=…), of a potential of the vertical cb.HeavyTop(potential=lambda "
+    "u: …) has it; one without a potential SciPy's solve_ivp",
+    "friction": "damping is −γ p, or −Γ'(s) p (cb.GeneralDamping): friction with a jump has no smooth flow; "
+    "stop where p = 0 by an event of cb.scipy.Contact",
     "rate": "a damping that depends on time is cb.Driven(rate=lambda t: …, potential=lambda q, t: …)",
     "damping": "a damping Γ(s) is cb.GeneralDamping(damping=…, damping_slope=…); −γ p is gamma=0.1",
 }
@@ -208,6 +211,15 @@ class System(ABC):
         """Whether any of its functions, or of their derivatives, is not of this package."""
         given = (getattr(self, name) for name in self.functions)
         return not all(part is None or is_ours(part) for part in given)
+
+    @property
+    def functions_of_floats(self) -> list[str]:
+        """Return the names of its user's functions that cannot be recorded, as SciPy's splines cannot."""
+        given = {name: getattr(self, name) for name in self.functions}
+        users = (name for name, f in given.items() if f is not None and not is_ours(f))
+        return [
+            name for name in users if not isinstance(given[name], Formula) and self._formula(name) is None
+        ]
 
     @property
     def own_equations(self) -> str | None:

@@ -101,7 +101,7 @@ class Driven(Mechanical):
             signature(self.rate).bind(self.t, **self.parameters)  # type: ignore[arg-type]
         except TypeError as why:
             form = "must be a function of the time, lambda t: …, and of the parameters by name"
-            raise BadInput(f"rate: {form} ({why}); a damping that depends on q has no flow here") from why
+            raise BadInput(f"rate: {form} ({why}); a damping that depends on q: solve_ivp") from why
         except ValueError:  # a function written in C has no signature
             pass
         require_number("rate", self._value("rate"))

@@ -1,14 +1,18 @@
-"""A damped rigid body about a fixed point, in a potential that is linear in one of its directions: the heavy top."""
+"""A damped rigid body about a fixed point, in a potential of one direction as the body sees it: the heavy top."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
 
-from contactbench.errors import BadInput, finite, vector
+from contactbench.errors import BadInput, finite, function, require_number, vector
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import BodyState, Vector, cross, dot, rotate
-from contactbench.scene.base import Check
+from contactbench.scene.base import Check, optional
+from contactbench.scene.mechanical import derived_gradient
 from contactbench.scene.rigid_body import RigidBody
+from contactbench.trace.formula import Formula
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +30,9 @@ class HeavyTop(RigidBody):
         w = mgl, the torque that the weight has at most.
     axis
         χ, from the fixed point to the centre of mass: three numbers in the body, of length one where w = mgl.
+    potential
+        ``V(u) -> number``, a further potential of the vertical in the body, three numbers, as of gravity's gradient on
+        a satellite, 3/2 n² u·Iu.  Its torque is u × ∂V/∂u, derived: it has to be one that can be recorded.
     M
         As of `RigidBody`.
     R
@@ -36,20 +43,25 @@ class HeavyTop(RigidBody):
     Raises
     ------
     BadInput
-        As `RigidBody` does, and for an anisotropic damping.
+        As `RigidBody` does, for an anisotropic damping, and for a potential that cannot be differentiated.
     """
 
-    weight: float
+    weight: float = 0.0
     axis: Vector = (0.0, 0.0, 1.0)
     gamma: float = 0.0
+    potential: Callable[..., Any] | None = None
+    #: ∂V/∂u
+    slope: Any = field(init=False, repr=False, default=None)
 
     kind: ClassVar[str] = "heavy top"  # type: ignore[misc]
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {"potential": ("u",)}
     required: ClassVar[tuple[str, ...]] = ("R",)
     checks: ClassVar[dict[str, Check]] = {
         **RigidBody.checks,
         "gamma": finite,
         "weight": finite,
         "axis": lambda name, value: vector(name, value, 3),
+        "potential": optional(function),
     }
     #: derivatives are by differences or dual numbers
     has_jacobian: ClassVar[bool] = False
@@ -58,6 +70,26 @@ class HeavyTop(RigidBody):
         if self.damping is not None:
             raise BadInput("damping: a heavy top has isotropic damping; give gamma")
         super().__post_init__()
+        if self.potential is not None:
+            require_number("potential", self._value("potential"))
+            self.recorded()
+
+    @property
+    def u(self) -> Vector:
+        """The vertical in the body at the start."""
+        return self.vertical(self.R)
+
+    def recorded(self) -> Self:
+        """Return the scene recorded, with the derivative of its potential."""
+        scene = super().recorded()
+        if scene.potential is None or scene.slope is not None:
+            return scene
+        if not isinstance(scene.potential, Formula):
+            raise BadInput(f"scene {self.name!r}: its potential cannot be recorded, nor differentiated")
+        try:
+            return scene._replaced(slope=derived_gradient(scene.potential))
+        except CannotRecord as why:
+            raise BadInput(f"scene {self.name!r}: its potential cannot be differentiated: {why}") from why
 
     @property
     def coefficients(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -69,11 +101,17 @@ class HeavyTop(RigidBody):
         return rotate((w, -x, -y, -z), (0.0, 0.0, 1.0))
 
     def potential_at(self, x: BodyState) -> Any:
-        return self.weight * dot(self.vertical(x.R), self.axis)
+        u = self.vertical(x.R)
+        weight = self.weight * dot(u, self.axis)
+        return weight if self.potential is None else weight + self.potential(u)
 
     def torque(self, x: BodyState) -> Vector:
-        """Return w u × χ, by which M changes."""
-        return tuple(self.weight * c for c in cross(self.vertical(x.R), self.axis))
+        """Return u × (w χ + ∂V/∂u), by which M changes."""
+        u = self.vertical(x.R)
+        if self.potential is None:
+            return tuple(self.weight * c for c in cross(u, self.axis))
+        slope = (self.slope or self.recorded().slope)(u)
+        return cross(u, tuple(self.weight * c + d for c, d in zip(self.axis, slope, strict=True)))
 
     def energy(self, x: BodyState) -> Any:
         return self.kinetic(x) + self.potential_at(x)

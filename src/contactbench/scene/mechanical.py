@@ -36,6 +36,11 @@ derived_hessian = lru_cache(256)(Formula.hessian)
 
 def masses(name: str, value: Any) -> Any:
     """Return one number > 0, or a tuple of such; raise `BadInput` for anything else."""
+    if callable(value) or np.ndim(value) > 1:
+        how = "a constant matrix is diagonal in other coordinates; one that depends on q SciPy's solve_ivp takes"
+        raise BadInput(
+            f"{name} = {excerpt(value)}: must be one number > 0, or one for every component; {how}"
+        )
     if not isinstance(value, tuple | list | np.ndarray) or np.ndim(value) == 0:
         return positive(name, value)
     return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
@@ -44,7 +49,7 @@ def masses(name: str, value: Any) -> Any:
 def damping_rate(name: str, value: Any) -> float:
     """Return a finite number; raise `BadInput` for anything else, which says how a function is given."""
     if callable(value):
-        how = "one of time is cb.Driven(rate=lambda t: …), one of s cb.GeneralDamping(damping=…); of q there is none"
+        how = "one of time is cb.Driven(rate=lambda t: …), one of s cb.GeneralDamping(damping=…); of q solve_ivp"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
     return finite(name, value)
 

@@ -6,11 +6,7 @@ hard.toml says what is hard about each.
 
 from __future__ import annotations
 
-import tomllib
-from importlib.resources import files
-from typing import Any
-
-from contactbench.scene import Mechanical, Scene
+from contactbench.scenes.declared import declared
 from contactbench.scenes.standard import STANDARD
 
 
@@ -53,40 +49,4 @@ def kepler_hessian(q, strength):
     return ((pull * (1 - 3 * square * x * x), mixed), (mixed, pull * (1 - 3 * square * y * y)))
 
 
-STIFF_SPRING = Mechanical(
-    name="stiff_spring",
-    potential=two_scales,
-    gradient=two_scales_gradient,
-    hessian=two_scales_hessian,
-    parameters={"omega": 100.0, "coupling": 0.1},
-    gamma=0.1,
-    q=(1.0, 0.01),
-    p=(0.0, 0.3),
-    t_end=20.0,
-)
-
-KEPLER_DRAG = Mechanical(
-    name="kepler_drag",
-    potential=kepler,
-    gradient=kepler_gradient,
-    hessian=kepler_hessian,
-    rotation_invariant=True,
-    parameters={"strength": 1.0},
-    gamma=1e-3,
-    q=(0.1, 0.0),
-    p=(0.0, 4.358898943540674),
-    t_end=100.0,
-)
-
-#: the scenes that others are changes of
-OF = {scene.name: scene for scene in (*STANDARD, STIFF_SPRING, KEPLER_DRAG)}
-
-
-def declare(name: str, of: str, about: str, **changes: Any) -> Scene:
-    """Return a scene from its entry in hard.toml."""
-    given = {key: tuple(value) if isinstance(value, list) else value for key, value in changes.items()}
-    return OF[of].with_(name=name, hard=True, about=" ".join(about.split()), **given)
-
-
-DECLARED = tomllib.loads(files(__package__).joinpath("hard.toml").read_text(encoding="utf-8"))
-HARD = tuple(declare(name, **entry) for name, entry in DECLARED.items())
+HARD = tuple(declared("hard.toml", globals(), {scene.name: scene for scene in STANDARD}).values())

@@ -8,7 +8,6 @@ from contactbench.truth.engines import (
     decimal_context,
     disagreement,
     distance,
-    extrapolated,
     extrapolation,
     matching_digits,
     place,

@@ -1,0 +1,182 @@
+"""What does a derivative of a loss in the parameters cost?  One cell: a method, how it is differentiated, an error.
+
+The loss is ½‖q(T) − q(0)‖², q(0) a datum; its derivative is in γ, a parameter of the potential, and the initial q and
+p.  The truth is the variational equations, extrapolated in extended precision.  Contact methods run inside diffrax, as
+the others do, so that what differs is the method and the adjoint.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cells import cells, key
+from contactbench.measure.clock import Call
+from contactbench.numbers.dual import Dual
+from contactbench.results.tables import GRADIENTS, REVERSIBILITY
+from contactbench.truth.engines import NEVER, Stopwatch, extrapolate
+
+PARTICLE, FORCED = "particle", "forced_oscillator"
+#: scenes, all with the programs of the particle, and ends; errors of the derivative asked for
+CASES, ERRORS = ((PARTICLE, 20.0), ("particle_long", 200.0)), (1e-6, 1e-9)
+#: the parameter of the potential
+PARAMETERS = {PARTICLE: "coupling", "particle_long": "coupling", FORCED: "force"}
+ALONE, FORWARD, CHECKPOINTED, REVERSIBLE = "loss alone", "forward", "checkpointed", "reversible"
+COMMON = (ALONE, FORWARD, CHECKPOINTED)
+#: ways to differentiate, by the profile from which on they are run: each is some seconds of compilation
+WAYS = {
+    "smoke": {},
+    "standard": {"contact-rkn6": (*COMMON, REVERSIBLE), "diffrax-dopri8": (*COMMON, "backsolve")},
+    "full": {
+        "contact-rkn6": ("direct",),
+        "diffrax-dopri8": ("direct",),
+        "diffrax-tsit5": (*COMMON, "backsolve"),
+    },
+}
+#: the coarsest step and tolerance, how many settings a factor of two and of ten have, and how many are tried
+COARSEST, LOOSEST, FINER, MOST = 1.6, 1e-3, 8, 100
+MOST_STEPS = 2**14
+#: the method of runs taken back; γ and step, of an oscillation and an overdamped motion; the force on either; γT
+BACK, RATES, FORCES, SPANS = "contact-strang", ((0.1, 1 / 8), (4.0, 1 / 16)), (0.0, 0.3), (1, 5, 10, 20, 30)
+
+
+def ladder(profile):
+    """(scene, method, how, end, error)."""
+    names = list(WAYS)[: list(WAYS).index(profile.name) + 1]
+    ways = [(method, how) for name in names for method, each in WAYS[name].items() for how in each]
+    return [(scene, *way, end, error) for scene, end in CASES for way in ways for error in ERRORS]
+
+
+@cache
+def program(scene, method, how):
+    """The compiled ``(x, datum, end, setting) -> (derivative or loss, steps)``, x as in `arguments`."""
+    import diffrax
+
+    from contactbench.xla import jax, jnp
+
+    terms, d, chosen = cb.diffrax.terms_of(scene), len(cb.SCENES[scene].q), cb.METHODS[method]
+    velocity, (force, damping) = terms[0], terms[1].terms
+
+    def field(t, y, args):
+        q, p = y[:d], y[d:]
+        return jnp.concatenate([velocity.vf(t, p, args), force.vf(t, q, args) + damping.vf(t, p, args)])
+
+    def loss(x, datum, end, setting):
+        fit, norm = {"rtol": setting, "atol": setting}, diffrax.adjoint_rms_seminorm  # diffrax's advice
+        backward = diffrax.PIDController(**fit, norm=norm)
+        adjoint = {
+            CHECKPOINTED: diffrax.RecursiveCheckpointAdjoint,
+            REVERSIBLE: lambda: cb.diffrax.ReversibleAdjoint(math.inf),
+            "direct": diffrax.DirectAdjoint,
+            "backsolve": lambda: diffrax.BacksolveAdjoint(stepsize_controller=backward),
+        }.get(how, diffrax.ForwardMode)()
+        given = {"args": {"gamma": x[0], PARAMETERS[scene]: x[1]}, "max_steps": MOST_STEPS, "throw": False}
+        if chosen.adaptive:
+            given["stepsize_controller"] = diffrax.PIDController(**fit)
+            what = diffrax.ODETerm(field), getattr(diffrax, chosen.solver)(), 0.0, end, None, x[2:]
+        else:
+            what = terms, cb.diffrax.Contact(method), 0.0, end, setting, (x[2 : 2 + d], x[2 + d :])
+        run = diffrax.diffeqsolve(*what, adjoint=adjoint, **given)
+        q = jnp.ravel(jax.tree.leaves(run.ys)[0])[:d]
+        return jnp.sum((q - datum) ** 2) / 2, run.stats["num_accepted_steps"]
+
+    derivative = {ALONE: lambda f, has_aux: f, FORWARD: jax.jacfwd}.get(how, jax.grad)
+    shapes = [jax.ShapeDtypeStruct(shape, float) for shape in ((2 + 2 * d,), (d,), (), ())]
+    return jax.jit(derivative(loss, has_aux=True)).lower(*shapes).compile()
+
+
+def arguments(name, *more, **changed):
+    """Where the derivative is taken, x: γ, the parameter, q and p; the datum; and more."""
+    scene = cb.SCENES[name].with_(**changed)
+    x = scene.gamma, scene.parameters[PARAMETERS[name]], *scene.q, *scene.p
+    return [np.array(each) for each in (x, scene.q, *more)]
+
+
+@cache
+def truth(name, end):
+    """The derivative by the variational equations: no flow and no step of a method under test."""
+    scene, (x, datum) = cb.SCENES[name], arguments(name)
+    one = np.eye(len(x), dtype=np.longdouble)
+    duals = [Dual(np.longdouble(a), row) for a, row in zip(x, one, strict=True)]
+    given = {"gamma": duals[0], PARAMETERS[name]: duals[1]}
+    pairs = zip(scene.number_names(), scene.numbers(), strict=True)
+    twin = scene.with_numbers([given.get(*pair) for pair in pairs])
+
+    def rates(y):
+        state = twin.unpack([Dual(row[0], row[1:]) for row in y.reshape(len(x) - 2, -1)], ())
+        return np.concatenate([[each.a, *(each.b + 0 * one[0])] for each in twin.pack(twin.rhs(state))])
+
+    start, watch = np.concatenate([[each.a, *each.b] for each in duals[2:]]), Stopwatch(scene, end, NEVER)
+    (y,) = extrapolate(rates, start, [np.longdouble(end)], 14, np.longdouble(1e-17), watch)
+    q = y.reshape(len(x) - 2, -1)[: len(datum)]
+    return np.array((q[:, 0] - datum) @ q[:, 1:], dtype=float)
+
+
+def distance(found, true):
+    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
+
+
+@cache
+def rungs(name, method, how, end):
+    """Settings from coarse to fine, each with its error and steps, until the smallest error is reached."""
+    found = []
+    for k in range(MOST):
+        step, rtol = end / math.ceil(end / COARSEST * 2 ** (k / FINER)), LOOSEST * 10 ** (-k / FINER)
+        setting = float(f"{rtol:.2e}") if cb.METHODS[method].adaptive else step
+        derivative, steps = program(PARTICLE, method, how)(*arguments(name, end, setting))
+        found.append((setting, distance(np.array(derivative), truth(name, end)), int(steps)))
+        if found[-1][1] <= min(ERRORS):
+            break
+    return found
+
+
+def reached(cell):
+    """The row of a cell but for its times, and the call that is timed."""
+    from contactbench.xla import jax
+
+    name, method, how, end, asked = cell
+    each = rungs(name, method, FORWARD if how == ALONE else how, end)
+    setting, error, steps = next((rung for rung in each if rung[1] <= asked), each[-1])
+    run, given = program(PARTICLE, method, how), jax.device_put(arguments(name, end, setting))
+    row = key(name, method, "jax", cb.METHODS[method].control, setting) | {"mode": how, "t_end": end}
+    row |= {"error_asked": asked, "gradient_error": error, "steps": steps, "status": "ok", "message": ""}
+    return row | {"memory_kB": run.memory_analysis().temp_size_in_bytes / 1e3}, Call(lambda: run(*given))
+
+
+@cache
+def steps_of(method):
+    """The compiled ``(n, h, y, γ, force) -> y``: n steps of size h, which may be negative."""
+    from contactbench.xla import jax
+
+    def steps(n, h, y, gamma, force):
+        return jax.lax.fori_loop(0, n, lambda _, y: step(y, h, gamma=gamma, force=force), y)
+
+    step = cb.step_map(FORCED, method, carry=())
+    return jax.jit(steps)
+
+
+def taken_back(gamma, h, force, span):
+    """The row of a run that is taken back: how far its start is off, and the derivative."""
+    end, changed, y = span / gamma, {"gamma": gamma, "force": force}, (start := (1.0, 0.0, 0.0))
+    for size in (h, -h):
+        y = steps_of(BACK)(round(end / h), size, y, gamma, force)
+    given = arguments(FORCED, end, h, **changed)
+    back, kept = (np.array(program(FORCED, BACK, how)(*given)[0]) for how in (REVERSIBLE, FORWARD))
+    row = key(FORCED, BACK, "jax", "step", h) | changed | {"t_end": end, "status": "ok", "message": ""}
+    row |= {"growth": math.exp(span), "start_error": math.dist(y, start)}
+    return row | {"gradient_error": distance(back, kept)}
+
+
+@cells(lambda p: [(*rate, f, s) for rate in RATES for f in FORCES for s in SPANS if WAYS[p.name]])
+def test_reversibility(cell, record):
+    record(REVERSIBILITY, taken_back(*cell))
+
+
+@pytest.mark.timed
+@cells(ladder)
+def test_gradients(cell, clock):
+    clock.time(GRADIENTS, {}, reached, cell)
