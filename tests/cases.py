@@ -123,6 +123,6 @@ def bench(results, keyword, *more):
 
 def finished(process):
     """Its output, once it has ended well."""
-    output, _ = process.communicate(timeout=120)
+    output, _ = process.communicate(timeout=240)
     assert process.returncode == 0, output
     return output

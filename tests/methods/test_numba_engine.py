@@ -125,7 +125,7 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
         options = {"step": 0.06, "save_at": [0.5, 0.75, 2.0], "carry": carry}
         run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("numba", "python"))
         spans = list(zip(plain.h.tolist(), plain.n.tolist(), strict=True))
-        written = plain.as_written(plain.counting(plain.start).tolist(), spans)
+        written = plain.as_written([*plain.start.tolist(), *[0.0] * plain.counted], spans)
         written = np.array(written)[:, : len(plain.start)]
         assert plain.program is not None
         for solution in run(), plain():

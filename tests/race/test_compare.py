@@ -142,7 +142,7 @@ def test_the_reference_is_checked_and_nothing_below_its_error_is_claimed(frame, 
 
 
 def test_a_reference_that_would_take_too_long_is_refused():
-    with pytest.raises(OutOfTime, match=r"--budget \d+s \(budget=\d+\), t_end=\d+"):
+    with pytest.raises(OutOfTime, match=r"--budget [\d.]+s \(budget=[\d.]+\), t_end=\d+"):
         cb.compare(double_well().with_(t_end=1e5), ["rk4"], ERRORS, budget=0.5)
 
 
