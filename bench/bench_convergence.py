@@ -30,8 +30,8 @@ def in_double_precision(scene, method):
 
 
 def at_fifty_digits(scene, method):
-    """The same on mpmath numbers: the error at t = 4, relative to the size of the initial state."""
-    size = math.hypot(*scene.pack(scene.initial(scene.optional)))
+    """The same on mpmath numbers: the error at t = 4, relative to the size of the initial state, if it is not 0."""
+    size = math.hypot(*scene.pack(scene.initial(scene.optional))) or 1.0
     for n in EXTENDED_STEPS:
         h = EXTENDED_TIME / n
         row = key(scene.name, method.name, "mpmath", "step", h)

@@ -113,7 +113,8 @@ def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 @law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", shown=BOTH)
 def energy_law(solution: Solution) -> float:
     numerical, exact = energies(solution)
-    return float(np.abs(numerical - exact).max() / abs(float(solution.scene.energy(solution.start()))))
+    first = abs(float(solution.scene.energy(solution.start())))
+    return float(np.abs(numerical - exact).max()) / first if first else math.nan
 
 
 @law("max |H0(y) / H0(y*) − 1|", "H0 law, relative")
