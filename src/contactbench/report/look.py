@@ -8,17 +8,24 @@ severity 1), any two shades at least 6, and all stand out from white by 3:1 (WCA
 from __future__ import annotations
 
 import hashlib
-import tomllib
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 #: a curve that is not the best of its family
 MUTED = "#c4c8cc"
 
-DECLARED = tomllib.loads(files(__package__).joinpath("looks.toml").read_text(encoding="utf-8"))
-FAMILIES: dict[str, str] = DECLARED["families"]
+FAMILIES = {
+    "contact": "#006cd1",
+    "rk4": "#000000",
+    "herglotz": "#551a4d",
+    "scipy": "#1a5c4c",
+    "sundials": "#c77623",
+    "cyrk": "#a03e00",
+    "diffrax": "#819c73",
+    "heyoka": "#9f7290",
+    "other": "#3c2b0e",
+}
 #: contact methods by order; the eighth, and what has no order, is the darkest
-SHADES = {int(order): color for order, color in DECLARED["shades"].items()}
+SHADES = {1: "#0b9aeb", 2: "#0c84de", 4: FAMILIES["contact"], 6: "#0654bf", 8: "#0038ad"}
 
 
 class Look(NamedTuple):
@@ -35,9 +42,54 @@ class Look(NamedTuple):
         return FAMILIES[self.family]
 
 
-#: on and off, in line widths, by order
-DASHES: dict[int | None, tuple[float, ...]] = {int(k): tuple(v) for k, v in DECLARED["dashes"].items()}
-METHODS = {name: Look(*own) for name, own in DECLARED["methods"].items()}
+#: on and off, in line widths, by order; the eighth order and what has no fixed one are solid
+DASHES: dict[int | None, tuple[float, ...]] = {
+    1: (1, 1.5),
+    2: (3, 1.5),
+    3: (4, 1.5),
+    4: (6, 2),
+    5: (6, 1.5, 1, 1.5),
+    6: (10, 1.5, 1.5, 1.5),
+}
+
+METHODS = {
+    "contact-printed": Look("contact", "X", 1),
+    "contact-abc": Look("contact", "s", 2),
+    "contact-strang": Look("contact", "o", 2),
+    "contact-bm4": Look("contact", "^", 4),
+    "contact-bm6": Look("contact", "v", 6),
+    "contact-rkn4": Look("contact", "D", 4),
+    "contact-rkn6": Look("contact", "*", 6),
+    "contact-rkn8": Look("contact", "p", 8),
+    "contact-o8": Look("contact", "P", 8),
+    "contact-yoshida6": Look("contact", "<", 6),
+    "contact-rkn6a": Look("contact", ">", 6),
+    "contact-rkn8b": Look("contact", "d", 8),
+    "contact-adaptive": Look("contact", "8", 6),
+    "contact-exact": Look("contact", "h"),
+    "rk4": Look("rk4", "x", 4),
+    "quinlan-tremaine8": Look("rk4", "o", 8),
+    "quinlan-tremaine12": Look("rk4", "D", 12),
+    "stormer12": Look("rk4", "v", 12),
+    "gauss4": Look("rk4", "s", 4),
+    "gauss6": Look("rk4", "p", 6),
+    "discrete-gradient": Look("rk4", "h", 2),
+    "herglotz1": Look("herglotz", "d", 1),
+    "herglotz2": Look("herglotz", "H", 2),
+    "scipy-dop853": Look("scipy", "^", 8),
+    "scipy-radau": Look("scipy", "v", 5),
+    "cvode-adams": Look("sundials", "<"),
+    "cvode-bdf": Look("sundials", ">"),
+    "cyrk-dop853": Look("cyrk", "s", 8),
+    "cyrk-vern8": Look("cyrk", "p", 8),
+    "cyrk-tsit5": Look("cyrk", "8", 5),
+    "cyrk-lsoda": Look("cyrk", "X"),
+    "cyrk-radau": Look("cyrk", "h", 5),
+    "diffrax-tsit5": Look("diffrax", "D", 5),
+    "diffrax-dopri8": Look("diffrax", "P", 8),
+    "diffrax-kvaerno5": Look("diffrax", "h", 5),
+    "heyoka-taylor": Look("heyoka", "*"),
+}
 #: markers for methods that are not ours to know
 SPARE = ("p", "8", "s", "D", "^", "v")
 
@@ -48,7 +100,20 @@ def look(method: str, family: str = "") -> Look:
     return known or Look(family if family in FAMILIES else "other", spare)
 
 
+BLACK, BLUE, ORANGE = "#000000", "#0077BB", "#CC3311"
+
 #: what is no method, as matplotlib line properties
-ROLES: dict[str, dict[str, Any]] = DECLARED["roles"]
-SHADED = ("#000000", "#0077BB", "#33BBEE", "#009988", "#EE7733")
+ROLES: dict[str, dict[str, Any]] = {
+    "truth": {"color": "#bbbbbb", "linewidth": 4.0},
+    "law": {"color": ORANGE, "linestyle": ":", "linewidth": 1.6, "zorder": 3},
+    "guide": {"color": "#999999", "linestyle": ":", "linewidth": 1.0},
+    "criterion": {"color": BLACK, "linestyle": "--", "linewidth": 1.4, "zorder": 3},
+    "conservative": {"color": BLACK, "linewidth": 0.9},
+    "dissipative": {"color": BLUE, "linestyle": "--", "linewidth": 1.3},
+    "flow": {"color": "#999999", "linewidth": 0.7},
+    "stable": {"color": BLUE, "marker": "o"},
+    "unstable": {"color": ORANGE, "marker": "X"},
+    "neutral": {"color": "#888888", "marker": "s"},
+}
+SHADED = (BLACK, BLUE, "#33BBEE", "#009988", "#EE7733")
 ROLES |= {f"shade {i}": {"color": color, "linewidth": 1.2} for i, color in enumerate(SHADED)}

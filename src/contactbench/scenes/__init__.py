@@ -1,4 +1,4 @@
-"""The registry of named scenes.  To add one: its numbers in a data file here, its functions in the module beside it."""
+"""The registry of named scenes.  To add one: define it in a module here and list it below."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ import numpy as np
 from contactbench.numbers import functions as math
 from contactbench.scene import State
 from contactbench.scene.many import Lattice, Particles
-from contactbench.scenes.declared import declared
 
 
 def quartic_bond(r, beta):
@@ -103,6 +102,56 @@ OUTER = np.array(
     ]
 )
 
+LINEAR_RING = Lattice(
+    name="linear_ring",
+    about="a ring of springs: known in closed form, mode by mode",
+    experiments=("scaling",),
+    n=64,
+    bond=linear_bond,
+    gamma=0.01,
+    q=long_wave,
+    p=two_waves,
+    t_end=20.0,
+    exact=normal_modes,
+)
+FPUT = Lattice(
+    name="fput",
+    about="the β-ring of Fermi, Pasta, Ulam and Tsingou, weakly damped",
+    experiments=("scaling",),
+    n=64,
+    bond=quartic_bond,
+    parameters={"beta": 0.25},
+    gamma=1e-3,
+    q=long_wave,
+    p=two_waves,
+    t_end=20.0,
+)
+SINE_GORDON = Lattice(
+    name="sine_gordon",
+    about="a kink of the sine-Gordon equation that slows down",
+    experiments=("scaling",),
+    n=64,
+    boundary="free",
+    onsite=pendulum,
+    bond=spring,
+    parameters={"spacing": 0.25},
+    mass=0.25,
+    gamma=0.05,
+    q=kink,
+    p=moving_kink,
+    t_end=20.0,
+)
+TODA = Lattice(
+    name="toda",
+    about="Toda's ring with damping: exponential bonds",
+    experiments=("scaling",),
+    n=32,
+    bond=toda_bond,
+    gamma=0.01,
+    q=long_wave,
+    p=two_waves,
+    t_end=20.0,
+)
 PLANETS = Particles(
     name="planets",
     about="the outer planets and the Sun, with a weak drag; days, astronomical units, solar masses",
@@ -115,4 +164,4 @@ PLANETS = Particles(
     p=OUTER[:, :1] * OUTER[:, 4:],
     t_end=5000.0,
 )
-MANY = (*declared("many.toml", globals(), {}).values(), PLANETS)
+MANY = (LINEAR_RING, FPUT, SINE_GORDON, TODA, PLANETS)
