@@ -126,6 +126,7 @@ CALLS = [
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=lambda t: t), "cb.Driven(rate=lambda t: …)"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, kinetic=abs), "mass=(1., 2., 5.)"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, magnetic=abs), "no force may depend on p"),
+    (lambda: cb.Mechanical(**FORCE, **GIVEN, gama=0.1), "gama: Mechanical takes none: choose from"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, damping=abs), "cb.GeneralDamping"),
     (lambda: cb.Driven(**DRIVEN, **GIVEN, rate=lambda q, t: t), "lambda t: …"),
     (rk4(events=abs), "cb.scipy.Contact"),

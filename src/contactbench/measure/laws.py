@@ -102,7 +102,7 @@ def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
 @law("max ‖y − y*‖ / max ‖y*‖", "solution error", shown=BOTH)
 def solution_error(solution: Solution) -> float:
     error, size = absolute_error(solution)
-    return float(error.max() / size)
+    return float(error.max()) / size if size else math.nan
 
 
 def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -359,10 +359,13 @@ def kept_by(solution: Solution) -> pd.DataFrame:
     Raises `BadInput` for a scene whose gradient is not that of its potential along the motion.
     """
     import pandas as pd
+    from tqdm import tqdm
 
     verify_along(solution.scene)
     rows = {}
-    for item in laws_of(solution.scene):
+    bar = tqdm(laws_of(solution.scene), "laws", unit="law", delay=1.0, leave=False, disable=None)
+    for item in bar:
+        bar.set_postfix_str(item.label)
         if set(item.needs_on(solution.scene)) <= set(solution.carry):
             try:
                 found, note = item.measured(solution), "" if solution.ok else str(solution.status)

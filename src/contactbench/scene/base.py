@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copyreg
 import dataclasses
+import inspect
 import math
 import pickle
 from abc import ABC, abstractmethod
@@ -98,8 +99,10 @@ INSTEAD = {
     "friction": "damping is −γ p, or −Γ'(s) p (cb.GeneralDamping): friction with a jump has no smooth flow; "
     "stop where p = 0 by an event of cb.scipy.Contact",
     "rate": "a damping that depends on time is cb.Driven(rate=lambda t: …, potential=lambda q, t: …)",
-    "damping": "a damping Γ(s) is cb.GeneralDamping(damping=…, damping_slope=…); −γ p is gamma=0.1",
+    "damping": "a damping Γ(s) is cb.GeneralDamping(damping=…, damping_slope=…); −γ p is gamma=0.1; of one that "
+    "depends on q, SciPy's solve_ivp",
 }
+INSTEAD |= {"metric": INSTEAD["kinetic"], "B": INSTEAD["magnetic"], "mu": INSTEAD["friction"]}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -380,9 +383,11 @@ class Scene(System):
     may_gain_energy: ClassVar[bool] = False
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
-        for name in given.keys() & INSTEAD.keys():
-            if name not in cls.__dataclass_fields__:
-                raise BadInput(f"{name}: {cls.__name__} takes none: {INSTEAD[name]}")
+        for name in given.keys() - cls.__dataclass_fields__.keys():
+            taken = list(inspect.signature(cls.__init__).parameters)[1:]
+            if name not in taken:
+                near = INSTEAD.get(name, f"choose from {', '.join(taken)}")
+                raise BadInput(f"{name}: {cls.__name__} takes none: {near}")
         return super().__new__(cls)
 
     def __post_init__(self) -> None:

@@ -315,7 +315,7 @@ DETEST = (
     Driven(
         name="detest_e3",
         experiments=_LAWS,
-        about=f"problem E3 {_DETEST}: y″ = y³/6 − y + 2 sin 2.78535t, undamped",
+        about=f"problem E3 {_DETEST}: y″ = y³/6 − y + 2 sin 2.78535t, undamped: contact-printed is contact-strang",
         potential=soft_spring,
         gradient=soft_spring_gradient,
         parameters={"softness": 6.0, "force": 2.0, "drive": 2.78535},
