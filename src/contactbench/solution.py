@@ -26,7 +26,7 @@ class Status(StrEnum):
     ok
         All saved states are there.
     diverged
-        Not finite, or beyond 10⁶ times the scene's scale.
+        Not finite, or beyond 10⁶ times the start; of a start smaller than one, beyond 10⁶.
     budget
         The step or evaluation budget was spent.
     failed
@@ -333,5 +333,6 @@ class Solution:
         return self.scene.unpack(self.scene.entries(self.y0), self.carry)
 
 
-#: a run has diverged when |q|, |p| or |M| exceed this many times the scene's scale
+#: a run has diverged when |q|, |p| or |M| exceed this many times the scene's scale: its start, or one where that is
+#: smaller, as next to an equilibrium
 DIVERGENCE = 1e6

@@ -52,6 +52,24 @@ def test_a_linear_scene_scales_to_the_last_bit(method, gamma):
         np.testing.assert_array_equal(other.y, one.y * [scale, scale, scale**2])
 
 
+FORCED = cb.SCENES["detest_e3"].with_(q=(1e-9,), t_end=6.0)
+ON_FORCED = [m for m in cb.METHODS.values() if m.refuses(FORCED) is None]
+
+
+@pytest.mark.parametrize("method", few_slow(ON_FORCED, *LONG), ids=lambda m: m.name)
+def test_a_start_next_to_rest_is_no_scale_of_the_motion(method):
+    """The force takes it a billion times as far, which is no divergence; nor is it one of increments so small."""
+    setting = {"step": 0.02} if method.control == "step" else {"rtol": 1e-6}
+    solution = cb.solve(FORCED, method.name, **setting)
+    assert solution.ok, solution.message
+    assert cb.LAWS["solution_error"](solution) < 0.05
+
+
+def test_the_derivative_of_a_solver_is_taken_from_rest():
+    drift = cb.LAWS["contact_drift"](cb.solve(FORCED.with_(q=(0.0,)), "cyrk-dop853", rtol=1e-8))
+    assert 1e-12 < drift < 1e-4
+
+
 @adaptive
 def test_both_ends_of_the_range_of_a_tolerance_are_in_it(method):
     low, high = method.rtol_range

@@ -107,7 +107,7 @@ def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
 def furthest(motion: Any, xp: Any = np) -> Any:
     """Return how large the motion of each trajectory may become, (m,), from its start (·, m)."""
     size = xp.sqrt((motion * motion).sum(axis=0))
-    return DIVERGENCE * xp.where(size > 0, size, 1.0)
+    return DIVERGENCE * xp.maximum(size, 1.0)
 
 
 def within(y: Any, motion: int, bound: Any, xp: Any = np) -> Any:

@@ -161,7 +161,7 @@ class ContactSolver(OdeSolver):
         self.t0, self.taken, span = t0, 0, abs(t_bound - t0)
         self.steps = int(steps_in(span, max(abs(t0), abs(t_bound)), positive("max_step", max_step)))
         self.max_step = span / self.steps
-        self.bound = DIVERGENCE * (float(np.linalg.norm(self.y)) or 1.0)
+        self.bound = DIVERGENCE * max(1.0, float(np.linalg.norm(self.y)))
         self.cost = self.step_map.method.per_step(self.step_map.scene, self.step_map.carry)
         if span:
             self.run = Run(self.step_map, self.direction * self.max_step, self.packed(t0, self.y))

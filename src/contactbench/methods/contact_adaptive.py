@@ -114,7 +114,7 @@ def solve(
     """
     epsilon, span, budget = options
     square = sum(c * c for c in motion_of(scene, x))
-    bound = DIVERGENCE**2 * choose(square > 0, square, 1.0, xp)
+    bound = DIVERGENCE**2 * choose(square > 1, square, 1.0, xp)
 
     def next_time(carried: Any) -> Any:
         _, time, density, _ = carried

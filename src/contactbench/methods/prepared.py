@@ -183,10 +183,10 @@ class Prepared(ABC):
 
     # -- how a run ended -------------------------------------------------------------------------------
     def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
-        """Return the index of the first saved state in y that is not finite, or 10⁶ times the initial (q, p) or M."""
+        """Return the index of the first saved state in y that is not finite, or beyond its scale."""
         # the common case first, without an overflow; a few numbers are worth no NumPy, many are
         size, start = self._motion, y0[: self._motion]
-        bound = DIVERGENCE * (math.sqrt(float(start @ start)) or 1.0)
+        bound = DIVERGENCE * max(1.0, math.sqrt(float(start @ start)))
         largest = math.hypot(*y.ravel().tolist()) if y.size <= FEW else np.abs(y).max()
         if largest <= bound:  # nan fails every comparison
             return None

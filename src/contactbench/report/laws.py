@@ -12,7 +12,7 @@ import pandas as pd
 
 from contactbench.measure.law import UNSURE, judge
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
-from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats, lowest
+from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
 from contactbench.report.numbers import DASH, count, how_often, names, readable, scientific, times
@@ -223,7 +223,7 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure:
     panels = []
     for column, (title, label) in ALONG_TIME.items():
         if rows[column].notna().any():
-            curves = best_of_each(by_method(rows, "t", column), lowest)
+            curves = best_of_each(by_method(rows, "t", column), lambda curve, _: -max(curve.y))
             panels.append(Panel(title, Axis("t"), Axis(label, "log"), curves, (ROUND_OFF,)))
     worst = rows.groupby("method")["energy_deviation"].max()
     title = f"{scene}: {worst.idxmin()} stays closest to the true energy, to {decade(worst.min(), math.ceil)}"

@@ -224,7 +224,7 @@ def watch(tape: ProgramTape, d: int, bounded: int, factor: float) -> tuple[list[
         component = Recorded(tape, f"x{i}", "f", head)
         square = component * component + square
     size = xp.sqrt(square)
-    bound = Recorded(tape, (factor * xp.where(size != 0, size, 1.0)).name, "f", tape.whole)
+    bound = Recorded(tape, (factor * xp.where(size > 1.0, size, 1.0)).name, "f", tape.whole)
     state = [Recorded(tape, f"x{i}", "f", last) for i in range(d)]
     healthy = reduce(
         and_, (abs(x) <= (bound if i < bounded else sys.float_info.max) for i, x in enumerate(state))
