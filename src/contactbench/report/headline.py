@@ -24,8 +24,7 @@ PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 #: the scenes of the mission, the methods that a reader knows, and the laws; that of J where a method claims it
 SCENES = ("oscillator", "particle", "rigid_body")
 METHODS = ["contact-printed", "contact-strang", "contact-rkn4", "contact-rkn8", "contact-o8", "herglotz2"]
-METHODS += ["rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "diffrax-dopri8"]
-METHODS += ["heyoka-taylor"]
+METHODS += ["rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "diffrax-dopri8", "heyoka-taylor"]
 LAWS = ("energy_law", "momentum_law", "contact_drift")
 
 
