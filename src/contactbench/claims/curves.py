@@ -136,13 +136,13 @@ def paper_stability() -> Iterator[Row]:
     for axis, reach in enumerate((3.0, 1.0, 1.0)):  # far enough for a full D to destabilise the outer two
         e = unit[axis]
         j, k = sorted({0, 1, 2} - {axis})
-        sides = np.linspace(0, 0.6, 16)
+        sides = np.linspace(0, 0.6, 13)
         pairs = [(x, y, np.diag(x * unit[j] + y * unit[k])) for x in sides for y in sides]
         off = np.outer(unit[j], unit[k])
         beside = [
             (d, c, np.diag(d * (1 - e)) + np.clip(c, -d, d) * (off + off.T))
-            for d in np.linspace(0, reach, 21)
-            for c in np.linspace(-reach, reach, 41)
+            for d in np.linspace(0, reach, 17)
+            for c in np.linspace(-reach, reach, 33)
             if abs(c) <= d * (1 + 1e-12)
         ]
         for panel, grid in ((f"axis {axis + 1}, diagonal", pairs), (f"axis {axis + 1}, full", beside)):
