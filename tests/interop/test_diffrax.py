@@ -191,6 +191,48 @@ def test_what_cannot_be_taken_back_is_no_derivative(t_end, dt0):
         values(run)
 
 
+def test_a_derivative_in_parameters_alone_is_watched_too():
+    from contactbench.xla import jax
+
+    def last(gamma):
+        adjoint = cb.diffrax.ReversibleAdjoint()
+        return solve("oscillator", "contact-strang", 12.0, args={"gamma": gamma}, adjoint=adjoint).ys[0][
+            -1, 0
+        ]
+
+    with pytest.raises(Exception, match="does not end at its start"):
+        jax.grad(last)(4.0)
+    with pytest.raises(TypeError, match="forward-mode"):  # not taken without what the states depend on
+        jax.jacfwd(jax.grad(last))(0.1)
+
+
+FULL = np.array([[0.2, 0.15], [0.15, 0.2]])
+
+
+@pytest.mark.parametrize(
+    ("velocity", "damping"),
+    [
+        (lambda p: p, lambda p: -FULL @ p),
+        (lambda p: p, lambda p: -p * abs(p)),
+        (lambda p: p / (1 + p @ p), lambda p: -p),
+    ],
+    ids=["a full matrix", "quadratic damping", "a velocity that is not linear"],
+)
+def test_terms_that_it_does_not_solve_are_refused(velocity, damping):
+    import diffrax
+
+    from contactbench.xla import jnp
+
+    def term(function):
+        return diffrax.ODETerm(lambda t, x, args: function(x))
+
+    terms = term(velocity), diffrax.MultiTerm(term(lambda q: -q), term(damping))
+    with pytest.raises(Exception, match="damping must be"):
+        diffrax.diffeqsolve(
+            terms, cb.diffrax.Contact("contact-strang"), 0, 1, 0.1, (jnp.ones(2), jnp.zeros(2))
+        )
+
+
 def test_what_is_no_contact_run_to_its_end_is_not_taken_back():
     import diffrax
 
@@ -207,3 +249,10 @@ def test_refusals():
     for scene in ("rigid_body", "quadratic_damping", "fput"):
         with pytest.raises(cb.BadInput, match=r"has no terms on \(q, p\)"):
             cb.diffrax.terms_of(scene)
+    for args, says in (
+        ({"gama": 0.3}, "did you mean 'gamma'"),
+        (0.3, "parameters by name"),
+        ({"kappa": 1.0}, "kappa"),
+    ):
+        with pytest.raises(cb.BadInput, match=says):
+            solve("oscillator", "contact-strang", args=args)

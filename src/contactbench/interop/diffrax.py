@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.methods.contact import ContactMethod
 from contactbench.methods.prepared import METHODS
 from contactbench.numbers import quadrature
@@ -70,6 +70,22 @@ class Flows:
             return jax.tree.map(lambda slope: -slope, self.damping.vf(t, ones, args))
 
         self.rates, self.changes = rates, depends_on_time(rates, jnp.asarray(t, dtype=float))
+
+    def are_others(self, t: Any, p: Any) -> Any:
+        """Return whether, on two momenta, the damping is not −rate p or the velocity not linear."""
+        one, two = (
+            jax.tree.map(lambda x, k=k: k + jnp.arange(1.0, x.size + 1).reshape(x.shape) ** k, p)
+            for k in (1, 2)
+        )
+        velocities = [self.velocity.vf(t, each, self.args) for each in (one, two, moved(one, two))]
+        damped = jax.tree.map(lambda rate, p: -rate * p, self.rates(t), two)
+        pairs = (self.damping.vf(t, two, self.args), damped), (moved(*velocities[:2]), velocities[2])
+
+        def differ(a: Any, b: Any) -> Any:
+            a, b = ravel_pytree(a)[0], ravel_pytree(b)[0]
+            return jnp.linalg.norm(a - b) > EQUAL * jnp.linalg.norm(b)
+
+        return differ(*pairs[0]) | differ(*pairs[1])
 
     def spent(self, t: Any, h: Any) -> tuple[Any, Any]:
         """Return ∫γ over a part of a step and φ, the time that a damped momentum is worth, of each momentum."""
@@ -130,6 +146,10 @@ class Flows:
         return jax.lax.scan(round_of, (t, y), coefficients.reshape(-1, PAIR))[0]
 
 
+OTHERS = (
+    "cb.diffrax.Contact: damping must be −rate p, with a rate for each momentum (a full matrix: turn q and p to its "
+    "axes), and velocity linear in p; solve other terms with diffrax's own solvers"
+)
 #: the flows in which time passes, as in `Driven`
 CLOCKS = ("damp", "drift_damp")
 
@@ -161,7 +181,9 @@ class ContactSolver(diffrax.AbstractSolver):
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
         """Return what a run goes on from: the kernel's state, and the size of a step."""
         t0, h = jnp.asarray(t0, dtype=float), jnp.asarray(t1 - t0, dtype=float)
-        return Flows(terms, t0, y0, args).run(self.plan.opening, t0, y0, h)[1], h
+        flows = Flows(terms, t0, y0, args)
+        y0 = eqx.error_if(y0, flows.are_others(t0, y0[1]), OTHERS)
+        return flows.run(self.plan.opening, t0, y0, h)[1], h
 
     def step(
         self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
@@ -217,7 +239,8 @@ def end_of(inputs: Any, ys: Any, run: Any) -> Any:
 
 @end_of.def_fwd
 def keep_end(perturbed: Any, inputs: Any, ys: Any, run: Any) -> tuple[Any, Any]:
-    return ys, ys
+    # what is kept depends on the inputs too: a second derivative is refused by JAX, not taken without that
+    return ys, end_of(inputs, ys, run)
 
 
 @end_of.def_bwd
@@ -243,7 +266,7 @@ def take_back(ys: Any, slopes: Any, perturbed: Any, inputs: Any, _: Any, run: An
     _, (start, slope, total) = back(plan.opening, *before(n - 1, y))
     off, size = (jnp.linalg.norm(ravel_pytree(y)[0]) for y in (moved(start, y0, -1.0), y0))
     wrong = ~(off <= tolerance * size) | (jnp.abs(h - dt0) > EQUAL * jnp.abs(h))
-    return eqx.error_if(slope, wrong, LOST), *total
+    return eqx.error_if((slope, *total), wrong, LOST)
 
 
 LOST = (
@@ -258,7 +281,7 @@ class ReversibleAdjoint(diffrax.AbstractAdjoint):
     The steps are taken back from the end, each flow by itself, at the cost of about one run more; the derivative is
     that of the numerical map.  A run taken back grows where it was damped, and round-off with it, by up to e^{∫γ}: the
     start is found again and compared.  tolerance : how far off it may be, relative to y0; beyond, the run fails, and
-    so it does where dt0 does not divide the span.  For derivatives in y0, args and terms.
+    so it does where dt0 does not divide the span.  For first derivatives in y0, args and terms.
 
     Raises `BadInput` for another solver than `Contact`, steps that are not constant, an event, and where more than the
     end is saved.
@@ -317,17 +340,31 @@ def terms_of(scene: Scene | str) -> tuple[Any, Any]:
     Raises
     ------
     BadInput
-        For a scene that is not mechanical, or whose damping is not linear.
+        For a scene that is not mechanical, or whose damping is not linear, and for args that are none of its
+        parameters.
     """
     scene = scene_of(scene)
-    if scene.kind not in ("mechanical", "driven") or scene.nonlinear_damping:  # type: ignore[attr-defined]
-        raise BadInput(
-            f"scene {scene.name!r}: has no terms on (q, p), being {scene.kind} or damped nonlinearly"
-        )
+    why = (
+        ""
+        if scene.kind in ("mechanical", "driven")
+        else f"it is {scene.kind}; cb.step_map has one of every scene"
+    )
+    if not why and scene.nonlinear_damping:  # type: ignore[attr-defined]
+        why = "its damping is not linear; cb.step_map takes it"
+    if why:
+        raise BadInput(f"scene {scene.name!r} has no terms on (q, p): {why}")
     names, own = scene.number_names(), scene.numbers()
+    known = {*names} - {"", "kappa"}  # that of a damping which is not linear
 
     def twin(args: Any) -> Any:
-        given = args or {}
+        given = {} if args is None else args
+        if not isinstance(given, dict):
+            raise BadInput(
+                f"args = {excerpt(args)}: must be parameters by name, as {{'gamma': 0.3}}, or None"
+            )
+        for name in given:
+            if name not in known:
+                raise unknown_name("parameter", name, sorted(known))
         return scene.with_numbers([given.get(name, x) for name, x in zip(names, own, strict=True)])
 
     def state(t: Any, q: Any, p: Any) -> Any:
