@@ -90,16 +90,13 @@ def setting_key(control: str, value: float) -> str:
 
 
 def keywords(control: str, value: float) -> dict[str, Any]:
-    """The keywords of `prepare` that set it."""
     return {} if control == EXACT else {control: value}
 
 
 class Differential(NamedTuple):
-    """The derivative of the saved states of a numerical map along the m tangents at the start.
+    """The derivative of the saved states of a numerical map along the m tangents at the start, or why there is none.
 
-    source : how it was obtained, or why it was not.  states : (k, d), where it is taken.  estimates :
-    (l, k, d, m): a single one where it is computed to round-off; several by differences, whose
-    disagreement is their error; none where it was not taken.
+    states : (k, d), where it is taken.  estimates : (l, k, d, m), one to round-off, several by differences, or none.
     """
 
     source: str
@@ -112,10 +109,7 @@ class Differential(NamedTuple):
 
     @property
     def value(self) -> np.ndarray:
-        """One estimate (k, d, m); of several, for every tangent the first of the two that agree best.
-
-        Raises `BadInput` where the derivative was not taken.
-        """
+        """One estimate (k, d, m), for every tangent the first of the two that agree best; `BadInput` if none."""
         if not self.taken:
             raise BadInput(f"no derivative of the numerical map: {self.source}")
         if len(self.estimates) == 1:

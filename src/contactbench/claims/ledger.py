@@ -82,11 +82,9 @@ def at_least(quantity: str, value: Any, bound: float, why: str) -> Measurement:
 def verdict(
     statement: Sequence[Measurement], corrected: Sequence[Measurement], correction: Correction | None
 ) -> Verdict:
-    """Return the verdict that follows from the measurements.
+    """Return the verdict: a statement that fails is `corrected` by a repair that passes, and otherwise refuted.
 
-    The statement holds if all its measurements pass, and so does a correction.  A statement that fails
-    is `corrected` if a correction that repairs it passes, and otherwise `refuted`.  A statement that
-    holds is `corrected` if a sharper one holds.
+    One that holds is `corrected` by a sharper one that holds.
     """
     mended = bool(corrected) and all(m.passes for m in corrected)
     if all(m.passes for m in statement):
@@ -128,10 +126,7 @@ class Claim:
     figures: tuple[str, ...] = ()
 
     def row(self, **parameters: Any) -> dict[str, Any]:
-        """Measure the claim and return its row of the table; an exception becomes a row without a verdict.
-
-        parameters : of `measure`, values other than the defaults (seed, damping, inertia, …).
-        """
+        """Measure the claim, with parameters of `measure`, and return its row; without a verdict if that fails."""
         row: dict[str, Any] = {
             "id": self.name,
             "where": self.where,

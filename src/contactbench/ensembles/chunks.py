@@ -130,11 +130,7 @@ def on_cores(
     chunk: int,
     own: Own | None = None,
 ) -> Iterator[Result]:
-    """Yield the results of one chunk after the other.
-
-    No core waits for another before the end: all chunks are of one size, so many that they share out evenly,
-    and a few are always begun ahead of the one that is asked for.
-    """
+    """Yield the results of chunks of one size, of which a few are begun ahead, so that no core waits for another."""
     scene: Any = run.request.scene
     numbers, own = np.array(scene.numbers()), own or {}
     work: Any
@@ -172,10 +168,7 @@ def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
 def side_by_side(
     run: FixedStepRun, many: Any, rows: np.ndarray, shape: np.ndarray, names: Sequence[str], y0: np.ndarray
 ) -> Result:
-    """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core.
-
-    rows, shape : as `Loop.rows` gives them.
-    """
+    """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core."""
     r, m = run.request, y0.shape[1]
     y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
     part, place = np.array([0, y.shape[1] // LANES]), len(shape) - len(run.n)
@@ -297,10 +290,7 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
 
 # -- by an executor ------------------------------------------------------------------------------------
 def spread(executor: Executor, task: Any, y0: Any, own: Own, size: int) -> Iterator[tuple[int, Result]]:
-    """Yield (first trajectory, result) of chunks; one that its worker lost is given again.
-
-    A chunk is given to `ATTEMPTS` workers in all; a process pool of which one has died takes none any more.
-    """
+    """Yield (first trajectory, result) of chunks; one that its worker lost is given again, `ATTEMPTS` times in all."""
     lost: Counter[int] = Counter()
     pending: dict[Future[Any], int] = {}
 

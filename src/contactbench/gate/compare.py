@@ -39,11 +39,7 @@ def rows_of(*rows: dict[str, Any]) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the gate found.
-
-    moved : a row for each measure of a method on a scene.  compared : one sentence a part.  notes : what to know
-    beside.  incomplete : why what was looked at is too little to decide.
-    """
+    """A row for each measure that moved, what was compared, what to know beside, and why it cannot be decided."""
 
     moved: pd.DataFrame = field(default_factory=rows_of)
     compared: tuple[str, ...] = ()

@@ -50,10 +50,7 @@ LONGEST = 3e-3
 
 @dataclass(frozen=True)
 class Cell:
-    """One call that is timed: of a prepared run, or a public one; see `speed_worker.call`.
-
-    saves : how many equidistant times are saved, the end among them.
-    """
+    """A call that is timed, of a prepared run or a public one; saves : equidistant saved times, the end among them."""
 
     scene: str
     method: str = "contact-rkn6"

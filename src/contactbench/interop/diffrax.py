@@ -187,11 +187,7 @@ class ContactSolver(diffrax.AbstractSolver):
 
 # -- the derivative without the states ---------------------------------------------------------------
 class Backward(Flows):
-    """The subflows taken back, h < 0 where a run had h > 0, on (y, ȳ, total).
-
-    ȳ : the derivative in y, and total : in the parameters as far as it is summed up.  A kick and the same kick taken
-    back are at the same q: one gradient is evaluated for both.
-    """
+    """The subflows taken back on (y, ȳ, total), ȳ the derivative in y, total in the parameters as far as summed up."""
 
     def __init__(self, terms: Any, t: Any, y: Any, args: Any) -> None:
         super().__init__(terms, t, y, args)

@@ -29,10 +29,7 @@ SEED = 20
 
 @dataclass(frozen=True)
 class Visit:
-    """Seconds per call of each round, and of the same run over a part of its length, taken in turns with it.
-
-    iterations : calls of a round of the whole run.
-    """
+    """Seconds per call of each round (of so many iterations), and of the same run over a part of its length."""
 
     whole: Sequence[float]
     part: Sequence[float] = ()

@@ -4,9 +4,8 @@ Every law is a named object ``law(solution) -> float``, the maximum over the sav
 says otherwise, and nan where the run did not end `ok`.  To add one, decorate a function with `law`; what
 tables, documents and the regression gate need to know of it stands in the decorator.
 
-The contact form is kept or not by the map from initial data to states that a user gets.  Where a method
-chooses its steps from the state, that map is not the one with the steps held fixed; both are measured, the
-second as `…_frozen`.
+The contact form is kept or not by the map from initial data to states that a user gets.  Where a method chooses its
+steps from the state, that map is not the one with the steps held fixed; both are measured, the second as `…_frozen`.
 """
 
 from __future__ import annotations

@@ -99,10 +99,7 @@ def slow_rate(gamma: float, omega: float = 1.0) -> float:
 # -- where orbits stay bounded ----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Stability:
-    """Steps with bounded orbits: up to `limit`, and beyond it up to `last` but for `windows`.
-
-    Both borders are inf where there is none up to ωh = 10³.
-    """
+    """Steps with bounded orbits: up to `limit`, and to `last` but for `windows`; inf: no border up to ωh = 10³."""
 
     limit: float
     windows: tuple[tuple[float, float], ...]

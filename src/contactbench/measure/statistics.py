@@ -149,10 +149,7 @@ class Average(NamedTuple):
 
 
 def blocks(series: np.ndarray) -> np.ndarray:
-    """Return block means (B, m) of a series (k, m, n) of m quantities along n independent runs.
-
-    One block for each run; of fewer than `BLOCKS` runs each is cut into as many equal parts as it takes.
-    """
+    """Return block means (B, m) of a series (k, m, n): n runs, each cut where that makes fewer than `BLOCKS`."""
     k, m, n = series.shape
     parts = min(k, -(-BLOCKS // n))
     length = k // parts

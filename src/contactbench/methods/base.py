@@ -202,10 +202,9 @@ def prepare(
     method
         Itself, or the name of a registered one.
     step
-        Size of the steps of a fixed-step method.  Steps never straddle a saved time: each interval
-        between saved times, the last of which is the end, is divided into the fewest equal steps not longer
-        than `step`.  The steps taken may so be shorter, down to the distance of two saved times; the solution's
-        `step` is the longest one.
+        Size of the steps of a fixed-step method.  Steps never straddle a saved time: each interval between saved
+        times, the last of which is the end, is divided into the fewest equal steps not longer than `step`.  The steps
+        taken may so be shorter, down to the distance of two saved times; the solution's `step` is the longest one.
 
         A sequence of steps is taken as it is, whatever the motion: every step of a contact method is the contact map
         it would be among equal ones.  Saved times are ends of steps, by default all, or every k-th; steps after the

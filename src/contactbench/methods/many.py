@@ -30,10 +30,7 @@ TOGETHER = Lock()
 
 
 def field_program(advance: Callable[..., Any], scene: Many, packing: Packing) -> FieldProgram:
-    """Record ``advance(scene, x, h, n, xp, repeat)``; with two blocks the state's numbers are dual.
-
-    Raises `CannotRecord`.
-    """
+    """Record ``advance(scene, x, h, n, xp, repeat)``, on dual numbers with two blocks; may raise `CannotRecord`."""
     (d, with_s, blocks), names = packing, tuple(scene.constants)
 
     def fields(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:

@@ -90,10 +90,7 @@ class OneStep:
 
     @cached_property
     def compiled(self) -> Any:
-        """The step as straight-line arithmetic, compiled by numba.
-
-        Raises `CannotRecord` where scene or method branch on values, and of many sites.
-        """
+        """The step, compiled by numba; `CannotRecord` where scene or method branch on values, and of many sites."""
         import numba
 
         if self.many:

@@ -91,10 +91,7 @@ def steps_until(steps: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 
 def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
-    """Return the steps as runs of equal ones, of which one ends at each of some times, the last of them the end.
-
-    Steps lead to these times to the last digit: the round-off of their sum goes to the last run before each.
-    """
+    """Return runs of equal steps, of which one ends at each of some times, to the last digit; the last is the end."""
     last = steps_until(steps, times) - 1
     changes = np.abs(np.diff(steps)) > EQUAL * steps[1:]
     changes = np.append(changes, True)

@@ -31,10 +31,7 @@ def total(x: Any) -> Any:
 
 
 def neighbour(x: Any, places: int, boundary: str) -> Any:
-    """Return the value at the next site (places = 1) or the one before (−1).
-
-    Beyond the ends of a chain that is fixed there are zeros, of one that is free the last value again.
-    """
+    """Return the value at the next site (places = 1) or the one before (−1); beyond an end 0, or the last if free."""
     if isinstance(x, Dual):
         return Dual(neighbour(x.a, places, boundary), neighbour(x.b, places, boundary))
     if isinstance(x, Unknown):

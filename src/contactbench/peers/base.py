@@ -38,11 +38,9 @@ from contactbench.trace.recording import Recorded, Tape, attempt
 
 @dataclass(frozen=True)
 class Peer(Adaptive):
-    """A solver of another library.
+    """A solver of another library; run : makes its prepared run, or raises `ImportError`; solver : its name there.
 
-    run : its prepared run, of name, request and the method; raises `ImportError` where the library cannot be used.
-    solver : its name in the library.  package : what must be installed.  stages : evaluations of an attempted step,
-    where that is fixed.  implicit : whether it takes a Jacobian.  costs : see `step_cost`, by engine.
+    package : what must be installed.  stages : of an attempted step, where fixed.  costs : see `step_cost`, by engine.
     """
 
     name: str
@@ -164,11 +162,9 @@ class Variational(System):
         return Bundle(base.rhs(z.x), tuple(v))
 
     def jacobian(self, z: Bundle) -> list[list[Any]]:
-        """diag(Df, …, Df), for the implicit solvers.
+        """diag(Df, …, Df), without the coupling D²f(y) v_j of tangents to the state, strictly block triangular.
 
-        What is left out, the coupling D²f(y) v_j of the tangents to the state, is strictly block
-        triangular: Newton's iteration converges all the same, the tangents one iteration after the
-        state, and the convergence test of the solver sees both.
+        So Newton's iteration converges all the same, the tangents one turn later, and the solver's test sees both.
         """
         rows = derivative(self.base, z.x, self.carried(z))
         moved = [self.base.without_clock(row) for row in self.base.without_clock(rows)]
@@ -204,13 +200,9 @@ INTERPOLANT, BEFORE = 3, 2
 
 @dataclass
 class CallbackPeer(PeerRun):
-    """A run of a solver whose right-hand side, and Jacobian if it takes one, are Python functions of plain floats.
+    """A run of a solver that calls back Python functions of plain floats, recorded with the numbers as constants.
 
-    They are as lean as what a user would write for one problem: the scene is recorded once as a plain Python
-    function, its numbers written in as constants.  Where it cannot be recorded (a force that branches on values)
-    it is called as it is, at four times the cost.
-
-    rhs : ``(t, y) -> slopes`` and jacobian : ``(t, y) -> rows``, on a list of floats; None where there is none.
+    A function that cannot be recorded is called as it is, at four times the cost.
     """
 
     #: as how many steps the last one counts that failed

@@ -59,10 +59,7 @@ LARGEST_JACOBIAN = 64
 
 
 class CFunctions(NamedTuple):
-    """Addresses of the two functions (jacobian 0 where it cannot be had), and how to make their data.
-
-    compile_s : seconds spent recording and compiling.  code : the machine code, kept alive.
-    """
+    """Addresses of rhs and jacobian (0: none), how to make their data, seconds to compile, code kept alive."""
 
     rhs: int
     jacobian: int
@@ -78,10 +75,7 @@ _compiled: Cache[CFunctions] = Cache(256)
 
 
 def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions | FieldFunctions:
-    """The C functions of a scene, compiled once for its identity and the fields carried.
-
-    Raises `CannotRecord` where the right-hand side branches on values.
-    """
+    """The C functions of a scene, once for its identity and fields; `CannotRecord` where it branches on values."""
 
     if isinstance(scene, Many):
         return FieldFunctions(scene, carry)

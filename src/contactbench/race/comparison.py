@@ -250,8 +250,7 @@ class Unsupported(Exception):
 class Scout:
     """One method on its way from its coarsest setting to the one that reaches the smallest error.
 
-    why : a status and a reason where no setting could be tried, or no finer one.  compile_s : seconds until its first
-    run has ended.  spent : seconds it has had since.  a_step : seconds a step takes.
+    why : a status and a reason where it got no further.  spent : seconds since its first run.  a_step : of a step.
     """
 
     def __init__(self, question: Question, method: str) -> None:

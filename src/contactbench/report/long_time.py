@@ -49,10 +49,7 @@ def right_from(rows: pd.DataFrame, right: pd.Series) -> float:
 
 
 def least(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Return the evaluations from which on each method surely has an average right, the fewest first.
-
-    bound : that is its cheapest setting.  first : it is within a rung of the fewest.
-    """
+    """Return the fewest evaluations that have an average right; bound : the cheapest setting; first : or a tie."""
     found = {}
     for name, own in deviations(frame, quantity).groupby("method", sort=False):
         cost = right_from(own, own["off"] + SURE * own["bar"] <= 1)

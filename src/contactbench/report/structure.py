@@ -46,10 +46,7 @@ def cost(rows: pd.DataFrame, column: str) -> float:
 
 
 def costs(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return evaluations per unit of time and the time of a run by method and end, the least time first.
-
-    bound : the cheapest setting that ends well is more accurate than asked for.
-    """
+    """Return evaluations and time by method and end, least time first; bound : the cheapest setting exceeds it."""
     found = [
         (m, end, own["family"].iloc[0], own["energy_error"].max() < ALLOWED, *(cost(own, c) for c in COSTS))
         for (m, end), own in rows.groupby(["method", "t_end"], sort=False)

@@ -37,11 +37,7 @@ class Mark(StrEnum):
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a view.
-
-    value : what it is sorted by; None: words are sorted by `text`, a missing number last.
-    link : an address the text leads to.
-    """
+    """An entry; value : what it is sorted by, None: words by `text`, a missing number last; link : an address."""
 
     text: str
     value: float | None = None

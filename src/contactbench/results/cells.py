@@ -48,8 +48,7 @@ class Entry:
 class Cells:
     """The cells of one run, which one or several processes finish, and those of the runs before it.
 
-    profile, selection : what is run, and which part of it was asked for (empty: all).  A cell is done if it was
-    finished since a run with this selection last began anew.
+    A cell is done if it was finished since a run with this selection (empty: all) last began anew.
     """
 
     def __init__(self, results: Path, profile: str, run: str, selection: str = "") -> None:

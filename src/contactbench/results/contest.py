@@ -46,9 +46,8 @@ RESOLVED = 1.5
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of cost.
+    """A kind of cost: its column, and those of the ratio of a cell's halves, and of a second process to the first.
 
-    cost, halves, processes : columns: of it, the ratio of the cell's own halves, and of a second process to the first.
     resolved : neither a cost whose halves differ by more than `RESOLVED` takes part, nor a closed form.
     """
 

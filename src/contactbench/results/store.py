@@ -134,10 +134,9 @@ def merge(
     made: Iterable[tuple[Any, ...]] | None = None,
     profiles: Sequence[str] = (),
 ) -> pd.DataFrame:
-    """Put rows into the table's files; return the merged table.
+    """Put rows into the table's files, one of an older version replaced; return the merged table.
 
     made : the keys of all rows of these profiles, where the table was made as a whole: others are dropped.
-    A file of an older version is replaced: nobody can read it any more.
     """
     try:
         old = read(table, results)
@@ -236,10 +235,7 @@ def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
 
 @contextlib.contextmanager
 def replacing(path: Path, sync: bool = True) -> Iterator[Any]:
-    """Open a text file that takes the place of `path` when the block ends without an exception.
-
-    sync : whether it is on the disk then, so that not even a failure of power takes it away.
-    """
+    """Open a text file that takes the place of `path` when the block ends well; sync : even if power fails then."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:

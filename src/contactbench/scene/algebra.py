@@ -21,10 +21,7 @@ class State(NamedTuple):
 
 
 class BodyState(NamedTuple):
-    """State of a rigid body: body momentum M, attitude R as a quaternion (w, x, y, z), and s.
-
-    R and s are None when not carried.
-    """
+    """State of a rigid body: momentum M, attitude R as a quaternion (w, x, y, z), s; R, s None if not carried."""
 
     M: Vector
     R: Vector | None = None

@@ -198,10 +198,7 @@ class System(ABC):
 
     @property
     def identity(self) -> Hashable | None:
-        """What compiled code depends on besides the numbers; None where nobody can tell, and nothing is kept.
-
-        A user's function counts by the operations it was recorded with; what a kind of a user's own does is not known.
-        """
+        """What compiled code depends on besides the numbers, functions by their operations; None: nobody can tell."""
         given = (getattr(self, name) for name in self.functions)
         known = is_ours(type(self)) and all(f is None or isinstance(f, Formula) or is_ours(f) for f in given)
         return self.structure if known else None
@@ -231,11 +228,7 @@ class System(ABC):
         return f"its flows are those of {self.kind}, and {own}" if anew else None
 
     def recorded(self) -> Self:
-        """Return the scene with its user's functions as formulas: what they compute now.
-
-        A function that cannot be recorded stays as it is.
-        Raises `BadInput` where a function gives another value for recorded numbers than for floats.
-        """
+        """Return the scene with its functions as formulas, where they can be; `BadInput` where the two differ."""
         found = {name: made for name in self.functions if (made := self._formula(name)) is not None}
         return self._replaced(**found) if found else self
 

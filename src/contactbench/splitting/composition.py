@@ -170,10 +170,7 @@ def arrange(stages: tuple[Stage, ...], before: tuple[Stage, ...] = (), clocked: 
 def advance(
     composition: Composition, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat
 ) -> Any:
-    """Advance the state x by n ≥ 1 steps of size h.
-
-    Merging at the joints leaves the map unchanged up to round-off.
-    """
+    """Advance the state x by n ≥ 1 steps of size h, merged at the joints."""
     if by_the_clock(composition, scene):
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
     steps = plan(composition, scene)

@@ -296,10 +296,7 @@ def exchange(a: str, b: str) -> list[tuple[str, Operand]]:
 
 
 class FieldProgram(NamedTuple):
-    """As `Program`; the result of `run` is the rows of all fields, and the scalars.
-
-    rows : how many it needs; those given come first.  sums : how many one sweep has at most.
-    """
+    """As `Program`; `run` gives the rows of all fields, the given first, and scalars; sums : of one sweep at most."""
 
     setup: Function
     run: Function

@@ -35,10 +35,7 @@ class Operation(NamedTuple):
 
 
 class Element(NamedTuple):
-    """An element of an array, `shift` places beyond its last index.
-
-    kind : what the floating-point number there stands for: "f" itself, "i" a whole number, "b" a truth value.
-    """
+    """An array's element, `shift` beyond its last index; kind : of number, as in `Recorded`."""
 
     array: str
     indices: tuple[Operand, ...]
@@ -104,10 +101,7 @@ class Digested:
 
 @dataclass(frozen=True, eq=False)
 class Function(Digested):
-    """A recorded function of arrays and numbers.
-
-    result : an operand; in Python nested tuples of operands, too.
-    """
+    """A recorded function of arrays and numbers; result : an operand, in Python also nested tuples of them."""
 
     name: str
     arguments: tuple[str, ...]

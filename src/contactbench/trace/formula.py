@@ -96,10 +96,7 @@ class Formula(form.Digested):
 
     # -- derivatives -------------------------------------------------------------------------------
     def gradient(self) -> Formula:
-        """The derivative of a single result along the components of the first argument, by reverse mode.
-
-        Raises `CannotRecord` for a function whose derivative is not known.
-        """
+        """The derivative of a single result along the first argument, by reverse mode; may raise `CannotRecord`."""
         return self.derive(lambda rows: rows[0])
 
     def hessian(self) -> Formula:
@@ -126,10 +123,7 @@ Amount = tuple[float, Any]
 
 
 def derivatives(tape: Tape, results: Sequence[Operand], along: Sequence[str]) -> list[list[Any]]:
-    """Derivatives of results on a tape along some of their arguments, the last operation first.
-
-    Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2, doi:10.1137/1.9780898717761.
-    """
+    """Derivatives of results along arguments; Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2."""
     operations, rows = list(tape.root.statements), []
     for result in results:
         found: dict[Operand, Amount] = {result: (1.0, 1.0)}

@@ -28,11 +28,7 @@ from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape,
 
 
 class Program(NamedTuple):
-    """A recorded time loop.
-
-    data : floating-point numbers and shape : whole numbers it is called with; `run` takes (*shape, *which).
-    width : how long a row of w is.
-    """
+    """A recorded time loop; data, shape : what it is called with, `run` with (*shape, *which); width : of w."""
 
     setup: Function
     run: Function
@@ -43,10 +39,7 @@ class Program(NamedTuple):
 
 
 class Column(Block):
-    """A vector: what is computed for every element of it, beside the elements it starts from.
-
-    data : those elements, one range after another, as often as they are picked.
-    """
+    """What is computed for every element of a vector, and these: data, ranges of them as often as they are picked."""
 
     def __init__(self, tape: ProgramTape, values: tuple[float, ...]) -> None:
         super().__init__(tape.root)
@@ -242,10 +235,7 @@ def steps(
     head: Sequence[Any] = (),
     last: Sequence[Any] = (),
 ) -> tuple[Any, ...]:
-    """The loop over the intervals from an array of states to another one.
-
-    ends : the state after an interval.  head, last : what is done before the loop and at the end of each interval.
-    """
+    """The loop over the intervals from an array of states to another; head, last : before it, at the end of each."""
     state, known = tuple(f"x{i}" for i in range(len(ends))), len(tape.shape)
     first = tuple(f"start{i}" for i in range(len(ends)))
     given = [Assign(name, Element(start, (i,))) for i, name in enumerate(first)]

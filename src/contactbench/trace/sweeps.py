@@ -280,10 +280,7 @@ def rows_of(sites: Sites) -> set[str]:
 
 @cache
 def compile_sweeps(function: form.Function, boundary: str, sums: int, width: int, packing: Packing) -> Any:
-    """A recorded function as a C function ``(out, t, y, data)`` of packed states; see `FieldProgram`.
-
-    Raises `CannotRecord` where numba is told not to compile.
-    """
+    """A recorded function as a C function ``(out, t, y, data)`` of packed states; may raise `CannotRecord`."""
     from numba.core import types
     from numba.extending import intrinsic
 

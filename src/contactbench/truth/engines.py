@@ -194,11 +194,7 @@ def taylor(
 
 
 def heyoka_reads_rhs(scene: Scene, y: list[Any], carry: tuple[str, ...]) -> bool:
-    """Return whether heyoka and mpmath evaluate the same right-hand side at y to 35 digits.
-
-    They do not where a force divides by an integer that is no power of two: heyoka turns ``x / 3``
-    into a product with the double nearest to 1/3.
-    """
+    """Return whether heyoka agrees with mpmath to 35 digits, as not on x / 3, the product with a double near 1/3."""
     import heyoka
 
     bits = 160

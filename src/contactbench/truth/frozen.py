@@ -34,11 +34,7 @@ def fingerprint(value: Any) -> Any:
 
 
 def digest(scene: Scene) -> str:
-    """Return the SHA-256 of what determines the trajectory: kind, functions, numbers and initial data.
-
-    The scene's own name, its end time, and the Hessian and closed form (which follow from the rest)
-    do not count.
-    """
+    """Return the SHA-256 of what determines the trajectory: kind, functions, numbers and initial data."""
     functions = [
         [f.name, *name_of(value)]
         for f in fields(scene)
