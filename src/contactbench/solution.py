@@ -202,9 +202,8 @@ class Solution:
         if self.counts.evaluations is not None:
             rows["evaluations"] = f"{self.counts.evaluations} ({self.counts.kind})"
         if self.ok:
-            rows["end"] = ", ".join(
-                f"{n} = {y:.6g}" for n, y in zip(self.labels[:12], self.y[-1], strict=False)
-            )
+            last = zip(self.labels[:12], self.y[-1], strict=False)
+            rows["end"] = ", ".join(f"{name} = {y:.6g}" for name, y in last)
         return html_table(rows, self.scene.name)
 
     def plot(self) -> Any:

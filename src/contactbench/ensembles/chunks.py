@@ -8,15 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent import futures
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -108,7 +100,12 @@ class Task:
 
 
 def results(
-    task: Task, run: FixedStepRun, y0: np.ndarray, own: Own, chunk: int | None, executor: Executor | None
+    task: Task,
+    run: FixedStepRun,
+    y0: np.ndarray,
+    own: Own,
+    chunk: int | None,
+    executor: futures.Executor | None,
 ) -> Iterator[tuple[int, Result]]:
     """Yield (first trajectory of a chunk, its result), every chunk once; by an executor in the order they end."""
     if executor is not None:
@@ -143,8 +140,8 @@ def on_cores(
         rows, shape = loop.rows(numbers, run.h, run.n)
         work = partial(side_by_side, run, many, rows, shape, names)
         share = equal_share(y0.shape[1], cores, chunk)
-    ahead: deque[Future[Result]] = deque()
-    threads = ThreadPoolExecutor(cores)
+    ahead: deque[futures.Future[Result]] = deque()
+    threads = futures.ThreadPoolExecutor(cores)
     try:
         for first in range(0, y0.shape[1], share):
             part = slice(first, first + share)
@@ -289,27 +286,29 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
 
 
 # -- by an executor ------------------------------------------------------------------------------------
-def spread(executor: Executor, task: Any, y0: Any, own: Own, size: int) -> Iterator[tuple[int, Result]]:
+def spread(
+    executor: futures.Executor, task: Any, y0: Any, own: Own, size: int
+) -> Iterator[tuple[int, Result]]:
     """Yield (first trajectory, result) of chunks; one that its worker lost is given again, `ATTEMPTS` times in all."""
     lost: Counter[int] = Counter()
-    pending: dict[Future[Any], int] = {}
+    pending: dict[futures.Future[Any], int] = {}
 
     def begin(first: int) -> None:
         part = slice(first, first + size)
         numbers = {place: values[part] for place, values in own.items()}
         try:
             pending[executor.submit(task, y0[:, part], numbers)] = first
-        except BrokenExecutor as error:
+        except futures.BrokenExecutor as error:
             raise BadInput(f"executor: {type(executor).__name__} is broken: {error}") from error
 
     for first in range(0, y0.shape[1], size):
         begin(first)
     while pending:
-        for future in wait(pending, return_when=FIRST_COMPLETED).done:
+        for future in futures.wait(pending, return_when=futures.FIRST_COMPLETED).done:
             first = pending.pop(future)
             try:
                 result = future.result()
-            except (Exception, CancelledError) as error:
+            except (Exception, futures.CancelledError) as error:
                 lost[first] += 1
                 if lost[first] == ATTEMPTS:
                     what = f"chunk {first // size} was lost {ATTEMPTS} times"

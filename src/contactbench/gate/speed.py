@@ -83,11 +83,8 @@ def workload(work: pd.DataFrame) -> list[Cell]:
     for cell in every(work):
         if cell.scene in SCENES or cell.method in EVERYWHERE:
             cells.append(cell)
-        if (
-            cell.scene == MANY_ON
-            and cell.method in METHODS
-            and cell.engine == METHODS[cell.method].engines[0]
-        ):
+        known = METHODS.get(cell.method)
+        if cell.scene == MANY_ON and known is not None and cell.engine == known.engines[0]:
             cells.append(replace(cell, saves=MANY))
     return [*cells, *PUBLIC] if cells else []
 
@@ -188,12 +185,9 @@ def timing_process(
     ):
         # programs that one side has compiled must not spare the other the work
         names = ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR")
-        own: dict[str, Any] = {
-            "env": revisions.environment(tree, root) | dict.fromkeys(names, caches),
-            "cwd": tree,
-        }
+        variables = revisions.environment(tree, root) | dict.fromkeys(names, caches)
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
-        process: Any = subprocess.Popen(command, text=True, bufsize=1, **own, **pipes)
+        process: Any = subprocess.Popen(command, text=True, bufsize=1, env=variables, cwd=tree, **pipes)
 
         def send(request: Any) -> None:
             process.stdin.write(json.dumps(request) + "\n")

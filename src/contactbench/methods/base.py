@@ -37,15 +37,8 @@ SHORTEST = 1e-15
 
 #: engine → "compiled" (solver and right-hand side are machine code) or "callbacks" (the right-hand side,
 #: or the solver too, is Python)
-ENGINES = {
-    "numba": "compiled",
-    "jax": "compiled",
-    "llvm": "compiled",
-    "c": "compiled",
-    "c++": "compiled",
-    "python": "callbacks",
-    "c+python": "callbacks",
-}
+ENGINES = dict.fromkeys(("numba", "jax", "llvm", "c", "c++"), "compiled")
+ENGINES |= dict.fromkeys(("python", "c+python"), "callbacks")
 CALLBACKS = tuple(engine for engine, kind in ENGINES.items() if kind == "callbacks")
 
 
@@ -252,10 +245,9 @@ def prepare_on_engine(method: Method, request: Request) -> Prepared:
         return method.prepare(request)
     except CannotRecord as error:
         what = f"{method.name} on {request.scene.name!r} cannot be compiled"
-        others = [
-            f"; engine {engine!r} calls it as it is" for engine in method.engines if engine in CALLBACKS
-        ]
-        return Refused(method.name, request, f"{what}: {reason_of(error)}{''.join(others)}")
+        plain = [engine for engine in method.engines if engine in CALLBACKS]
+        others = "".join(f"; engine {engine!r} calls it as it is" for engine in plain)
+        return Refused(method.name, request, f"{what}: {reason_of(error)}{others}")
 
 
 def make_request(

@@ -176,9 +176,8 @@ def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, movin
         def interval(carried: Any) -> Any:
             x, j = carried
             x, row = body(x, tape.assign(Element(times, (j.name,)), "f", tape.block))
-            tape.block.statements += [
-                Store(Element("y", (j.name, i)), operand_of(c)) for i, c in enumerate(row)
-            ]
+            stores = (Store(Element("y", (j.name, i)), operand_of(c)) for i, c in enumerate(row))
+            tape.block.statements.extend(stores)
             return x, j + 1
 
         return tape.repeat(tape.assign(Operation("len", (times,)), "i", tape.root), interval, (x, 0))[0]

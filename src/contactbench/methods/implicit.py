@@ -188,12 +188,8 @@ def discrete_gradient(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
 
 _source = "Hairer, Lubich, Wanner, Geometric Numerical Integration, §II.1.3, by fixed-point iteration"
 for _stages in (2, 3):
-    METHODS.add(
-        Gauss(f"gauss{2 * _stages}", 2 * _stages, gauss(_stages), about=_source, each=_stages, symmetric=True)
-    )
+    _name, _step = f"gauss{2 * _stages}", gauss(_stages)
+    METHODS.add(Gauss(_name, 2 * _stages, _step, about=_source, each=_stages, symmetric=True))
 _source = "discrete gradient of Gonzalez, doi:10.1007/BF02440162, between halves of exact damping"
-METHODS.add(
-    DiscreteGradient(
-        "discrete-gradient", 2, discrete_gradient, kind="gradient", about=_source, each=1, symmetric=True
-    )
-)
+_claims: Any = {"kind": "gradient", "each": 1, "symmetric": True}
+METHODS.add(DiscreteGradient("discrete-gradient", 2, discrete_gradient, about=_source, **_claims))

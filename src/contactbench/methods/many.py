@@ -145,10 +145,8 @@ def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = Fal
 def slopes_of(scene: Many, carry: tuple[str, ...]) -> FieldLoop:
     """The right-hand side."""
     packing = Packing(scene.dimensions, "s" in carry)
-    known = scene.equations if scene.identity is not None else None
-    return _loops.get(
-        key(known, packing), lambda: FieldLoop(lambda scene, x, *_: scene.rhs(x), scene, packing)
-    )
+    known = key(scene.equations if scene.identity is not None else None, packing)
+    return _loops.get(known, lambda: FieldLoop(lambda scene, x, *_: scene.rhs(x), scene, packing))
 
 
 class SweepLoop(FixedStepRun):

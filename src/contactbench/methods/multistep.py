@@ -117,15 +117,8 @@ class Multistep(FixedStep):
             older = scaled(grown, at.q)
             increment = tuple(a - b for a, b in zip(z, older, strict=True))
             rate, psi = force(older, shrunk, grown)
-            return (
-                at,
-                older,
-                shrunk,
-                grown,
-                (*increments[1:], increment),
-                (*rates[1:], rate),
-                (*psis[1:], psi),
-            )
+            known = (*increments[1:], increment), (*rates[1:], rate), (*psis[1:], psi)
+            return at, older, shrunk, grown, *known
 
         def step(carried: Any) -> Any:
             z, increments, rates, psis, total, shrunk, grown = carried

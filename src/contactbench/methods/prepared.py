@@ -15,15 +15,7 @@ import numpy as np
 from contactbench.errors import BadInput, Registry, blame, excerpt
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, norm
-from contactbench.solution import (
-    DIVERGENCE,
-    EXACT,
-    Counts,
-    Differential,
-    Solution,
-    Status,
-    setting_key,
-)
+from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
 
 #: name → method, each a `base.Method`
 METHODS = Registry("method")

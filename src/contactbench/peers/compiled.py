@@ -46,8 +46,6 @@ RHS_CALLS, JACOBIAN_CALLS, ORIGIN, CONSTANTS = 0, 1, 2, 3
 #: what a compiled call returns of a run, followed by the packed state reached
 FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
 KNOWN = len(FACTS)
-#: the version of CyRK whose C interface is known
-INTERFACE = "0.20."
 #: CyRK's status codes
 SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR = 1, -52, -53
 #: the major version of SUNDIALS whose C interface is known

@@ -84,16 +84,10 @@ class DiffraxRun(CompiledRun):
             throw=False,
         )
         stats, results = solution.stats, diffrax.RESULTS
-        info = jnp.array(
-            [
-                stats["num_accepted_steps"],
-                stats["num_rejected_steps"],
-                solution.result == results.successful,
-                solution.result == results.max_steps_reached,
-                solution.result == results.dt_min_reached,
-                (solution.ts if self.final_only else solution.ts[0])[0],
-            ]
-        )
+        counted = stats["num_accepted_steps"], stats["num_rejected_steps"]
+        endings = results.successful, results.max_steps_reached, results.dt_min_reached
+        time = (solution.ts if self.final_only else solution.ts[0])[0]
+        info = jnp.array([*counted, *(solution.result == ending for ending in endings), time])
 
         def packed(y: Any, t: Any) -> Any:
             if r.scene.kind == "many":
@@ -135,16 +129,7 @@ for _solver, _order, _stages, _implicit, _about in (
     ("Dopri8", 8, 13, False, "Dormand–Prince 8(7), explicit"),
     ("Kvaerno5", 5, 6, True, "Kvaerno 5(4), implicit, Chord"),
 ):
-    METHODS.add(
-        Peer(
-            f"diffrax-{_solver.lower()}",
-            *(_about, DiffraxRun, ("jax",), (ROUNDING, 1e-1), _solver),
-            order=_order,
-            stages=_stages,
-            implicit=_implicit,
-            # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
-            costs={"jax": 2} if _implicit else {},
-            most=1024 if _implicit else 0,
-            largest=64,
-        )
-    )
+    _given = f"diffrax-{_solver.lower()}", _about, DiffraxRun, ("jax",), (ROUNDING, 1e-1), _solver
+    # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
+    _limits: Any = {"costs": {"jax": 2}, "most": 1024} if _implicit else {}
+    METHODS.add(Peer(*_given, "", _order, _stages, _implicit, largest=64, **_limits))

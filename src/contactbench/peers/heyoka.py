@@ -57,10 +57,8 @@ class TaylorRun(PeerRun):
             compact = len(self.start) > UNROLLED
             return heyoka.taylor_adaptive(system, start, tol=r.rtol, compact_mode=compact), elapsed()
 
-        numbers = tuple(scene.numbers())
-        program, self.compile_s = _integrators.get(
-            key(scene.recorded().identity, numbers, r.carry, r.rtol), make
-        )
+        known = key(scene.recorded().identity, tuple(scene.numbers()), r.carry, r.rtol)
+        program, self.compile_s = _integrators.get(known, make)
         self.integrator = copy(program)
         #: where a packed state has what is integrated: all of it, but the time
         self.motion: Any = slice(self._clock)
@@ -108,14 +106,6 @@ class TaylorRun(PeerRun):
         return self.finish(y0, y, counts, status, message, (time, state))
 
 
-METHODS.add(
-    Peer(
-        "heyoka-taylor",
-        "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)",
-        *(TaylorRun, ("llvm",), (ROUNDING, 1e-1)),
-        package="heyoka",
-        takes_atol=False,
-        most=1024,
-        reason="compiles every component",
-    )
-)
+_about = "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)"
+_limits: Any = {"package": "heyoka", "takes_atol": False, "most": 1024, "reason": "compiles every component"}
+METHODS.add(Peer("heyoka-taylor", _about, TaylorRun, ("llvm",), (ROUNDING, 1e-1), **_limits))

@@ -47,15 +47,6 @@ for _solver, _order, _stages, _cost, _about in (
     ("DOP853", 8, 12, 13, "explicit Runge–Kutta 8(5,3), Python callbacks"),
     ("Radau", 5, None, 9, "implicit Radau IIA, analytic Jacobian"),
 ):
-    _implicit, _fixed = _stages is None, (("python",), (CLAMPED, 1e-1), _solver, "", _order, _stages)
-    METHODS.add(
-        Peer(
-            f"scipy-{_solver.lower()}",
-            _about,
-            ScipyRun,
-            *_fixed,
-            _implicit,
-            costs={"python": _cost},
-            most=1024 if _implicit else 0,
-        )
-    )
+    _implicit, _name = _stages is None, f"scipy-{_solver.lower()}"
+    _given = _name, _about, ScipyRun, ("python",), (CLAMPED, 1e-1), _solver, "", _order, _stages, _implicit
+    METHODS.add(Peer(*_given, costs={"python": _cost}, most=1024 if _implicit else 0))

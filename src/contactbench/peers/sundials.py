@@ -65,14 +65,9 @@ class CvodeRun(CallbackPeer):
             assert jacobian is not None
             J[:, :] = jacobian(start + t, r.scene.entries(y))
 
-        options = {
-            "method": self.method_.solver,
-            "rtol": r.rtol,
-            "atol": r.atol,
-            "max_num_steps": r.max_steps,
-        }
-        bounds = {"min_step": SHORTEST * self._end, "max_step": self._end}
-        return CVODE(f, jacfn=jac if jacobian else None, **options, **bounds)
+        options: dict[str, Any] = {"method": self.method_.solver, "jacfn": jac if jacobian else None}
+        options |= {"rtol": r.rtol, "atol": r.atol, "max_num_steps": r.max_steps}
+        return CVODE(f, **options, min_step=SHORTEST * self._end, max_step=self._end)
 
 
 class CompiledCvodeRun(CompiledPeer):
@@ -108,11 +103,5 @@ def cvode(name: str, request: Request, method: Peer) -> Prepared:
 
 for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
     _about = f"variable-order {_name}, Newton with analytic Jacobian (differences beyond 64 components)"
-    METHODS.add(
-        Peer(
-            f"cvode-{_solver.lower()}",
-            *(_about, cvode, ("c", "c+python"), (ROUNDING, 1e-1), _solver),
-            implicit=True,
-            costs={"c+python": 2},
-        )
-    )
+    _given = f"cvode-{_solver.lower()}", _about, cvode, ("c", "c+python"), (ROUNDING, 1e-1), _solver
+    METHODS.add(Peer(*_given, implicit=True, costs={"c+python": 2}))

@@ -80,15 +80,10 @@ def items(evidence: str) -> tuple[str, ...]:
 def parts(frames: Frames) -> list[Part]:
     frame = frames["claims"]
     drawn = {figure.name: figure for figure in paper.all_figures(frames["paper_figures"])}
-    own, beyond = (
-        tuple(claim_section(row, drawn) for _, row in some.iterrows()) for some in split_claims(frame)
-    )
-    return [
-        claims_view(frame),
-        Section("Claim by claim", own),
-        Section("Beyond the paper", beyond),
-        Section("Other figures", tuple(drawn.values())),
-    ]
+    sections: list[Part] = []
+    for title, some in zip(("Claim by claim", "Beyond the paper"), split_claims(frame), strict=True):
+        sections.append(Section(title, tuple(claim_section(row, drawn) for _, row in some.iterrows())))
+    return [claims_view(frame), *sections, Section("Other figures", tuple(drawn.values()))]
 
 
 TITLE, QUESTION = "The paper's claims, measured", "Which claims of the paper hold?"

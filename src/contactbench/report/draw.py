@@ -155,11 +155,9 @@ def scale(axes: Axes, which: str, axis: Axis, values: Sequence[float]) -> None:
 
 def draw_panel(axes: Any, panel: Panel) -> None:
     for curve in panel.curves:
-        cloud = not curve.line
         every = len(curve.x) // 8 if len(curve.x) > MARKED and curve.line else 1
-        axes.plot(
-            curve.x, curve.y, markevery=every, rasterized=cloud and len(curve.x) > MANY, **properties(curve)
-        )
+        picture = not curve.line and len(curve.x) > MANY
+        axes.plot(curve.x, curve.y, markevery=every, rasterized=picture, **properties(curve))
     points = [] if panel.equal else seen(panel)  # the aspect decides
     scale(axes, "x", panel.x, [x for x, _ in points])
     scale(axes, "y", panel.y, [y for _, y in points])

@@ -87,9 +87,8 @@ def answers(frames: Frames) -> pd.DataFrame:
 
 # -- views -----------------------------------------------------------------------------------------
 def costs_view(frame: pd.DataFrame) -> View:
-    found = pd.concat(
-        [least(frame, q).rename_axis("method").reset_index().assign(average=q) for q in ALLOWED]
-    )
+    costs = {quantity: least(frame, quantity) for quantity in ALLOWED}
+    found = pd.concat(costs, names=["average", "method"]).reset_index()
     alone = found.groupby("average")["first"].sum() == 1
 
     def cell(rows: pd.DataFrame) -> Cell:

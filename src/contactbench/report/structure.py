@@ -178,8 +178,6 @@ def parts(frames: Frames) -> list[Part | None]:
     return [costs_view(rows), figure(rows), others_view(frame)]
 
 
-TITLE, QUESTION = (
-    "What structure buys",
-    "What does keeping the contact structure buy on a long chaotic motion?",
-)
+TITLE = "What structure buys"
+QUESTION = "What does keeping the contact structure buy on a long chaotic motion?"
 CHAPTERS.add(Chapter("structure_buys", TITLE, QUESTION, 57, ("structure_buys",), parts, answers))

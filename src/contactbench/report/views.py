@@ -83,9 +83,8 @@ class View:
     def columns(self) -> tuple[Head, ...]:
         columns = list(zip(*self.rows, strict=True)) or [()] * len(self.labels)
         words = (all(cell.value is None for cell in column) for column in columns)
-        return tuple(
-            Head(label, word, group) for (group, label), word in zip(self.labels, words, strict=True)
-        )
+        heads = zip(self.labels, words, strict=True)
+        return tuple(Head(label, word, group) for (group, label), word in heads)
 
     @property
     def labels(self) -> list[tuple[str, str]]:

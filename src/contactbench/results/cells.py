@@ -104,9 +104,8 @@ class Cells:
                 if (record := self._record(run)).exists():
                     made_by = {name for entry in entries if entry.run == run for name, _ in entry.rows}
                     # rows of a larger profile stay, and with them the run that made them
-                    alone = [
-                        n for n in whole if read(TABLES[n], self.results)["profile"].isin(profiles).all()
-                    ]
+                    profile_of = {n: read(TABLES[n], self.results)["profile"] for n in whole}
+                    alone = [name for name, profile in profile_of.items() if profile.isin(profiles).all()]
                     known = json.loads(record.read_text(encoding="utf-8"))
                     save_run(run, known, made_by, alone if run == self.run else (), self.results)
             for entry in entries:

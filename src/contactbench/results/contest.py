@@ -239,9 +239,8 @@ def contests(costs: pd.DataFrame) -> pd.DataFrame:
             continue
         for target, part in here.groupby("error", sort=False):
             part = part[part["cost"].notna()].sort_values("cost", kind="stable")
-            ours, theirs = (
-                next(part[(part["family"] == CONTACT) == own].itertuples(), None) for own in (True, False)
-            )
+            contact = part["family"] == CONTACT
+            ours, theirs = (next(part[own].itertuples(), None) for own in (contact, ~contact))
             rows.append({"scene": scene, "error": target} | _contest(ours, theirs))
     names = "scene error contact contact_cost other other_cost ratio margin winner"
     return pd.DataFrame(rows, columns=names.split())

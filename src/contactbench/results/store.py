@@ -147,10 +147,8 @@ def merge(
     replaced = list(table.whole or table.key)
     frame = pd.concat([old[~index(old, replaced).isin(index(new, replaced))], new], ignore_index=True)
     if made is not None:
-        stale = frame["profile"].isin(profiles) & ~index(frame, list(table.key)).isin(
-            pd.Index(made, tupleize_cols=False)
-        )
-        frame = frame[~stale]
+        known = index(frame, list(table.key)).isin(pd.Index(made, tupleize_cols=False))
+        frame = frame[known | ~frame["profile"].isin(profiles)]
     if new.empty and len(frame) == len(old):
         return old
     frame = set_types(in_order(frame, table), table)

@@ -41,9 +41,9 @@ def shifted(x: Any, h: Any, slope: Any) -> Any:
 
 def scaled(c: Any, v: Sequence[Any]) -> Vector:
     """Return c v; component by component where c is a tuple."""
-    return (
-        tuple(a * b for a, b in zip(c, v, strict=True)) if isinstance(c, tuple) else tuple(c * b for b in v)
-    )
+    if isinstance(c, tuple):
+        return tuple(a * b for a, b in zip(c, v, strict=True))
+    return tuple(c * b for b in v)
 
 
 def times(c: Any, factor: Any) -> Any:

@@ -212,11 +212,9 @@ class System(ABC):
     @property
     def functions_of_floats(self) -> list[str]:
         """Return the names of its user's functions that cannot be recorded, as SciPy's splines cannot."""
-        given = {name: getattr(self, name) for name in self.functions}
-        users = (name for name, f in given.items() if f is not None and not is_ours(f))
-        return [
-            name for name in users if not isinstance(given[name], Formula) and self._formula(name) is None
-        ]
+        given = ((name, getattr(self, name)) for name in self.functions)
+        plain = (name for name, f in given if not (f is None or is_ours(f) or isinstance(f, Formula)))
+        return [name for name in plain if self._formula(name) is None]
 
     @property
     def own_equations(self) -> str | None:
@@ -414,9 +412,8 @@ class Scene(System):
         """Return the scene's numbers as a table, for notebooks."""
         names = (*self.initial_fields, *self.coefficients, "t_end")
         rows = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
-        return html_table(
-            rows | dict(getattr(self, "parameters", {})), f"{self.name}: {self.about or self.kind}"
-        )
+        rows |= getattr(self, "parameters", {})
+        return html_table(rows, f"{self.name}: {self.about or self.kind}")
 
     def numbers(self) -> list[float]:
         own = System.pack([getattr(self, name) for name in self.coefficients])

@@ -351,7 +351,6 @@ class Lattice(Many):
 
     functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(("onsite", "bond"), ("probe", "**"))
     checks: ClassVar[dict[str, Check]] = Many.checks | dict.fromkeys(functions, optional(function))
-    #: where the potentials are tried
     probe: ClassVar[float] = 0.25
 
     def __post_init__(self) -> None:
@@ -487,7 +486,6 @@ class Particles(Many):
     functions: ClassVar[dict[str, tuple[str, ...]]] = {"pair": ("probe", "probe", "probe", "**")}
     weights: ClassVar[str] = "masses"
     checks: ClassVar[dict[str, Check]] = Many.checks | {"pair": function}
-    #: where the potential is tried
     probe: ClassVar[float] = 1.25
 
     def __post_init__(self) -> None:
@@ -548,18 +546,9 @@ def unrolled(scene: Many, potential: Callable[..., Any]) -> Mechanical:
     masses: Any = scene.weight
     if not scene.uniform:
         masses = tuple(np.repeat(masses, scene.dimensions).tolist())
-    return Mechanical(
-        name=scene.name,
-        potential=potential,
-        q=tuple(scene.q.tolist()),
-        p=tuple(scene.p.tolist()),
-        s=scene.s,
-        gamma=scene.gamma,
-        mass=masses,
-        parameters=scene.parameters,
-        t_end=scene.t_end,
-        about=scene.about,
-    )
+    same = {name: getattr(scene, name) for name in ("name", "s", "gamma", "parameters", "t_end", "about")}
+    q, p = (tuple(block.tolist()) for block in (scene.q, scene.p))
+    return Mechanical(potential=potential, q=q, p=p, mass=masses, **same)
 
 
 def picklable(f: Any) -> bool:

@@ -462,15 +462,8 @@ BODY = {
 ISOTROPIC = BODY | {"free_damp": Flow(_time_and_damping, free_damp, FREE_COSTS, linear_log_factor)}
 HEAVY_TOP = BODY | {"kick": Flow(plain, top_kick, {"gradient": 1})}
 
-FLOWS = {
-    "mechanical": MECHANICAL,
-    "driven": DRIVEN,
-    "general damping": GENERAL,
-    "many": MANY,
-    "isotropic body": ISOTROPIC,
-    "body": BODY,
-    "heavy top": HEAVY_TOP,
-}
+FLOWS = {"mechanical": MECHANICAL, "driven": DRIVEN, "general damping": GENERAL, "many": MANY}
+FLOWS |= {"isotropic body": ISOTROPIC, "body": BODY, "heavy top": HEAVY_TOP}
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:

@@ -249,15 +249,12 @@ class FieldTape(ProgramTape):
                 after.append((own.name, self.read(v, inner, own.kind)))
         inner.close(*updates(after))
         outer.close(*updates(before), LoopOf(self.read(times, outer, "i"), inner))
-        return rebuild(
-            x,
-            [
-                Field(self, v.name, outer, v.row)
-                if isinstance(v, Field)
-                else Recorded(self, v.name, v.kind, outer)
-                for v in carried
-            ],
-        )
+
+        def outside(v: Any) -> Any:
+            rows = isinstance(v, Field)
+            return Field(self, v.name, outer, v.row) if rows else Recorded(self, v.name, v.kind, outer)
+
+        return rebuild(x, list(map(outside, carried)))
 
     def keep(self, own: Field, v: Any, inner: Owner) -> list[tuple[str, Operand]]:
         """What makes v the carried field of the next turn."""
@@ -357,13 +354,8 @@ def record_fields(
     once = setup(tape)
     known = len(tape.shape)
     most = max((len(s.sums) for s in sweeps(tape.main)), default=0)
-    main = written(tape.main.statements)
-    body = [
-        *tape.whole.statements,
-        Assign("u", Element("shape", (known,), kind="i")),
-        *tape.loads,
-        Update(tuple(tape.reads), tuple(range(len(tape.reads)))),
-        *main,
-    ]
-    run = Function("run", (), tuple(body), (tuple(kept), tuple(values)))
+    head = *tape.whole.statements, Assign("u", Element("shape", (known,), kind="i")), *tape.loads
+    first = Update(tuple(tape.reads), tuple(range(len(tape.reads))))
+    body = *head, first, *written(tape.main.statements)
+    run = Function("run", (), body, (tuple(kept), tuple(values)))
     return FieldProgram(once, run, *tape.constants, len(tape.reads), most)

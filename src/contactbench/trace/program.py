@@ -199,9 +199,8 @@ def setup(tape: ProgramTape) -> Function:
     for j, column in enumerate(tape.columns):
         length = tape.size(("length", j), lambda j=j: len(tape.columns[j].data))  # type: ignore[misc]
         first = tape.size(("first", j), lambda j=j: sum(len(c.data) for c in tape.columns[:j]))  # type: ignore[misc]
-        stores = (
-            Store(Element("w", ("u", tape.place(column, name, 0).name), "k"), name) for name in column.stored
-        )
+        places = ((tape.place(column, name, 0).name, name) for name in column.stored)
+        stores = (Store(Element("w", ("u", place), "k"), name) for place, name in places)
         load = Assign(column.element, Element("data", (first.name,), "k"))
         body.append(Loop("k", length.name, (load, *column.statements, *stores)))
     rows = Assign("rows", Operation("len", ("spans",)))

@@ -84,10 +84,8 @@ class SweepLowering(llvm.Lowering):
         self.site: Any = None
 
     def entry(self, name: str) -> Any:
-        place = self.whole(FIRST + (*ADDRESSES, *WHOLE).index(name))
-        return self.builder.load(
-            self.builder.bitcast(self.builder.gep(self.data, [place]), self.whole.as_pointer())
-        )
+        b, place = self.builder, self.whole(FIRST + (*ADDRESSES, *WHOLE).index(name))
+        return b.load(b.bitcast(b.gep(self.data, [place]), self.whole.as_pointer()))
 
     def slot(self, kind: Any) -> Any:
         with self.builder.goto_entry_block():
@@ -157,9 +155,8 @@ class SweepLowering(llvm.Lowering):
             return super().place(element)
         b, (row, where) = self.builder, element.indices
         site = self.site if where == "site" else self.values["other"]
-        pointer = b.gep(
-            self.rows[str(row)], [b.add(site, self.whole(PAD + int(element.shift)))], inbounds=True
-        )
+        offset = b.add(site, self.whole(PAD + int(element.shift)))
+        pointer = b.gep(self.rows[str(row)], [offset], inbounds=True)
         return b.bitcast(pointer, self.wide.as_pointer()) if where == "site" else pointer
 
     # -- sweeps ------------------------------------------------------------------------------------
@@ -210,10 +207,8 @@ class SweepLowering(llvm.Lowering):
             b.store(b.fadd(b.load(slot), self.spread(self.value(value))), slot)
 
     def chunk_sum(self, i: int, chunk: Any) -> Any:
-        sums = self.arrays["sums"]
-        return self.builder.gep(
-            sums.first, [self.builder.add(self.builder.mul(self.whole(i), sums.row), chunk)]
-        )
+        b, sums = self.builder, self.arrays["sums"]
+        return b.gep(sums.first, [b.add(b.mul(self.whole(i), sums.row), chunk)])
 
     def ends(self, sites: Sites, begin: Any, end: Any) -> None:
         """The places beyond the ends of what is stored; those of a fixed chain stay zero."""

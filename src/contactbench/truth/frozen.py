@@ -50,11 +50,7 @@ def digest(scene: Scene) -> str:
         [fingerprint(getattr(scene, name)) for name in scene.initial_fields],
     ]
     if isinstance(scene, Many):
-        definition += [
-            scene.sites,
-            scene.boundary,
-            *map(fingerprint, scene.constants.values()),
-        ]
+        definition += [scene.sites, scene.boundary, *map(fingerprint, scene.constants.values())]
     return hashlib.sha256(json.dumps(definition).encode()).hexdigest()
 
 
