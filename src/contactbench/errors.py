@@ -1,7 +1,4 @@
-"""The one exception users see for bad input, the checks that raise it, and the calls of other people's code.
-
-Errors in that code are reported as theirs, its endless loops are ended.
-"""
+"""The one exception users see for bad input, the checks that raise it, and the calls of other people's code."""
 
 from __future__ import annotations
 
@@ -94,7 +91,6 @@ class Registry(dict):
         self.kind, self.of = kind, of
 
     def _repr_html_(self) -> str:
-        """Return a table of names and what they are, for notebooks."""
         return html_table({name: getattr(item, "about", "") for name, item in self.items()}, self.kind)
 
     def __getitem__(self, name: Any) -> Any:

@@ -103,10 +103,7 @@ def try_out(item: Any) -> None:
 
 
 def load_installed() -> None:
-    """Load the entry points of installed packages and the files named in the environment.
-
-    Nobody asked for them just now, so a broken one is a warning that names it.
-    """
+    """Load entry points, and files named in the environment; nobody asked just now: a broken one is a warning."""
     installed = entry_points()  # every package is looked at: once for both groups
     for group, registry in GROUPS.items():
         for point in installed.select(group=group):

@@ -179,7 +179,6 @@ class Solution:
         return self.status is Status.ok
 
     def __repr__(self) -> str:
-        """One line: what was run, how it ended, what it cost."""
         setting, n = self.setting, self.counts.evaluations
         if self.run is not None and self.run.request.atol is not None:
             setting += f", atol={self.run.request.atol:.6g}"
@@ -195,7 +194,6 @@ class Solution:
         )
 
     def _repr_html_(self) -> str:
-        """Return what was run, how it ended and what it cost as a table, for notebooks."""
         ended = f"{self.status}{f': {self.message}' if self.message else ''}"
         rows = {"method": f"{self.method} ({self.engine}, {self.setting})", "status": ended}
         rows["states"] = f"{len(self.t)}, to t = {self.end_time:g}"

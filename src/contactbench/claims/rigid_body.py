@@ -343,8 +343,8 @@ def judge_criterion(cases: Sequence[Case]) -> Measurement:
 COUNTEREXAMPLE = ((0.5, -0.5, 0.0), (-0.5, 0.5, 0.0), (0.0, 0.0, 0.0))
 
 
-def momentum_at(D: Any, M: Any, t: float, inertia: Sequence[float] = INERTIA) -> np.ndarray:
-    scene = body(D, inertia).with_(M=tuple(float(m) for m in M), t_end=t)
+def momentum_at(D: Any, M: Any, t: float) -> np.ndarray:
+    scene = body(D).with_(M=tuple(float(m) for m in M), t_end=t)
     return solve(scene, "scipy-dop853", rtol=1e-12, save_at=[t], carry=()).y[-1]
 
 

@@ -1,7 +1,4 @@
-"""Chunks of an ensemble: who integrates them, and what happens to one whose worker dies.
-
-The loop numba compiles, a thread on every core; JAX, tile by tile, on the GPUs or where numba cannot; an executor.
-"""
+"""Chunks of an ensemble: who integrates them, and what happens to one whose worker dies."""
 
 from __future__ import annotations
 
@@ -9,6 +6,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -100,12 +98,7 @@ class Task:
 
 
 def results(
-    task: Task,
-    run: FixedStepRun,
-    y0: np.ndarray,
-    own: Own,
-    chunk: int | None,
-    executor: futures.Executor | None,
+    task: Task, run: FixedStepRun, y0: np.ndarray, own: Own, chunk: int | None, executor: Executor | None
 ) -> Iterator[tuple[int, Result]]:
     """Yield (first trajectory of a chunk, its result), every chunk once; by an executor in the order they end."""
     if executor is not None:
@@ -140,7 +133,7 @@ def on_cores(
         rows, shape = loop.rows(numbers, run.h, run.n)
         work = partial(side_by_side, run, many, rows, shape, names)
         share = equal_share(y0.shape[1], cores, chunk)
-    ahead: deque[futures.Future[Result]] = deque()
+    ahead: deque[Future[Result]] = deque()
     threads = futures.ThreadPoolExecutor(cores)
     try:
         for first in range(0, y0.shape[1], share):
@@ -286,12 +279,10 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
 
 
 # -- by an executor ------------------------------------------------------------------------------------
-def spread(
-    executor: futures.Executor, task: Any, y0: Any, own: Own, size: int
-) -> Iterator[tuple[int, Result]]:
+def spread(executor: Executor, task: Any, y0: Any, own: Own, size: int) -> Iterator[tuple[int, Result]]:
     """Yield (first trajectory, result) of chunks; one that its worker lost is given again, `ATTEMPTS` times in all."""
     lost: Counter[int] = Counter()
-    pending: dict[futures.Future[Any], int] = {}
+    pending: dict[Future[Any], int] = {}
 
     def begin(first: int) -> None:
         part = slice(first, first + size)

@@ -155,7 +155,6 @@ class Watch:
         return xp.where(alive, y, xp.nan), xp.where(alive, measures, xp.nan), end
 
 
-# -- statistics --------------------------------------------------------------------------------------
 class Statistic(NamedTuple):
     """Over the trajectories that ended `ok`; nan if none did."""
 

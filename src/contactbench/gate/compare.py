@@ -153,7 +153,6 @@ def distance(rule: Rule, before: pd.Series, after: pd.Series, rows: pd.DataFrame
     return np.nan_to_num(moved, nan=math.inf, posinf=math.inf)
 
 
-# -- tables ----------------------------------------------------------------------------------------
 def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False) -> pd.DataFrame:
     """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene."""
     both = before.merge(after, how="left", on=list(table.key), suffixes=("", " after"), indicator="side")

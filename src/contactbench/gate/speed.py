@@ -139,10 +139,7 @@ def decide(first: PairedRatio, again: PairedRatio | None) -> str:
 def time_pairs(
     trees: Sequence[Path], cells: dict[int, Cell], until: float | None = None, root: Path | None = None
 ) -> tuple[dict[int, PairedRatio], dict[int, str]]:
-    """Return of every cell the ratio of the second to the first tree, from one new process each, or why it has none.
-
-    until : on the clock of `perf_counter`, when to stop.  root : the tree that the loaded plug-ins are in.
-    """
+    """Return of every cell the ratio of the second to the first tree, or why it has none; until : when to stop."""
     from tqdm import tqdm
 
     draw = random.Random(0)

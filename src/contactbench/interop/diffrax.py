@@ -155,7 +155,6 @@ class ContactSolver(diffrax.AbstractSolver):
         return arrange(self.composition.stages, self.composition.processor)
 
     def order(self, terms: Any) -> int:
-        """Return the order of the composition."""
         return self.composition.order
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
@@ -179,7 +178,6 @@ class ContactSolver(diffrax.AbstractSolver):
         return y1, None, ends, (flows.run(plan.joint, t, y, h)[1], h), diffrax.RESULTS.successful
 
     def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
-        """Return the slope of y."""
         velocity, force, damping = parts(terms)
         q, p = y0
         return velocity.vf(t0, p, args), moved(force.vf(t0, q, args), damping.vf(t0, p, args))
@@ -218,7 +216,6 @@ def keep_end(perturbed: Any, inputs: Any, ys: Any, run: Any) -> tuple[Any, Any]:
 
 @end_of.def_bwd
 def take_back(ys: Any, slopes: Any, perturbed: Any, inputs: Any, _: Any, run: Any) -> tuple[Any, Any, Any]:
-    """Return the derivatives in y0, args and terms."""
     (y0, args, terms), (solver, tolerance, t0, t1, dt0) = inputs, run
     n = jnp.maximum(jnp.round((t1 - t0) / dt0).astype(int), 1)
     h, plan = (t1 - t0) / n, solver.plan
@@ -267,9 +264,8 @@ class ReversibleAdjoint(diffrax.AbstractAdjoint):
         constant = isinstance(options["stepsize_controller"], diffrax.ConstantStepSize)
         end_alone = eqx.tree_equal(options["saveat"], diffrax.SaveAt(t1=True))
         if not (isinstance(solver, ContactSolver) and constant and end_alone and options["event"] is None):
-            raise BadInput(
-                "ReversibleAdjoint: for Contact with ConstantStepSize and SaveAt(t1=True), no event"
-            )
+            why = "ReversibleAdjoint: for Contact with ConstantStepSize and SaveAt(t1=True), no event"
+            raise BadInput(why)
         inputs = init_state.y, args, terms
         once = {"args": args, "terms": terms, "init_state": init_state, **options}
         dynamic, static = eqx.partition(once, eqx.is_array)
@@ -301,9 +297,8 @@ def Contact(method: str) -> ContactSolver:
     chosen = METHODS[method]
     if not isinstance(chosen, ContactMethod):
         names = ", ".join(name for name, each in METHODS.items() if isinstance(each, ContactMethod))
-        raise BadInput(
-            f"method = {method!r}: no composition of kicks, drifts and damping; choose from {names}"
-        )
+        why = f"method = {method!r}: no composition of kicks, drifts and damping; choose from {names}"
+        raise BadInput(why)
     return ContactSolver(chosen.composition)
 
 
@@ -317,9 +312,8 @@ def terms_of(scene: Scene | str) -> tuple[Any, Any]:
     """
     scene = scene_of(scene)
     if scene.kind not in ("mechanical", "driven") or scene.nonlinear_damping:  # type: ignore[attr-defined]
-        raise BadInput(
-            f"scene {scene.name!r}: has no terms on (q, p), being {scene.kind} or damped nonlinearly"
-        )
+        why = f"scene {scene.name!r}: has no terms on (q, p), being {scene.kind} or damped nonlinearly"
+        raise BadInput(why)
     names, own = scene.number_names(), scene.numbers()
 
     def twin(args: Any) -> Any:

@@ -54,7 +54,6 @@ class Run:
         self.kept = opening(start)
 
     def advance(self) -> np.ndarray:
-        """Take a step and return the state reached."""
         begun = self.begin(self.kept)
         self.kept = self.lead_on(begun)
         return self.close(begun)

@@ -116,7 +116,6 @@ class Race:
                 pass
 
 
-# -- what the visits say ---------------------------------------------------------------------------------
 def time_columns(visits: Sequence[Visit]) -> dict[str, Any]:
     """Return the time columns of one call: the estimate is the least round, the rest says how it came about."""
     rounds = np.concatenate([visit.whole for visit in visits])

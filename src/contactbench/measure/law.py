@@ -143,11 +143,9 @@ class Law:
             raise blame(f"law {self.name!r}", error) from error.__cause__
 
     def needs_on(self, scene: Scene) -> tuple[str, ...]:
-        """The optional fields it reads on this scene."""
         return tuple(field for field in self.needs if field in scene.optional)
 
 
-# -- deviations ------------------------------------------------------------------------------------
 def size_of(start: Any, xp: Any = np) -> Any:
     norm = xp.linalg.norm(start, axis=-1)
     return xp.where(norm > 0, norm, 1.0)
@@ -238,7 +236,7 @@ def structural_bound(growth: Any, evaluations: Any) -> Any:
 
 
 def judge(value: float, bound: float, unsure: bool = False, faded: bool = False) -> tuple[bool, bool]:
-    """Whether a deviation shows that a law is kept, and nothing; unsure : a mere bound; faded : clamped throughout."""
+    """Whether a deviation shows that a law is kept, and whether nothing; unsure : a bound; faded : always clamped."""
     decides = bound <= DECIDABLE or value <= STRUCTURE
     kept = value <= bound and decides and not faded
     return kept, not kept and (value <= bound or unsure)

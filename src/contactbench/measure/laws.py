@@ -92,7 +92,6 @@ def truth(solution: Solution) -> Any:
 
 
 def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
-    """‖y_k − y*(t_k)‖₂ at every saved time, and max_k ‖y*‖₂."""
     exact = observables(solution.scene, truth(solution).y, solution.carry)
     numerical = observables(solution.scene, solution.y, solution.carry)
     return np.linalg.norm(numerical - exact, axis=1), float(np.linalg.norm(exact, axis=1).max())
@@ -383,10 +382,7 @@ CLAMPED = ("contact_drift", "pairing_drift", "hamiltonian_law", "momentum_law")
 
 
 def row(solution: Solution, without: str = "") -> dict[str, Any]:
-    """Every law the scene has, its judgement, and how the derivative was taken; blank (left out) where not defined.
-
-    without : why no derivative of the map is to be taken, for the table; "" to take it.
-    """
+    """Every law the scene has and its judgement, left out where not defined; without : why no derivative is taken."""
     if not solution.ok:
         return {}
     scene = solution.scene

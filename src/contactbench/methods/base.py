@@ -41,7 +41,6 @@ ENGINES = dict.fromkeys(("numba", "jax", "llvm", "c", "c++"), "compiled")
 ENGINES |= dict.fromkeys(("python", "c+python"), "callbacks")
 CALLBACKS = tuple(engine for engine, kind in ENGINES.items() if kind == "callbacks")
 
-
 DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
 #: the largest budget: a year at ten steps in a microsecond is less
@@ -329,9 +328,8 @@ def setting_of(
     if step is rtol is None:
         raise BadInput(f"step is missing: {name} has a fixed step; give step, or rtol to have it chosen")
     if step is None and not method.one_step:
-        raise BadInput(
-            f"rtol = {excerpt(rtol)}: the error of {name} is no clean power of its step; give step"
-        )
+        why = f"rtol = {excerpt(rtol)}: the error of {name} is no clean power of its step; give step"
+        raise BadInput(why)
     if step is None:
         return None, tolerance(method, rtol), None
     prescribed = np.iterable(step) and not isinstance(step, str | bytes)
@@ -386,9 +384,8 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     """
     for name in options.keys() & {"events", "dense_output", "t_eval"}:
         how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
-        raise BadInput(
-            f"{name}: solve saves states at save_at; events and dense output are SciPy's, in {how}"
-        )
+        why = f"{name}: solve saves states at save_at; events and dense output are SciPy's, in {how}"
+        raise BadInput(why)
     solution = prepare(scene, method, **options)()
     if solution.scene.has_users_functions and solution.ok:
         verify_at(solution.scene, solution.y)

@@ -74,7 +74,6 @@ class FixedStep(Method):
         return ChosenStep(self.name, request, self, run)
 
     def runs_on(self, scene: Scene) -> dict[str, type[FixedStepRun]]:
-        """Return the class of run of each engine."""
         return MANY_RUNS if scene.kind == "many" else RUNS
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:

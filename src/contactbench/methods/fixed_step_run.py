@@ -33,7 +33,7 @@ FEW = 2**13
 
 @np.errstate(over="ignore")
 def steps_in(span: Any, until: Any, step: float) -> Any:
-    """The fewest equal steps that cover each span, up to the round-off of the time `until` at which it ends."""
+    """The fewest equal steps ≤ `step` that cover each span, but for round-off of the time `until` at which it ends."""
     ratio = (span * (1 - 1e-12) - GRID_ULPS * np.spacing(until)) / step
     return np.minimum(np.maximum(np.ceil(ratio), 1), UNCOUNTED).astype(np.int64)
 
@@ -431,8 +431,6 @@ class CountedNumbaLoop(Counted, NumbaLoop):
 
 
 class CountedPythonLoop(Counted, PythonLoop):
-    """By Python."""
-
     def states(self, y: list[float], spans: list[tuple[float, int]]) -> Iterator[list[float]]:
         scene, spent = self.request.scene, y[-1]
         x = scene.unpack(y[:-1], self.request.carry)

@@ -125,9 +125,8 @@ def gauss(stages: int) -> Callable[[Any, Any, Any, Any], Any]:
         def update(slopes: Any) -> Any:
             if scene.canonical:
                 momenta = [moved(row, slopes).p for row in A]
-                slopes = [
-                    k._replace(q=tuple(scene.velocity(p))) for k, p in zip(slopes, momenta, strict=True)
-                ]
+                pairs = zip(slopes, momenta, strict=True)
+                slopes = [k._replace(q=tuple(scene.velocity(p))) for k, p in pairs]
             return tuple(scene.rhs(moved(row, slopes)) for row in A)
 
         slopes, converged, turns = fixed_point(update, (scene.rhs(x),) * stages, xp)

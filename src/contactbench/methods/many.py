@@ -198,10 +198,7 @@ class ArrayLoop(SweepLoop):
 
 
 class MeshLoop(JaxLoop):
-    """The compiled steps; many sites are divided among all devices, of all processes, where they do so evenly.
-
-    A single process on a CPU divides them where threads would, for which it has a device each.
-    """
+    """The compiled steps; many sites are divided evenly among all devices, on one CPU where threads would do so."""
 
     @cached_property
     def mesh(self) -> Any:

@@ -60,8 +60,7 @@ class Request:
 class Outcome:
     """What integrating gave: packed states (NaN where not reached), counts, and how it ended.
 
-    checked : the states are known to be finite and the last one to be at the end.
-    steps : the step chosen in this run, and the longest taken, where the run chose one.
+    checked : the states are known to be finite, the last at the end.  steps : the one chosen, and the longest taken.
     """
 
     y: np.ndarray

@@ -1,7 +1,4 @@
-"""Choices and loops on every kind of number.
-
-Plain numbers (floats, mpmath) may be looked at; arrays and traced numbers may not: see `Abilities`.
-"""
+"""Choices and loops: plain numbers may be looked at, arrays and traced numbers may not (see `Abilities`)."""
 
 from __future__ import annotations
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 import importlib.util
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple, Self
@@ -181,10 +180,8 @@ class Variational(System):
 
 def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
     """Df at x, rows in packed order: the scene's own Jacobian, or its right-hand side on dual numbers."""
-    with suppress(NotImplementedError):
-        rows = scene.jacobian(x)
-        if rows is not None:
-            return rows
+    if (rows := scene.jacobian(x)) is not None:
+        return rows
     y = scene.pack(x)
     columns = []
     for j in range(len(y)):
@@ -215,9 +212,8 @@ class CallbackPeer(PeerRun):
         self.rhs = recorded or (lambda t, y: scene.slopes(t, y, carry))
         self.jacobian: Callable[[float, Any], Any] | None = None
         if self.method_.implicit and scene.has_jacobian:
-            self.jacobian = record_function(scene, "jacobian", carry) or (
-                lambda t, y: motion_jacobian(scene, t, y, carry)
-            )
+            recorded = record_function(scene, "jacobian", carry)
+            self.jacobian = recorded or (lambda t, y: motion_jacobian(scene, t, y, carry))
 
     @abstractmethod
     def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Any:

@@ -59,7 +59,6 @@ def parts(frames: Frames) -> list[Part | None]:
     return [View("orders", "Extrapolated order", orders, legend, SOURCE), figure(frames["convergence"])]
 
 
-# -- the figure ------------------------------------------------------------------------------------
 def guides(rows: pd.DataFrame, methods: list[str]) -> Iterator[Curve]:
     part = rows[rows["method"].isin(methods) & (rows["solution_error"] > ROUNDING)]
     for order, own in part.groupby("order_nominal"):

@@ -128,7 +128,6 @@ def power(value: float) -> str:
 
 
 def seen(panel: Panel) -> list[tuple[float, float]]:
-
     def inside(axis: Axis, v: float) -> bool:
         low, high = axis.within
         finite = math.isfinite(v) and (v > 0 or axis.scale == "linear")

@@ -85,7 +85,6 @@ def answers(frames: Frames) -> pd.DataFrame:
     return summary(*lines)
 
 
-# -- views -----------------------------------------------------------------------------------------
 def costs_view(frame: pd.DataFrame) -> View:
     costs = {quantity: least(frame, quantity) for quantity in ALLOWED}
     found = pd.concat(costs, names=["average", "method"]).reset_index()

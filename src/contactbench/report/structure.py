@@ -136,7 +136,6 @@ def others_view(frame: pd.DataFrame) -> View:
     return View("structure_others", "Other dampings and sizes", made, legend, SOURCE)
 
 
-# -- the figure ------------------------------------------------------------------------------------
 def reaching(curve: Curve, own: Sequence[Curve]) -> float:
     """Return how good a curve (x: cost, y: error) is at the error allowed."""
     return -math.log(value) if (value := costs_to_reach(curve.y, curve.x, (ALLOWED,))[0]) > 0 else math.nan

@@ -225,9 +225,8 @@ def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
         if column.type == "number" and not column.exact and frame[name].notna().any():
             digits = np.full(len(frame), TIME_DIGITS if column.timed else DIGITS)
             digits[(frame[name].abs() <= floor(column.rule, frame)).to_numpy()] = ROUND_OFF_DIGITS
-            frame[name] = [
-                float(f"{value:.{n - 1}e}") for value, n in zip(frame[name], digits.tolist(), strict=True)
-            ]
+            pairs = zip(frame[name], digits.tolist(), strict=True)
+            frame[name] = [float(f"{value:.{n - 1}e}") for value, n in pairs]
     return frame
 
 

@@ -60,12 +60,10 @@ def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
 
 
 def norm(a: Vector) -> Any:
-    """Return ‖a‖."""
     return dot(a, a) ** 0.5
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return a × b in R³."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
@@ -93,7 +91,6 @@ def rotation_matrix(R: Vector) -> tuple[Vector, Vector, Vector]:
 
 
 def rotate(R: Vector, v: Vector) -> Vector:
-    """Return R v for an attitude quaternion R."""
     return tuple(dot(row, v) for row in rotation_matrix(R))
 
 

@@ -409,7 +409,6 @@ class Scene(System):
         return dataclasses.replace(self, **changes)
 
     def _repr_html_(self) -> str:
-        """Return the scene's numbers as a table, for notebooks."""
         names = (*self.initial_fields, *self.coefficients, "t_end")
         rows = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
         rows |= getattr(self, "parameters", {})

@@ -206,7 +206,6 @@ def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
             )
 
 
-# -- derivatives -----------------------------------------------------------------------------------
 def _compare(scene: Mechanical, claim: Claim) -> None:
     f = lambda x: np.array(claim.f(x), dtype=float)  # noqa: E731
     x, given, size = (np.array(part, dtype=float) for part in (claim.x, claim.given, claim.size))

@@ -467,9 +467,5 @@ FLOWS |= {"isotropic body": ISOTROPIC, "body": BODY, "heavy top": HEAVY_TOP}
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:
-    """Return the subflows a scene has, by name; a free body has no kick.
-
-    The paper's A on a body is `free`; compositions of higher order are made of `turn`, `top` and `damp`
-    instead, because the free body in closed form costs many rotations.
-    """
+    """Return a scene's subflows by name; compositions of higher order leave out a body's `free`, which is costly."""
     return FLOWS[scene.kind]

@@ -81,10 +81,7 @@ def course(scene: RigidBody, z: Vector, xp: Any) -> Course:
 
 
 def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
-    """Return the exact flow of ½ M·I⁻¹M for any time t, up to round-off of the phase λt.
-
-    ‖M‖ and J = R M are kept to round-off.  On the middle axis exactly the body stays there.
-    """
+    """Return the exact flow of ½ M·I⁻¹M for any time, up to round-off of the phase λt; ‖M‖ and J = R M are kept."""
     s = None if x.s is None else x.s + t * scene.kinetic(x)
     L, z, resting = polar(x.M, xp)
     tau = choose(resting, 0.0 * t, L * t, xp)

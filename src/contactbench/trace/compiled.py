@@ -301,12 +301,8 @@ def compile_function(function: form.Function, lanes: int = 1, fused: bool = True
     for array in function.arguments:
         dimensions = ", ".join([":"] * (DIMENSIONS.get(array, 1) - 1) + ["::1"])
         kinds.append(f"{'int64' if array in WHOLE else 'float64'}[{dimensions}]")
-    source = FUNCTION.format(
-        digest=form.digest(back_end(), function.digest, lanes, fused),
-        kinds=", ".join(kinds),
-        name=function.name,
-        arguments=", ".join(function.arguments),
-    )
+    key, arguments = form.digest(back_end(), function.digest, lanes, fused), ", ".join(function.arguments)
+    source = FUNCTION.format(digest=key, kinds=", ".join(kinds), name=function.name, arguments=arguments)
     module = import_source(source, lambda: {"lowered": intrinsic(function, lanes, fused)})
     return getattr(module, function.name)
 

@@ -96,7 +96,6 @@ class FieldTape(ProgramTape):
         self.taken: set[str] = set()
 
     def row(self) -> str:
-        """Return the name of a new row."""
         name = self.name("row")
         self.reads[name] = []
         return name
@@ -209,7 +208,6 @@ class FieldTape(ProgramTape):
         return tuple(made)
 
     def total(self, x: Field) -> Recorded:
-        """The sum over all sites."""
         sweep = self.sweep((x, 0))
         name = self.at_site(x, sweep)
         if name not in sweep.sums:
@@ -283,12 +281,10 @@ class LoopOf(NamedTuple):
 
 
 def updates(pairs: list[tuple[str, Operand]]) -> list[Update]:
-    """Return one statement that sets several variables at once; none for none."""
     return [Update(tuple(name for name, _ in pairs), tuple(to for _, to in pairs))] if pairs else []
 
 
 def exchange(a: str, b: str) -> list[tuple[str, Operand]]:
-    """Return the updates that exchange two rows."""
     return [] if a == b else [(a, b), (b, a)]
 
 
@@ -305,7 +301,6 @@ class FieldProgram(NamedTuple):
 
 
 def sweeps(owner: Owner) -> list[Sweep]:
-    """Return all sweeps of an owner and of the loops in it."""
     found: list[Sweep] = []
     for item in owner.statements:
         if isinstance(item, LoopOf):
@@ -343,9 +338,8 @@ def record_fields(
     held = [Field(tape, f"@{row}", tape.main, row) for row in rows]
     plain = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(scalars)]
     loop = Repeat(tape.repeat, over_stages=True, joint_first=True)
-    end = attempt(
-        lambda: advance(given, h, n, held[:fields], plain, held[fields:], RecordedArrays(tape), loop)
-    )
+    state = held[:fields], plain, held[fields:]
+    end = attempt(lambda: advance(given, h, n, *state, RecordedArrays(tape), loop))
     if len(end) != fields + scalars:
         raise CannotRecord("a step to a state of another shape")
     kept = [tape.stored(x) for x in end[:fields]]

@@ -172,9 +172,8 @@ class RecordedArrays(RecordedNumbers):
 def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int, factor: float) -> Program:
     """The program of ``advance(numbers, h, n, y, xp, repeat) -> y``, on packed states of d components.
 
-    `run` returns the first interval that ends with a number that is not finite, or with one of the first
-    `bounded` components larger than `factor` times their norm at the start (1 if that is zero); −1 if none.
-    Raises `CannotRecord`.
+    `run` returns the first interval at whose end a number is not finite, or one of the first `bounded` larger than
+    `factor` times their norm at the start (1 if that is zero); −1 if none.  Raises `CannotRecord`.
     """
     tape = ProgramTape()
     given, h, n = tape.given(numbers)
@@ -218,9 +217,8 @@ def watch(tape: ProgramTape, d: int, bounded: int, factor: float) -> tuple[list[
     size = xp.sqrt(square)
     bound = Recorded(tape, (factor * xp.where(size != 0, size, 1.0)).name, "f", tape.whole)
     state = [Recorded(tape, f"x{i}", "f", last) for i in range(d)]
-    healthy = reduce(
-        and_, (abs(x) <= (bound if i < bounded else sys.float_info.max) for i, x in enumerate(state))
-    )
+    most = [bound if i < bounded else sys.float_info.max for i in range(d)]
+    healthy = reduce(and_, (abs(x) <= end for x, end in zip(state, most, strict=True)))
     first = ~healthy & (Recorded(tape, "bad", "i", last) < 0)
     mark = Assign("first", Operation("where", (first.name, "j", "bad")))
     return [*head.statements, Update(("bad",), (-1,))], [*last.statements, mark, Update(("bad",), ("first",))]
@@ -240,11 +238,6 @@ def steps(
     given = [Assign(name, Element(start, (i,))) for i, name in enumerate(first)]
     row = Assign("u", Element("shape", (known,), "j", "i"))
     stores = [Store(Element(after, ("j", i)), x) for i, x in enumerate(state)]
-    return (
-        *(*tape.whole.statements, *given, Update(state, first), *head),
-        Assign("all", Operation("len", ("shape",))),
-        Assign("intervals", Operation("sub", ("all", known))),
-        Loop(
-            "j", "intervals", (row, *tape.loads, *tape.main.statements, Update(state, ends), *stores, *last)
-        ),
-    )
+    body = row, *tape.loads, *tape.main.statements, Update(state, ends), *stores, *last
+    count = Assign("all", Operation("len", ("shape",))), Assign("intervals", Operation("sub", ("all", known)))
+    return *tape.whole.statements, *given, Update(state, first), *head, *count, Loop("j", "intervals", body)

@@ -114,12 +114,10 @@ class SweepLowering(llvm.Lowering):
 
     @property
     def length(self) -> Any:
-        """How long a packed state is."""
         d, with_s, _ = self.packing
         return self.builder.add(self.builder.mul(self.sites, self.whole(2 * d)), self.whole(int(with_s)))
 
     def copy(self, packed: Any, j: int, begin: Any, end: Any, inwards: bool) -> None:
-        """Copy the j-th field of packed states from or to `row`."""
         from numba.core.cgutils import for_range
 
         b, whole, d = self.builder, self.whole, self.packing.dimensions
@@ -200,9 +198,8 @@ class SweepLowering(llvm.Lowering):
         b = self.builder
         self.run(sites.body)
         for row, value in sites.stores:
-            b.store(
-                self.spread(self.value(value)), self.place(form.Element("fields", (row, "site"))), align=8
-            )
+            stored = self.spread(self.value(value))
+            b.store(stored, self.place(form.Element("fields", (row, "site"))), align=8)
         for slot, (_, value) in zip(self.partial[self.wide], sites.sums, strict=False):
             b.store(b.fadd(b.load(slot), self.spread(self.value(value))), slot)
 
@@ -266,7 +263,6 @@ class SweepLowering(llvm.Lowering):
 
 
 def rows_of(sites: Sites) -> set[str]:
-    """Return the names of all rows that a sweep reads and writes."""
     body = [s for statement in sites.body for s in getattr(statement, "body", (statement,))]
     values = (s.value for s in body if isinstance(s, form.Assign))
     read = {str(v.indices[0]) for v in values if isinstance(v, form.Element) and v.array == "fields"}

@@ -219,11 +219,7 @@ def extrapolation(
 ) -> Rows:
     """Return states at increasing times ≥ 0 (decimal strings) by the Gragg–Bulirsch–Stoer method in mpmath.
 
-    Raises `BlowUp` when a step falls below `collapse` of the span, `OutOfTime` after the deadline (a time of
-    `perf_counter`).
-
-    Modified midpoint rule with 2, 4, 6, … substeps, extrapolated in h² until two neighbours agree
-    to `digits` digits: no Taylor series and no heyoka, only evaluations of ``scene.rhs``.
+    Modified midpoint rule, extrapolated in h² until two neighbours agree to `digits` digits; raises as `taylor` does.
     Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9.
     """
     context = decimal_context(digits + 15)  # extrapolation amplifies round-off

@@ -75,7 +75,6 @@ class Reference:
     source: str
 
     def __repr__(self) -> str:
-        """Return one line: of what, how much of it, how well it is known."""
         what = f"{len(self.t)} states to t = {self.t.max():g}, {self.digits} digits, {self.source}"
         return f"<Reference of {self.scene.name}: {what}>"
 
@@ -313,10 +312,9 @@ BLOW_UP_COLLAPSE = 1e-45
 
 
 def blow_up_time(scene: Scene) -> tuple[str, int] | None:
-    """Return when the trajectory reaches infinity, as a decimal string, and how many digits of it are known.
+    """Return when the trajectory reaches infinity, as a decimal string, and its digits; None if it is finite to t_end.
 
-    Frozen where it is stored, else from heyoka's Taylor series at two precisions: steps shrink in proportion to the
-    time that is left.  None if the trajectory is finite up to the scene's t_end, as those known in closed form are.
+    Frozen, or by heyoka's Taylor series at two precisions, whose steps shrink in proportion to the time that is left.
     """
     if scene.exact is not None:
         return None
@@ -331,7 +329,6 @@ def blow_up_time(scene: Scene) -> tuple[str, int] | None:
 
 
 def taylor_blow_up(scene: Scene, bits: int) -> Any:
-    """Return the time of blow-up by heyoka at one precision, an mpmath number, or None."""
     try:
         taylor(scene, [repr(scene.t_end)], scene.carry(), bits, BLOW_UP_COLLAPSE)
     except BlowUp as found:

@@ -1,7 +1,4 @@
-"""Compiled code between CyRK's C++ solvers and a scene's C functions, by the C interface of CyRK.
-
-Every call makes and frees a result of its own.
-"""
+"""Compiled code between CyRK's C++ solvers and a scene's C functions; every call makes and frees a result."""
 
 from __future__ import annotations
 
@@ -22,9 +19,8 @@ __all__ = ["at_times", "find_ode_method_int", "get_error_message", "in_a_loop", 
 #: the version whose C interface is known
 INTERFACE = "0.20."
 if not CyRK.__version__.startswith(INTERFACE):
-    raise ImportError(
-        f"CyRK {CyRK.__version__} may have another C interface than {INTERFACE}, which this is written for"
-    )
+    why = f"CyRK {CyRK.__version__} may have another C interface than {INTERFACE}, which this is written for"
+    raise ImportError(why)
 
 
 def function(name: str, word: str) -> Any:
