@@ -1,7 +1,4 @@
-"""The one exception users see for bad input, the checks that raise it, and the calls of other people's code.
-
-Errors in that code are reported as theirs, its endless loops are ended.
-"""
+"""The one exception users see for bad input, the checks that raise it, and the calls of other people's code."""
 
 from __future__ import annotations
 
@@ -83,10 +80,7 @@ CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f\\u2028\\u2029\\ud800-\\udfff]")
 
 
 class Registry(dict):
-    """A dict in table order whose missing keys raise `UnknownName` with a suggestion.
-
-    kind : what its items are called in messages; of : the class or protocol they follow.
-    """
+    """A dict in table order whose missing keys raise `UnknownName`; kind : its items in messages; of : their class."""
 
     #: all registries there are
     every: ClassVar[list[Registry]] = []
@@ -97,7 +91,6 @@ class Registry(dict):
         self.kind, self.of = kind, of
 
     def _repr_html_(self) -> str:
-        """Return a table of names and what they are, for notebooks."""
         return html_table({name: getattr(item, "about", "") for name, item in self.items()}, self.kind)
 
     def __getitem__(self, name: Any) -> Any:
@@ -168,10 +161,7 @@ def whole(name: str, value: Any, most: int, least: int = 1) -> int:
 
 
 def array(name: str, value: Any, wanted: str) -> np.ndarray:
-    """`value` as an array of floats, itself if it is one, or `BadInput`, which says what is `wanted`.
-
-    Complex numbers and dates are refused: as floats they would lose their imaginary part or unit.
-    """
+    """`value` as an array of floats, itself if it is one, or `BadInput` (for complex numbers and dates, too)."""
     try:
         given = np.asarray(value)
         if given.dtype.kind in "fiubO" and (given.dtype.kind != "O" or all(map(is_real, given.flat))):
@@ -242,8 +232,7 @@ class Overrun(BaseException):
 def is_ours(function: Any) -> bool:
     """Whether a function, or a class, was written in this package: it computes the same tomorrow.
 
-    A function that wraps another may carry its name; where it was written is told by its globals.  What it has captured
-    must change no more than it does.
+    Where one that wraps another was written is told by its globals; what it has captured must not change either.
     """
     if not isinstance(function, FunctionType):
         return isinstance(function, type) and _is_package(function.__module__)
@@ -269,10 +258,7 @@ def frame_of(error: BaseException) -> traceback.FrameSummary | None:
 
 
 def plain_function(error: BaseException) -> str | None:
-    """What to write instead, where a user's code gave a function of `math` or NumPy a number that it does not know.
-
-    A scene runs on more numbers than floats: recorded and dual ones, JAX's, mpmath's, heyoka's.
-    """
+    """What to write in place of a function of `math` or NumPy that was given a number it does not know."""
     frame = frame_of(error)
     math = os.path.join(_OURS, "numbers", "functions.py")  # cb.math itself was called, and is not to blame
     if frame is None or any(last.filename == math for last in traceback.extract_tb(error.__traceback__)):
@@ -340,10 +326,7 @@ def limit() -> float:
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise `Overrun` inside after so many seconds.
-
-    Only the main thread can be interrupted, where the system has timers and none is running: an outer limit goes on.
-    """
+    """Raise `Overrun` inside after so many seconds, in the main thread, unless an outer limit is running."""
     possible = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     if not seconds or not possible or signal.getitimer(signal.ITIMER_REAL)[0]:
         yield

@@ -1,10 +1,9 @@
 """A user's own methods and scenes: from a file (``--plugin my.py``) or from an installed package.
 
 A file registers what it brings: `fixed_step`, ``METHODS.add``, ``SCENES.add``.  Once loaded it is named in the
-environment (`VARIABLE`), so that worker processes have it too.  A package names what it brings by entry
-points of the groups ``contactbench.methods`` and ``contactbench.scenes``, loaded when contactbench is
-imported: a method or a scene, a list of them, a function without arguments that returns either, or
-anything whose module registers by itself.
+environment (`VARIABLE`), so that worker processes have it too.  A package names what it brings by entry points of the
+groups ``contactbench.methods`` and ``contactbench.scenes``, loaded when contactbench is imported: a method or a
+scene, a list of them, a function without arguments that returns either, or anything whose module registers by itself.
 """
 
 from __future__ import annotations
@@ -104,10 +103,7 @@ def try_out(item: Any) -> None:
 
 
 def load_installed() -> None:
-    """Load the entry points of installed packages and the files named in the environment.
-
-    Nobody asked for them just now, so a broken one is a warning that names it.
-    """
+    """Load entry points, and files named in the environment; nobody asked just now: a broken one is a warning."""
     installed = entry_points()  # every package is looked at: once for both groups
     for group, registry in GROUPS.items():
         for point in installed.select(group=group):

@@ -90,16 +90,13 @@ def setting_key(control: str, value: float) -> str:
 
 
 def keywords(control: str, value: float) -> dict[str, Any]:
-    """The keywords of `prepare` that set it."""
     return {} if control == EXACT else {control: value}
 
 
 class Differential(NamedTuple):
-    """The derivative of the saved states of a numerical map along the m tangents at the start.
+    """The derivative of the saved states of a numerical map along the m tangents at the start, or why there is none.
 
-    source : how it was obtained, or why it was not.  states : (k, d), where it is taken.  estimates :
-    (l, k, d, m): a single one where it is computed to round-off; several by differences, whose
-    disagreement is their error; none where it was not taken.
+    states : (k, d), where it is taken.  estimates : (l, k, d, m), one to round-off, several by differences, or none.
     """
 
     source: str
@@ -112,10 +109,7 @@ class Differential(NamedTuple):
 
     @property
     def value(self) -> np.ndarray:
-        """One estimate (k, d, m); of several, for every tangent the first of the two that agree best.
-
-        Raises `BadInput` where the derivative was not taken.
-        """
+        """One estimate (k, d, m), for every tangent the first of the two that agree best; `BadInput` if none."""
         if not self.taken:
             raise BadInput(f"no derivative of the numerical map: {self.source}")
         if len(self.estimates) == 1:
@@ -185,7 +179,6 @@ class Solution:
         return self.status is Status.ok
 
     def __repr__(self) -> str:
-        """One line: what was run, how it ended, what it cost."""
         setting, n = self.setting, self.counts.evaluations
         if self.run is not None and self.run.request.atol is not None:
             setting += f", atol={self.run.request.atol:.6g}"
@@ -201,16 +194,14 @@ class Solution:
         )
 
     def _repr_html_(self) -> str:
-        """Return what was run, how it ended and what it cost as a table, for notebooks."""
         ended = f"{self.status}{f': {self.message}' if self.message else ''}"
         rows = {"method": f"{self.method} ({self.engine}, {self.setting})", "status": ended}
         rows["states"] = f"{len(self.t)}, to t = {self.end_time:g}"
         if self.counts.evaluations is not None:
             rows["evaluations"] = f"{self.counts.evaluations} ({self.counts.kind})"
         if self.ok:
-            rows["end"] = ", ".join(
-                f"{n} = {y:.6g}" for n, y in zip(self.labels[:12], self.y[-1], strict=False)
-            )
+            last = zip(self.labels[:12], self.y[-1], strict=False)
+            rows["end"] = ", ".join(f"{name} = {y:.6g}" for name, y in last)
         return html_table(rows, self.scene.name)
 
     def plot(self) -> Any:

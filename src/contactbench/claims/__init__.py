@@ -1,7 +1,4 @@
-"""The paper's claims, and some beyond it, each with a measurement and the verdict that follows from it.
-
-Each module registers its own; the registry is in the order of the ids.
-"""
+"""The paper's claims, and some beyond it, each with a measurement and the verdict that follows from it."""
 
 from contactbench.claims import algebra, geometry, integrator, rigid_body
 from contactbench.claims.ledger import CLAIMS, Claim, Correction, Measurement, Verdict, verdict

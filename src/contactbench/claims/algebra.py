@@ -134,9 +134,8 @@ def henon_heiles(q: Any) -> Any:
 
 def order(composition: Composition, gamma: float) -> float:
     """Return the order of the error of (q, p) at t = 1, 2 on Hénon and Heiles' potential, everything in 50 digits."""
-    scene = Mechanical(
-        name="henon", potential=henon_heiles, gamma=gamma, q=(0.3, -0.2), p=(0.1, 0.4), t_end=2.0
-    )
+    start: Any = {"q": (0.3, -0.2), "p": (0.1, 0.4)}
+    scene = Mechanical(name="henon", potential=henon_heiles, gamma=gamma, t_end=2.0, **start)
     context = decimal_context(50)
     twin = with_decimals(scene, context.mpf)
     truth = [[context.mpf(x) for x in row] for row in reference(scene, (1, 2), ()).decimals]

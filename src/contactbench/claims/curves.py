@@ -127,11 +127,7 @@ def paper_8() -> Iterator[Row]:
 
 
 def paper_stability() -> Iterator[Row]:
-    """Yield the growth rate at M* = e_i in ker D, I = (1, 2, 3), over two slices of the symmetric D ≥ 0.
-
-    Panel "axis i, diagonal": over the two rates of a diagonal D.  Panel "axis i, full": equal rates d on
-    the diagonal and −d ≤ d_jk ≤ d beside it.  The border is det = 0 of `rigid_body.criterion`.
-    """
+    """Yield the growth rate at M* = e_i in ker D over two slices of D ≥ 0, and the border det = 0 of `criterion`."""
     a, unit, zero = 1 / np.asarray(INERTIA), np.eye(3), 1e-12  # that of the eigenvalues
     for axis, reach in enumerate((3.0, 1.0, 1.0)):  # far enough for a full D to destabilise the outer two
         e = unit[axis]

@@ -47,10 +47,7 @@ ORDER = ORDER_MISS, ORDER_WHY
 
 
 def slope(errors: dict[float, float]) -> float:
-    """Return the order, fitted over the asymptotic range.
-
-    Errors of H0 in double precision below 10⁻¹² are round-off of some 10⁴ steps; 50-digit errors stay above.
-    """
+    """Return the order, fitted above 10⁻¹²: errors below it are round-off of some 10⁴ steps in double precision."""
     return fit_order(list(errors), list(errors.values()), 1e-12).order
 
 
@@ -61,10 +58,7 @@ def exact_scene(changes: dict[str, Any]) -> tuple[Any, Any]:
 
 
 def exact_order(name: str, **changes: Any) -> float:
-    """Return the order of the error of (q, p) over t = 1, …, 4, everything in 50 digits.
-
-    changes : of the particle, e.g. ``gamma``; its truth then costs a second or two.
-    """
+    """Return the order of the error of (q, p) over t = 1, …, 4 in 50 digits; changes : of the particle."""
     context, twin = exact_scene(changes)
     decimals = reference(PARTICLE.with_(**changes), range(1, 5), ()).decimals
     truth = [[context.mpf(x) for x in row] for row in decimals]
@@ -211,10 +205,7 @@ def contact_structure(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
 
 def local_orders(name: str, scene: Any, starts: np.ndarray) -> list[float]:
-    """Return the powers of h in the errors of H0 and s after one step from `starts` (k, 5).
-
-    The truth is integrated with SciPy's DOP853 at a tolerance of 10⁻¹³, far below these errors.
-    """
+    """Return the powers of h in the errors of H0 and s after a step from `starts` (k, 5), against DOP853 at 10⁻¹³."""
 
     def state(y: np.ndarray) -> Any:
         return scene.unpack(tuple(y.reshape(-1, 5).T), ("s",))
@@ -443,10 +434,7 @@ ENERGY_LADDER = (16, 32, 64, 128, 256, 512)  #: steps per unit of time
 
 
 def energy_errors(name: str, scene: Any, counts: Sequence[int], energy: str = "energy") -> dict[float, float]:
-    """Return the paper's measure, max |E − E*| over 20 equal times, against the step (double precision).
-
-    energy : "energy" for H0, "hamiltonian" for H.
-    """
+    """Return the paper's measure, max |E − E*| over 20 equal times, against the step; energy : which one."""
     carry = ("s",) if energy == "hamiltonian" else ()
     value = getattr(scene, energy)
     t = scene.t_end * np.arange(1, 21) / 20
@@ -505,10 +493,7 @@ def contact_drifts(**changes: Any) -> Evidence:
 
 
 def nearest_return(curve: np.ndarray) -> float:
-    """Return the distance from the start to the curve after it has left, relative to the size of the start.
-
-    curve : states along it, (k, d), close enough to be joined by straight lines.
-    """
+    """Return how near a curve (k, d) comes to its start after it has left, relative to the size of the start."""
     start = curve[0]
     left = int(np.argmax(np.linalg.norm(curve - start, axis=1) > np.linalg.norm(start)))
     a, b = curve[left:-1], curve[left + 1 :]

@@ -82,11 +82,9 @@ def at_least(quantity: str, value: Any, bound: float, why: str) -> Measurement:
 def verdict(
     statement: Sequence[Measurement], corrected: Sequence[Measurement], correction: Correction | None
 ) -> Verdict:
-    """Return the verdict that follows from the measurements.
+    """Return the verdict: a statement that fails is `corrected` by a repair that passes, and otherwise refuted.
 
-    The statement holds if all its measurements pass, and so does a correction.  A statement that fails
-    is `corrected` if a correction that repairs it passes, and otherwise `refuted`.  A statement that
-    holds is `corrected` if a sharper one holds.
+    One that holds is `corrected` by a sharper one that holds.
     """
     mended = bool(corrected) and all(m.passes for m in corrected)
     if all(m.passes for m in statement):
@@ -97,14 +95,9 @@ def verdict(
 def columns(measurements: Sequence[Measurement], prefix: str = "") -> dict[str, Any]:
     """Return the columns of the measurement that a row shows: the first that fails, else the first."""
     m = next((m for m in measurements if not m.passes), measurements[0])
-    return {
-        f"{prefix}quantity": m.quantity,
-        f"{prefix}measured": m.value,
-        f"{prefix}relation": m.relation,
-        f"{prefix}bound": m.bound,
-        f"{prefix}bound_reason": m.why,
-        f"{prefix}evidence": SEPARATOR.join(map(str, measurements)),
-    }
+    found = {"quantity": m.quantity, "measured": m.value, "relation": m.relation, "bound": m.bound}
+    found |= {"bound_reason": m.why, "evidence": SEPARATOR.join(map(str, measurements))}
+    return {f"{prefix}{name}": value for name, value in found.items()}
 
 
 @dataclass(frozen=True)
@@ -128,19 +121,10 @@ class Claim:
     figures: tuple[str, ...] = ()
 
     def row(self, **parameters: Any) -> dict[str, Any]:
-        """Measure the claim and return its row of the table; an exception becomes a row without a verdict.
-
-        parameters : of `measure`, values other than the defaults (seed, damping, inertia, …).
-        """
-        row: dict[str, Any] = {
-            "id": self.name,
-            "where": self.where,
-            "claim": self.says,
-            "scene": self.scene,
-            "method": self.method,
-            "command": f"contactbench claim {self.name}",
-            "figures": " ".join(self.figures),
-        }
+        """Measure the claim, with parameters of `measure`, and return its row; without a verdict if that fails."""
+        row: dict[str, Any] = {"id": self.name, "where": self.where, "claim": self.says, "scene": self.scene}
+        row |= {"method": self.method, "command": f"contactbench claim {self.name}"}
+        row |= {"figures": " ".join(self.figures)}
         try:
             measured: list[Any] = list(self.measure(**parameters))
         except Exception as error:
@@ -150,12 +134,8 @@ class Claim:
         broken = [str(m) for m in (*statement, *corrected) if not math.isfinite(m.value)]
         if broken:
             return {**row, "status": "failed", "message": f"not finite: {'; '.join(broken)}"}
-        row |= columns(statement) | {
-            "verdict": str(verdict(statement, corrected, self.kind)),
-            "correction_kind": str(self.kind or ""),
-            "correction": self.correction,
-            "status": "ok",
-        }
+        row |= columns(statement) | {"verdict": str(verdict(statement, corrected, self.kind))}
+        row |= {"correction_kind": str(self.kind or ""), "correction": self.correction, "status": "ok"}
         return row | columns(corrected, "corrected_") if corrected else row
 
 

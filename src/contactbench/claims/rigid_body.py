@@ -164,10 +164,7 @@ def equilibrium_set(seed: int = 3, cases: int = 27, inertia: Sequence[float] = I
 
 
 def direction_growths(scene: Any) -> np.ndarray:
-    """Return the growth rates of the direction M/‖M‖ across each axis of the isotropic body at ‖M‖ = 1; (3,).
-
-    ‖M‖ decays with γ, so γ is added to the growth rate of M across the axis.
-    """
+    """Return the growth rates of M/‖M‖ across each axis of the isotropic body at ‖M‖ = 1, (3,): those of M, and γ."""
     matrices = [np.asarray(jax.jacfwd(momentum_rate(scene))(jnp.asarray(e))) for e in np.eye(3)]
     transverse = [np.delete(np.delete(A, i, 0), i, 1) for i, A in enumerate(matrices)]
     return np.array([np.linalg.eigvals(A).real.max() for A in transverse]) + scene.gamma
@@ -326,10 +323,7 @@ def random_equilibria(axes: Sequence[int], cases: int, seed: int) -> list[Case]:
 
 
 def count_misjudged(cases: Sequence[Case], slack: float = 1e-9) -> int:
-    """Count the cases that the signs of tr A and det A judge otherwise than the full 3×3 spectrum does.
-
-    slack : an eigenvalue or its product this close to 0 counts as 0.
-    """
+    """Count the cases that tr A and det A judge otherwise than the 3×3 spectrum does; slack : what counts as 0."""
     wrong = 0
     for (D, inertia, M), (lower, upper) in zip(cases, np.sort(transverse(cases).real), strict=True):
         trace, determinant = criterion(D, M, inertia)
@@ -349,8 +343,8 @@ def judge_criterion(cases: Sequence[Case]) -> Measurement:
 COUNTEREXAMPLE = ((0.5, -0.5, 0.0), (-0.5, 0.5, 0.0), (0.0, 0.0, 0.0))
 
 
-def momentum_at(D: Any, M: Any, t: float, inertia: Sequence[float] = INERTIA) -> np.ndarray:
-    scene = body(D, inertia).with_(M=tuple(float(m) for m in M), t_end=t)
+def momentum_at(D: Any, M: Any, t: float) -> np.ndarray:
+    scene = body(D).with_(M=tuple(float(m) for m in M), t_end=t)
     return solve(scene, "scipy-dop853", rtol=1e-12, save_at=[t], carry=()).y[-1]
 
 

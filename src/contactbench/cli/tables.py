@@ -140,9 +140,8 @@ def add(command: Command) -> None:
     one.add_argument("--check", action="store_true", help=about)
 
     one = command("bench", bench, "measure: the tables of your own methods and scenes, or all of them", BENCH)
-    one.add_argument(
-        "--results", type=Path, default=Path("results"), metavar="DIR", help="where the tables go"
-    )
+    folder = "where the tables go"
+    one.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help=folder)
     one.add_argument("--profile", choices=("smoke", "standard", "full"), default="standard", help="how much")
     one.add_argument("-k", metavar="EXPRESSION", help="only cells whose names match, as in pytest")
     one.add_argument("--untimed", action="store_true", help="errors, counts and laws alone: no times")

@@ -133,9 +133,8 @@ def ensemble(
     if engine is not None and not (isinstance(engine, str) and engine in ENGINES):
         raise BadInput(f"engine = {excerpt(engine)}: an ensemble runs on {' or '.join(ENGINES)}")
     if run.needed > request.max_steps:
-        raise BadInput(
-            f"step = {excerpt(step)}: {run.needed} steps, of which {request.max_steps} are allowed"
-        )
+        why = f"step = {excerpt(step)}: {run.needed} steps, of which {request.max_steps} are allowed"
+        raise BadInput(why)
     switch("keep", keep)
     if progress is not None:
         switch("progress", progress)

@@ -1,22 +1,12 @@
-"""Chunks of an ensemble: who integrates them, and what happens to one whose worker dies.
-
-The loop numba compiles, a thread on every core; JAX, tile by tile, on the GPUs or where numba cannot; an executor.
-"""
+"""Chunks of an ensemble: who integrates them, and what happens to one whose worker dies."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent import futures
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -130,11 +120,7 @@ def on_cores(
     chunk: int,
     own: Own | None = None,
 ) -> Iterator[Result]:
-    """Yield the results of one chunk after the other.
-
-    No core waits for another before the end: all chunks are of one size, so many that they share out evenly,
-    and a few are always begun ahead of the one that is asked for.
-    """
+    """Yield the results of chunks of one size, of which a few are begun ahead, so that no core waits for another."""
     scene: Any = run.request.scene
     numbers, own = np.array(scene.numbers()), own or {}
     work: Any
@@ -148,7 +134,7 @@ def on_cores(
         work = partial(side_by_side, run, many, rows, shape, names)
         share = equal_share(y0.shape[1], cores, chunk)
     ahead: deque[Future[Result]] = deque()
-    threads = ThreadPoolExecutor(cores)
+    threads = futures.ThreadPoolExecutor(cores)
     try:
         for first in range(0, y0.shape[1], share):
             part = slice(first, first + share)
@@ -172,10 +158,7 @@ def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
 def side_by_side(
     run: FixedStepRun, many: Any, rows: np.ndarray, shape: np.ndarray, names: Sequence[str], y0: np.ndarray
 ) -> Result:
-    """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core.
-
-    rows, shape : as `Loop.rows` gives them.
-    """
+    """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core."""
     r, m = run.request, y0.shape[1]
     y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
     part, place = np.array([0, y.shape[1] // LANES]), len(shape) - len(run.n)
@@ -297,10 +280,7 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
 
 # -- by an executor ------------------------------------------------------------------------------------
 def spread(executor: Executor, task: Any, y0: Any, own: Own, size: int) -> Iterator[tuple[int, Result]]:
-    """Yield (first trajectory, result) of chunks; one that its worker lost is given again.
-
-    A chunk is given to `ATTEMPTS` workers in all; a process pool of which one has died takes none any more.
-    """
+    """Yield (first trajectory, result) of chunks; one that its worker lost is given again, `ATTEMPTS` times in all."""
     lost: Counter[int] = Counter()
     pending: dict[Future[Any], int] = {}
 
@@ -309,17 +289,17 @@ def spread(executor: Executor, task: Any, y0: Any, own: Own, size: int) -> Itera
         numbers = {place: values[part] for place, values in own.items()}
         try:
             pending[executor.submit(task, y0[:, part], numbers)] = first
-        except BrokenExecutor as error:
+        except futures.BrokenExecutor as error:
             raise BadInput(f"executor: {type(executor).__name__} is broken: {error}") from error
 
     for first in range(0, y0.shape[1], size):
         begin(first)
     while pending:
-        for future in wait(pending, return_when=FIRST_COMPLETED).done:
+        for future in futures.wait(pending, return_when=futures.FIRST_COMPLETED).done:
             first = pending.pop(future)
             try:
                 result = future.result()
-            except (Exception, CancelledError) as error:
+            except (Exception, futures.CancelledError) as error:
                 lost[first] += 1
                 if lost[first] == ATTEMPTS:
                     what = f"chunk {first // size} was lost {ATTEMPTS} times"

@@ -198,7 +198,6 @@ def orthonormal(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return v, logs
 
 
-# -- tangent maps ----------------------------------------------------------------------------------
 def side_by_side(run: FixedStepRun) -> TangentMap:
     """Return the map by dual numbers through the compiled steps: a trajectory for every tangent of every member."""
     r = run.request
@@ -235,7 +234,6 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
 
 
 def one_by_one(run: CyrkRun) -> TangentMap:
-    """Return the map by the variational equations."""
     larger = run.variational()
     clock = larger.request.scene.clock
 

@@ -116,10 +116,9 @@ def within(y: Any, motion: int, bound: Any, xp: Any = np) -> Any:
 
 
 class Watch:
-    """What is measured along trajectories from their packed start y0 (d, m): the same for NumPy and JAX.
+    """What is measured along trajectories from a packed start y0 (d, m), by NumPy or JAX; names : `ENERGY`, then laws.
 
-    names : `ENERGY`, then decay laws.  begun : its marks at the start, the largest deviation from each law, which
-    trajectories have not diverged, and the last time each has reached.
+    begun : the first marks: the largest deviation from each law, which have not diverged, and the last time reached.
     """
 
     def __init__(
@@ -156,7 +155,6 @@ class Watch:
         return xp.where(alive, y, xp.nan), xp.where(alive, measures, xp.nan), end
 
 
-# -- statistics --------------------------------------------------------------------------------------
 class Statistic(NamedTuple):
     """Over the trajectories that ended `ok`; nan if none did."""
 

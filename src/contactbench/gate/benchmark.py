@@ -20,10 +20,7 @@ TIMED = ("-m", "timed", "--resume", "--report", "--benchmark-quiet")
 
 
 def folder() -> Path:
-    """Return where ``bench/`` is: the root of a checkout, or a folder of the installed package.
-
-    Raises `BadInput`.
-    """
+    """Return where ``bench/`` is, in a checkout or in the installed package; raise `BadInput` where there is none."""
     package = Path(__file__).parents[1]
     for root in (package.parents[1], package / "_bench"):
         if (root / "bench" / "conftest.py").exists():

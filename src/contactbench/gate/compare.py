@@ -39,11 +39,7 @@ def rows_of(*rows: dict[str, Any]) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the gate found.
-
-    moved : a row for each measure of a method on a scene.  compared : one sentence a part.  notes : what to know
-    beside.  incomplete : why what was looked at is too little to decide.
-    """
+    """A row for each measure that moved, what was compared, what to know beside, and why it cannot be decided."""
 
     moved: pd.DataFrame = field(default_factory=rows_of)
     compared: tuple[str, ...] = ()
@@ -157,7 +153,6 @@ def distance(rule: Rule, before: pd.Series, after: pd.Series, rows: pd.DataFrame
     return np.nan_to_num(moved, nan=math.inf, posinf=math.inf)
 
 
-# -- tables ----------------------------------------------------------------------------------------
 def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False) -> pd.DataFrame:
     """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene."""
     both = before.merge(after, how="left", on=list(table.key), suffixes=("", " after"), indicator="side")

@@ -103,10 +103,7 @@ def changed_tables(messages: str, option: Iterable[str], results: Path) -> set[s
 
 
 def run_benchmark(root: Path, results: Path) -> Findings:
-    """Run the smoke profile of the benchmark untimed and on all cores; a red row if a cell failed.
-
-    In a checkout of contactbench it is that one's benchmark, elsewhere the installed one's cells of what is theirs.
-    """
+    """Run the smoke profile untimed, of a checkout or the installed cells of what is theirs; red if one fails."""
     ours, options = revisions.ours(root), ["--profile", "smoke", "--untimed", "-n", "auto"]
     where, variables = (root if ours else benchmark.folder()), revisions.environment(root)
     if not ours:

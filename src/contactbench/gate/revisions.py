@@ -23,10 +23,7 @@ JUDGED = "CONTACTBENCH_JUDGED_PYTHON"
 
 
 def git(root: Path, *arguments: str, text: bool = True) -> Any:
-    """Return the output of git, stripped, or its bytes.  Raises `BadInput` with git's own last line.
-
-    History is what the commits say: neither `git replace` nor a file of grafts stands in for one.
-    """
+    """Return the output of git, stripped, or its bytes; raise `BadInput` with its own last line."""
     command = ["git", "--no-replace-objects", "-C", str(root), *arguments]
     done = subprocess.run(command, capture_output=True, env={**os.environ, "GIT_GRAFT_FILE": os.devnull})
     if done.returncode:

@@ -50,10 +50,7 @@ LONGEST = 3e-3
 
 @dataclass(frozen=True)
 class Cell:
-    """One call that is timed: of a prepared run, or a public one; see `speed_worker.call`.
-
-    saves : how many equidistant times are saved, the end among them.
-    """
+    """A call that is timed, of a prepared run or a public one; saves : equidistant saved times, the end among them."""
 
     scene: str
     method: str = "contact-rkn6"
@@ -86,11 +83,8 @@ def workload(work: pd.DataFrame) -> list[Cell]:
     for cell in every(work):
         if cell.scene in SCENES or cell.method in EVERYWHERE:
             cells.append(cell)
-        if (
-            cell.scene == MANY_ON
-            and cell.method in METHODS
-            and cell.engine == METHODS[cell.method].engines[0]
-        ):
+        known = METHODS.get(cell.method)
+        if cell.scene == MANY_ON and known is not None and cell.engine == known.engines[0]:
             cells.append(replace(cell, saves=MANY))
     return [*cells, *PUBLIC] if cells else []
 
@@ -145,10 +139,7 @@ def decide(first: PairedRatio, again: PairedRatio | None) -> str:
 def time_pairs(
     trees: Sequence[Path], cells: dict[int, Cell], until: float | None = None, root: Path | None = None
 ) -> tuple[dict[int, PairedRatio], dict[int, str]]:
-    """Return of every cell the ratio of the second to the first tree, from one new process each, or why it has none.
-
-    until : on the clock of `perf_counter`, when to stop.  root : the tree that the loaded plug-ins are in.
-    """
+    """Return of every cell the ratio of the second to the first tree, or why it has none; until : when to stop."""
     from tqdm import tqdm
 
     draw = random.Random(0)
@@ -191,12 +182,9 @@ def timing_process(
     ):
         # programs that one side has compiled must not spare the other the work
         names = ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR")
-        own: dict[str, Any] = {
-            "env": revisions.environment(tree, root) | dict.fromkeys(names, caches),
-            "cwd": tree,
-        }
+        variables = revisions.environment(tree, root) | dict.fromkeys(names, caches)
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
-        process: Any = subprocess.Popen(command, text=True, bufsize=1, **own, **pipes)
+        process: Any = subprocess.Popen(command, text=True, bufsize=1, env=variables, cwd=tree, **pipes)
 
         def send(request: Any) -> None:
             process.stdin.write(json.dumps(request) + "\n")

@@ -175,7 +175,6 @@ class ContactSolver(diffrax.AbstractSolver):
         return arrange(self.composition.stages, self.composition.processor)
 
     def order(self, terms: Any) -> int:
-        """Return the order of the composition."""
         return self.composition.order
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
@@ -201,7 +200,6 @@ class ContactSolver(diffrax.AbstractSolver):
         return y1, None, ends, (flows.run(plan.joint, t, y, h)[1], h), diffrax.RESULTS.successful
 
     def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
-        """Return the slope of y."""
         velocity, force, damping = parts(terms)
         q, p = y0
         return velocity.vf(t0, p, args), moved(force.vf(t0, q, args), damping.vf(t0, p, args))
@@ -209,11 +207,7 @@ class ContactSolver(diffrax.AbstractSolver):
 
 # -- the derivative without the states ---------------------------------------------------------------
 class Backward(Flows):
-    """The subflows taken back, h < 0 where a run had h > 0, on (y, ȳ, total).
-
-    ȳ : the derivative in y, and total : in the parameters as far as it is summed up.  A kick and the same kick taken
-    back are at the same q: one gradient is evaluated for both.
-    """
+    """The subflows taken back on (y, ȳ, total), ȳ the derivative in y, total in the parameters as far as summed up."""
 
     def __init__(self, terms: Any, t: Any, y: Any, args: Any) -> None:
         super().__init__(terms, t, y, args)
@@ -245,7 +239,6 @@ def keep_end(perturbed: Any, inputs: Any, ys: Any, run: Any) -> tuple[Any, Any]:
 
 @end_of.def_bwd
 def take_back(ys: Any, slopes: Any, perturbed: Any, inputs: Any, _: Any, run: Any) -> tuple[Any, Any, Any]:
-    """Return the derivatives in y0, args and terms."""
     (y0, args, terms), (solver, tolerance, t0, t1, dt0) = inputs, run
     n = jnp.maximum(jnp.round((t1 - t0) / dt0).astype(int), 1)
     h, plan = (t1 - t0) / n, solver.plan
@@ -294,9 +287,8 @@ class ReversibleAdjoint(diffrax.AbstractAdjoint):
         constant = isinstance(options["stepsize_controller"], diffrax.ConstantStepSize)
         end_alone = eqx.tree_equal(options["saveat"], diffrax.SaveAt(t1=True))
         if not (isinstance(solver, ContactSolver) and constant and end_alone and options["event"] is None):
-            raise BadInput(
-                "ReversibleAdjoint: for Contact with ConstantStepSize and SaveAt(t1=True), no event"
-            )
+            why = "ReversibleAdjoint: for Contact with ConstantStepSize and SaveAt(t1=True), no event"
+            raise BadInput(why)
         inputs = init_state.y, args, terms
         once = {"args": args, "terms": terms, "init_state": init_state, **options}
         dynamic, static = eqx.partition(once, eqx.is_array)
@@ -328,9 +320,8 @@ def Contact(method: str) -> ContactSolver:
     chosen = METHODS[method]
     if not isinstance(chosen, ContactMethod):
         names = ", ".join(name for name, each in METHODS.items() if isinstance(each, ContactMethod))
-        raise BadInput(
-            f"method = {method!r}: no composition of kicks, drifts and damping; choose from {names}"
-        )
+        why = f"method = {method!r}: no composition of kicks, drifts and damping; choose from {names}"
+        raise BadInput(why)
     return ContactSolver(chosen.composition)
 
 
@@ -344,24 +335,21 @@ def terms_of(scene: Scene | str) -> tuple[Any, Any]:
         parameters.
     """
     scene = scene_of(scene)
-    why = (
-        ""
-        if scene.kind in ("mechanical", "driven")
-        else f"it is {scene.kind}; cb.step_map has one of every scene"
-    )
-    if not why and scene.nonlinear_damping:  # type: ignore[attr-defined]
-        why = "its damping is not linear; cb.step_map takes it"
-    if why:
-        raise BadInput(f"scene {scene.name!r} has no terms on (q, p): {why}")
+    if scene.kind not in ("mechanical", "driven"):
+        raise BadInput(
+            f"scene {scene.name!r} has no terms on (q, p), being of kind {scene.kind!r}; cb.step_map takes it"
+        )
+    if scene.nonlinear_damping:  # type: ignore[attr-defined]
+        raise BadInput(
+            f"scene {scene.name!r} has no terms on (q, p) alone: its damping depends on s; cb.step_map takes it"
+        )
     names, own = scene.number_names(), scene.numbers()
     known = {*names} - {"", "kappa"}  # that of a damping which is not linear
 
     def twin(args: Any) -> Any:
         given = {} if args is None else args
         if not isinstance(given, dict):
-            raise BadInput(
-                f"args = {excerpt(args)}: must be parameters by name, as {{'gamma': 0.3}}, or None"
-            )
+            raise BadInput(f"args = {excerpt(args)}: must be parameters by name, as {{'gamma': 0.3}}")
         for name in given:
             if name not in known:
                 raise unknown_name("parameter", name, sorted(known))

@@ -54,7 +54,6 @@ class Run:
         self.kept = opening(start)
 
     def advance(self) -> np.ndarray:
-        """Take a step and return the state reached."""
         begun = self.begin(self.kept)
         self.kept = self.lead_on(begun)
         return self.close(begun)
@@ -104,10 +103,7 @@ def plain(step: OneStep, h: float, which: int) -> Callable[[np.ndarray], np.ndar
 
 # -- the interpolant -----------------------------------------------------------------------------------
 class Hermite(DenseOutput):
-    """The polynomial with the states and their derivatives at both ends of a step; no contact map.
-
-    ends : y, hy' and, where they are known, h²y'' at either end: of degree five with them, else three.
-    """
+    """The polynomial of y, hy' and, where known, h²y'' at both ends of a step: of degree three or five."""
 
     def __init__(self, t_old: float, t: float, ends: Sequence[Sequence[np.ndarray]]) -> None:
         super().__init__(t_old, t)

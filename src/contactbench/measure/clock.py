@@ -29,10 +29,7 @@ SEED = 20
 
 @dataclass(frozen=True)
 class Visit:
-    """Seconds per call of each round, and of the same run over a part of its length, taken in turns with it.
-
-    iterations : calls of a round of the whole run.
-    """
+    """Seconds per call of each round (of so many iterations), and of the same run over a part of its length."""
 
     whole: Sequence[float]
     part: Sequence[float] = ()
@@ -119,7 +116,6 @@ class Race:
                 pass
 
 
-# -- what the visits say ---------------------------------------------------------------------------------
 def time_columns(visits: Sequence[Visit]) -> dict[str, Any]:
     """Return the time columns of one call: the estimate is the least round, the rest says how it came about."""
     rounds = np.concatenate([visit.whole for visit in visits])

@@ -34,10 +34,9 @@ def steps(scene: Scene, count: int) -> list[float]:
 
 
 def work_ladder(scene: Scene, order: int) -> list[float]:
-    """About ten steps t_end/n, n a multiple of 5, over the range that matters to a method of this order.
+    """About ten steps t_end/n, n a multiple of 5: halving from 0.8 or 4, from order 6 on by about √2 from 3.2.
 
-    Halving from 0.8, on a body or where steps grow from 4; from order 6 on by about √2 from about 3.2: where errors
-    are 10⁻² or 10⁻³.  High orders go not as far down, because finer steps meet round-off.
+    That is from errors of 10⁻² or 10⁻³ on; high orders go not as far down, because finer steps meet round-off.
     """
     if order < 6:
         fine = steps(scene, 9)

@@ -57,10 +57,7 @@ class Gate(Enum):
 
 @dataclass(frozen=True)
 class Measured:
-    """What a law gives: its value, its error bar if any, and at how many saved times it was clamped, where it can be.
-
-    A drift smaller than its error bar is not known; `value` is then the sum of both, an upper bound.
-    """
+    """A law's value, its error bar, and at how many saved times it was clamped; the last two None without."""
 
     value: float
     uncertainty: float | None = None
@@ -146,11 +143,9 @@ class Law:
             raise blame(f"law {self.name!r}", error) from error.__cause__
 
     def needs_on(self, scene: Scene) -> tuple[str, ...]:
-        """The optional fields it reads on this scene."""
         return tuple(field for field in self.needs if field in scene.optional)
 
 
-# -- deviations ------------------------------------------------------------------------------------
 def size_of(start: Any, xp: Any = np) -> Any:
     norm = xp.linalg.norm(start, axis=-1)
     return xp.where(norm > 0, norm, 1.0)
@@ -231,10 +226,7 @@ WRECKED = 0.1
 
 
 def round_off_bound(growth: Any, evaluations: Any) -> Any:
-    """ε · evaluations · max(growth, 1): every evaluation rounds once, and what it rounds then grows.
-
-    growth : max ‖DΦ(t)‖₂ of the numerical map, or the condition number of the motion.  Both may be columns.
-    """
+    """ε · evaluations · max(growth, 1); growth : ‖DΦ(t)‖₂ of the map, or the condition number of the motion."""
     return EPSILON * evaluations * np.maximum(growth, 1.0)
 
 
@@ -244,10 +236,7 @@ def structural_bound(growth: Any, evaluations: Any) -> Any:
 
 
 def judge(value: float, bound: float, unsure: bool = False, faded: bool = False) -> tuple[bool, bool]:
-    """Whether a deviation shows that a law is kept, and whether it shows nothing.
-
-    unsure : it is an upper bound only.  faded : it was clamped at every saved time.
-    """
+    """Whether a deviation shows that a law is kept, and whether nothing; unsure : a bound; faded : always clamped."""
     decides = bound <= DECIDABLE or value <= STRUCTURE
     kept = value <= bound and decides and not faded
     return kept, not kept and (value <= bound or unsure)

@@ -4,9 +4,8 @@ Every law is a named object ``law(solution) -> float``, the maximum over the sav
 says otherwise, and nan where the run did not end `ok`.  To add one, decorate a function with `law`; what
 tables, documents and the regression gate need to know of it stands in the decorator.
 
-The contact form is kept or not by the map from initial data to states that a user gets.  Where a method
-chooses its steps from the state, that map is not the one with the steps held fixed; both are measured, the
-second as `…_frozen`.
+The contact form is kept or not by the map from initial data to states that a user gets.  Where a method chooses its
+steps from the state, that map is not the one with the steps held fixed; both are measured, the second as `…_frozen`.
 """
 
 from __future__ import annotations
@@ -93,7 +92,6 @@ def truth(solution: Solution) -> Any:
 
 
 def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
-    """‖y_k − y*(t_k)‖₂ at every saved time, and max_k ‖y*‖₂."""
     exact = observables(solution.scene, truth(solution).y, solution.carry)
     numerical = observables(solution.scene, solution.y, solution.carry)
     return np.linalg.norm(numerical - exact, axis=1), float(np.linalg.norm(exact, axis=1).max())
@@ -387,10 +385,7 @@ CLAMPED = ("contact_drift", "pairing_drift", "hamiltonian_law", "momentum_law")
 
 
 def row(solution: Solution, without: str = "") -> dict[str, Any]:
-    """Every law the scene has, its judgement, and how the derivative was taken; blank (left out) where not defined.
-
-    without : why no derivative of the map is to be taken, for the table; "" to take it.
-    """
+    """Every law the scene has and its judgement, left out where not defined; without : why no derivative is taken."""
     if not solution.ok:
         return {}
     scene = solution.scene

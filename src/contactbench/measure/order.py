@@ -54,10 +54,7 @@ class OrderFit:
 
 
 def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.0) -> OrderFit:
-    """Fit an order to errors at different step sizes: that of the window of four neighbours which is most certain.
-
-    floor : errors at or below it are round-off, and every error is uncertain by a thirtieth of it.
-    """
+    """Fit an order: that of the four neighbours by which it is most certain; floor : below it errors are round-off."""
     h, e = np.asarray(steps, dtype=float), np.asarray(errors, dtype=float)
     order = np.argsort(h)
     back = np.argsort(order)
@@ -84,8 +81,7 @@ def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.
 def extrapolate(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[float, float]:
     """The limit of three or four slopes, finest first, and its uncertainty; blur : relative errors of the errors.
 
-    The spread is the last difference of neighbouring limits, or what the one before it leads to expect
-    where that is more: it falls like h² at least.  The power is the one of the smaller spread.
+    That is the last difference of limits, or what falling like h² leads to expect; the power is that of the least.
     """
     spans = np.log(h[1:] / h[:-1])
     noise = blur[1:3] + blur[:2]
@@ -126,10 +122,7 @@ def error_at(method: Any, scene: Scene, t: float, n: int) -> Any:
 
 
 def order_at(method: Any, scene: Scene, t: float, n: int) -> float:
-    """Order of convergence from n, 2n and 4n steps to time t, extrapolated to h → 0.
-
-    The error of a slope is O(h), and O(h²) for a symmetric method, whose error has an expansion in h².
-    """
+    """Order of convergence from n, 2n and 4n steps to time t, extrapolated to h → 0, in h² for a symmetric method."""
     context = decimal_context(DIGITS)
     coarse, middle, fine = (error_at(method, scene, t, n * 2**k) for k in range(3))
     first, second = context.log(coarse / middle, 2), context.log(middle / fine, 2)
@@ -138,10 +131,7 @@ def order_at(method: Any, scene: Scene, t: float, n: int) -> float:
 
 
 def local_order(method: Any, scene: Scene, step: str = "1e-6", digits: int = 150) -> float:
-    """Order from one step against two half steps, ‖Φ_h − Φ_{h/2}∘Φ_{h/2}‖ = O(h^{p+1}), without a reference.
-
-    At so small a step the lowest power of h stands out.  It is that towards the flow the method is consistent with.
-    """
+    """Order by ‖Φ_h − Φ_{h/2}∘Φ_{h/2}‖ = O(h^{p+1}) at a small h, towards the flow it is consistent with."""
     context = decimal_context(digits)
 
     def defect(h: Any) -> Any:

@@ -57,10 +57,7 @@ def pullback(solution: Solution, differential: Differential) -> Pulled | None:
 
 
 def growth(differential: Differential) -> float:
-    """max ‖DΦ(t)‖₂ over the saved times: how much the numerical map magnifies an error in its start.
-
-    NaN where the derivative is not finite: of a run that ends well too, the steps of one that iterates may have none.
-    """
+    """max ‖DΦ(t)‖₂ over the saved times, nan where not finite (the steps of a method that iterates may have none)."""
     if not np.isfinite(differential.value).all():
         return math.nan
     return float(np.linalg.norm(differential.value, ord=2, axis=(1, 2)).max())

@@ -99,10 +99,7 @@ def slow_rate(gamma: float, omega: float = 1.0) -> float:
 # -- where orbits stay bounded ----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Stability:
-    """Steps with bounded orbits: up to `limit`, and beyond it up to `last` but for `windows`.
-
-    Both borders are inf where there is none up to ωh = 10³.
-    """
+    """Steps with bounded orbits: up to `limit`, and to `last` but for `windows`; inf: no border up to ωh = 10³."""
 
     limit: float
     windows: tuple[tuple[float, float], ...]
@@ -183,9 +180,8 @@ def merged_limit(gamma: float, omega: float) -> float:
     """B½ AC B½: an eigenvalue −1 where ω²h tanh(γh/2) = 2γ; 2/ω as γ → 0, 2γ/ω² as γ → ∞."""
     if gamma == 0:
         return 2 / omega
-    return root(
-        lambda h: omega**2 * h * math.tanh(gamma * h / 2) - 2 * gamma, 2 / omega + 2 * gamma / omega**2
-    )
+    scale = 2 / omega + 2 * gamma / omega**2
+    return root(lambda h: omega**2 * h * math.tanh(gamma * h / 2) - 2 * gamma, scale)
 
 
 def printed_limit(gamma: float, omega: float) -> float:
@@ -193,11 +189,6 @@ def printed_limit(gamma: float, omega: float) -> float:
     return root(
         lambda h: (omega * h) ** 2 * math.exp(-gamma * h) - 2 * (1 + math.exp(-gamma * h)), 10 / omega
     )
-
-
-def herglotz1_limit(gamma: float, omega: float) -> float:
-    """An eigenvalue −1 where ω²h² + 2γh = 4."""
-    return 4 / (gamma + math.hypot(gamma, 2 * omega))
 
 
 def rk4_limit(gamma: float, omega: float) -> float:
@@ -226,7 +217,7 @@ THEORY: dict[str, Callable[[float, float], float]] = {
     "contact-abc": lambda gamma, omega: 2 / omega,
     "contact-strang": merged_limit,
     "rk4": rk4_limit,
-    "herglotz1": herglotz1_limit,
+    "herglotz1": lambda gamma, omega: 4 / (gamma + math.hypot(gamma, 2 * omega)),  # ω²h² + 2γh = 4
     "herglotz2": lambda gamma, omega: 2 / omega,
 }
 

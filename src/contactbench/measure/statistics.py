@@ -98,11 +98,9 @@ class Verdict(StrEnum):
 
 
 def process_spread(ratios: Iterable[float], halves: Iterable[float]) -> float:
-    """Return by what factor two processes differ on one and the same cell, in 95 of 100 cells.
+    """Return by what factor two processes differ on a cell, in 95 of 100; ratios : of a sample, second over first.
 
-    ratios : of a sample of cells, the time in a second process over that in the first; `PROCESSES` where there is none.
-    halves : of the same cells, those of their visits: a cell where they differ by more than `FLOOR` is noisy itself,
-    which its margins know already.
+    Cells whose halves differ by more than `FLOOR` are noisy themselves, which their margins know already.
     """
     pairs = [(r, h) for r, h in zip(ratios, halves, strict=True) if r > 0 and math.isfinite(r)]
     if not pairs:
@@ -149,10 +147,7 @@ class Average(NamedTuple):
 
 
 def blocks(series: np.ndarray) -> np.ndarray:
-    """Return block means (B, m) of a series (k, m, n) of m quantities along n independent runs.
-
-    One block for each run; of fewer than `BLOCKS` runs each is cut into as many equal parts as it takes.
-    """
+    """Return block means (B, m) of a series (k, m, n): n runs, each cut where that makes fewer than `BLOCKS`."""
     k, m, n = series.shape
     parts = min(k, -(-BLOCKS // n))
     length = k // parts

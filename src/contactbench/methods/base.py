@@ -37,17 +37,9 @@ SHORTEST = 1e-15
 
 #: engine → "compiled" (solver and right-hand side are machine code) or "callbacks" (the right-hand side,
 #: or the solver too, is Python)
-ENGINES = {
-    "numba": "compiled",
-    "jax": "compiled",
-    "llvm": "compiled",
-    "c": "compiled",
-    "c++": "compiled",
-    "python": "callbacks",
-    "c+python": "callbacks",
-}
+ENGINES = dict.fromkeys(("numba", "jax", "llvm", "c", "c++"), "compiled")
+ENGINES |= dict.fromkeys(("python", "c+python"), "callbacks")
 CALLBACKS = tuple(engine for engine, kind in ENGINES.items() if kind == "callbacks")
-
 
 DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
@@ -202,10 +194,9 @@ def prepare(
     method
         Itself, or the name of a registered one.
     step
-        Size of the steps of a fixed-step method.  Steps never straddle a saved time: each interval
-        between saved times, the last of which is the end, is divided into the fewest equal steps not longer
-        than `step`.  The steps taken may so be shorter, down to the distance of two saved times; the solution's
-        `step` is the longest one.
+        Size of the steps of a fixed-step method.  Steps never straddle a saved time: each interval between saved
+        times, the last of which is the end, is divided into the fewest equal steps not longer than `step`.  The steps
+        taken may so be shorter, down to the distance of two saved times; the solution's `step` is the longest one.
 
         A sequence of steps is taken as it is, whatever the motion: every step of a contact method is the contact map
         it would be among equal ones.  Saved times are ends of steps, by default all, or every k-th; steps after the
@@ -253,10 +244,9 @@ def prepare_on_engine(method: Method, request: Request) -> Prepared:
         return method.prepare(request)
     except CannotRecord as error:
         what = f"{method.name} on {request.scene.name!r} cannot be compiled"
-        others = [
-            f"; engine {engine!r} calls it as it is" for engine in method.engines if engine in CALLBACKS
-        ]
-        return Refused(method.name, request, f"{what}: {reason_of(error)}{''.join(others)}")
+        plain = [engine for engine in method.engines if engine in CALLBACKS]
+        others = "".join(f"; engine {engine!r} calls it as it is" for engine in plain)
+        return Refused(method.name, request, f"{what}: {reason_of(error)}{others}")
 
 
 def make_request(
@@ -338,9 +328,8 @@ def setting_of(
     if step is rtol is None:
         raise BadInput(f"step is missing: {name} has a fixed step; give step, or rtol to have it chosen")
     if step is None and not method.one_step:
-        raise BadInput(
-            f"rtol = {excerpt(rtol)}: the error of {name} is no clean power of its step; give step"
-        )
+        why = f"rtol = {excerpt(rtol)}: the error of {name} is no clean power of its step; give step"
+        raise BadInput(why)
     if step is None:
         return None, tolerance(method, rtol), None
     prescribed = np.iterable(step) and not isinstance(step, str | bytes)
@@ -395,9 +384,8 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     """
     for name in options.keys() & {"events", "dense_output", "t_eval"}:
         how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
-        raise BadInput(
-            f"{name}: solve saves states at save_at; events and dense output are SciPy's, in {how}"
-        )
+        why = f"{name}: solve saves states at save_at; events and dense output are SciPy's, in {how}"
+        raise BadInput(why)
     solution = prepare(scene, method, **options)()
     if solution.scene.has_users_functions and solution.ok:
         verify_at(solution.scene, solution.y)

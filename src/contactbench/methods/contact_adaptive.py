@@ -8,11 +8,10 @@ density ρ that is integrated along,
 
     ρ_{n+1/2} = ρ_{n−1/2} + ε G(x_n),   G = d ln ω/dt,   ρ_{1/2} = ω(q_0) + ½ ε G(x_0),
 
-which keeps ρ near the local frequency ω and the method time-symmetric (Hairer, Söderlind, SIAM J. Sci.
-Comput. 26, 1838 (2005), doi:10.1137/040606995).  ω⁴ = ‖∇²V‖²_F/m² + (γ/8)⁴ + T⁻⁴: the curvature of the
-potential; the damping, which is solved exactly but for what its negative substeps do; the whole span.
-For −1/‖q‖ it gives h ∝ ‖q‖^{3/2}.
-G comes from ∇²V by dual numbers, or from ∇V alone where a scene has no Hessian.
+which keeps ρ near the local frequency ω and the method time-symmetric (Hairer, Söderlind, SIAM J. Sci.  Comput. 26,
+1838 (2005), doi:10.1137/040606995).  ω⁴ = ‖∇²V‖²_F/m² + (γ/8)⁴ + T⁻⁴: the curvature of the potential; the damping,
+which is solved exactly but for what its negative substeps do; the whole span.  For −1/‖q‖ it gives h ∝ ‖q‖^{3/2}.  G
+comes from ∇²V by dual numbers, or from ∇V alone where a scene has no Hessian.
 
 A saved time is reached by one shortened step off the sequence, which goes on as if nothing had been
 saved.  The tolerance sets ε = AIM · rtol^{1/6}: it is the size of the error, not an estimate of it.
@@ -177,9 +176,8 @@ def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, movin
         def interval(carried: Any) -> Any:
             x, j = carried
             x, row = body(x, tape.assign(Element(times, (j.name,)), "f", tape.block))
-            tape.block.statements += [
-                Store(Element("y", (j.name, i)), operand_of(c)) for i, c in enumerate(row)
-            ]
+            stores = (Store(Element("y", (j.name, i)), operand_of(c)) for i, c in enumerate(row))
+            tape.block.statements.extend(stores)
             return x, j + 1
 
         return tape.repeat(tape.assign(Operation("len", (times,)), "i", tape.root), interval, (x, 0))[0]

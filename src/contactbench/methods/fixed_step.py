@@ -74,7 +74,6 @@ class FixedStep(Method):
         return ChosenStep(self.name, request, self, run)
 
     def runs_on(self, scene: Scene) -> dict[str, type[FixedStepRun]]:
-        """Return the class of run of each engine."""
         return MANY_RUNS if scene.kind == "many" else RUNS
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
@@ -98,10 +97,7 @@ class FixedStep(Method):
         return xp.exp(-scene.conformal_rate * h) if self.contact else None
 
     def log_factor(self, scene: Scene, x: Any, h: float, n: int) -> float | None:
-        """Log of the conformal factor of n steps of size h from x; None where the steps are no contact maps.
-
-        nan where the factor is negative, as that of a Herglotz step may be.
-        """
+        """Log of the conformal factor of n steps of size h from x; None: no contact maps; nan: a negative one."""
         factor = self.conformal_factor(scene, h)
         if factor is None:
             return None

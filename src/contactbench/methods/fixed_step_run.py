@@ -33,11 +33,7 @@ FEW = 2**13
 
 @np.errstate(over="ignore")
 def steps_in(span: Any, until: Any, step: float) -> Any:
-    """The fewest equal steps that cover each span without exceeding `step` (up to round-off).
-
-    until : the time at which it ends.  The difference of two saved times has their round-off, which for short
-    intervals late in a run is far above that of the interval itself.
-    """
+    """The fewest equal steps ≤ `step` that cover each span, but for round-off of the time `until` at which it ends."""
     ratio = (span * (1 - 1e-12) - GRID_ULPS * np.spacing(until)) / step
     return np.minimum(np.maximum(np.ceil(ratio), 1), UNCOUNTED).astype(np.int64)
 
@@ -46,11 +42,9 @@ def steps_in(span: Any, until: Any, step: float) -> Any:
 def program_of(
     method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
 ) -> Program:
-    """The recorded loop of a method on a scene.
+    """The recorded loop of a method on a scene; raises `CannotRecord` where one of them branches on values.
 
-    tangent : packed states are followed by a tangent vector, which is carried along.  counted : by the evaluations
-    spent so far (methods that iterate).
-    Raises `CannotRecord` where the method or the scene branches on values.
+    tangent : a tangent vector follows the state and is carried along.  counted : by the evaluations spent so far.
     """
     d = len(scene.labels(carry))
 
@@ -73,10 +67,7 @@ def is_fixed(method: Any) -> bool:
 
 
 def identity(method: Any, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
-    """What a compiled loop of a method on a scene depends on besides the numbers; None where nobody can tell.
-
-    A user's step map counts by what it was recorded with, as the scene's functions do.
-    """
+    """What a compiled loop depends on besides the numbers, by recording a user's map; None where nobody can tell."""
     if (own := scene.identity) is None:
         return None
     if is_fixed(method):
@@ -163,10 +154,7 @@ def loop_of(
 # -- runs --------------------------------------------------------------------------------------------
 @dataclass
 class FixedStepRun(Prepared):
-    """What the engines share: the division of the run into intervals of equal steps.
-
-    An engine's own class writes `intervals`, and `bare` where there is a faster way.
-    """
+    """What the engines share, the division into intervals of equal steps; they write `intervals`, and maybe `bare`."""
 
     #: a `FixedStep`
     method_: Any
@@ -361,10 +349,7 @@ class NumbaLoop(FixedStepRun):
 
 
 class PythonLoop(FixedStepRun):
-    """Plain Python floats, in the loop that the numba engine compiles.
-
-    It takes a tenth of the time of the step map as it is written, which runs where none can be recorded.
-    """
+    """Plain Python floats: the loop numba compiles, or where it cannot be recorded the step map, ten times as slow."""
 
     program: Program | None = None
 
@@ -446,8 +431,6 @@ class CountedNumbaLoop(Counted, NumbaLoop):
 
 
 class CountedPythonLoop(Counted, PythonLoop):
-    """By Python."""
-
     def states(self, y: list[float], spans: list[tuple[float, int]]) -> Iterator[list[float]]:
         scene, spent = self.request.scene, y[-1]
         x = scene.unpack(y[:-1], self.request.carry)

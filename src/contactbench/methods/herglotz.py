@@ -28,10 +28,7 @@ from contactbench.splitting import flows
 
 @dataclass(frozen=True)
 class Herglotz(FixedStep):
-    """What both have in common: mechanical scenes with Γ = γ s, one gradient per step.
-
-    sigma : the conformal factor of a step of size h, from h and γ at its start and its end.
-    """
+    """Mechanical scenes with Γ = γ s, one gradient a step; sigma : its conformal factor from h, γ before and after."""
 
     sigma: Callable[[Any, Any, Any], Any] = field(kw_only=True)
 

@@ -32,10 +32,7 @@ TYPICAL = 8
 def fixed_point(
     update: Callable[[Any], Any], k: Any, xp: Any, part: Callable[[Any], Any] = lambda k: k
 ) -> tuple[Any, Any, Any]:
-    """Return k with update(k) = k, whether it was found, and after how many updates.
-
-    part : of k, which tells whether it still changes.
-    """
+    """Return k with update(k) = k, whether it was found, and after how many updates; part : of k, what settles."""
     nothing = 0 * leaves(k)[0]
 
     def size(parts: Any) -> Any:
@@ -58,10 +55,7 @@ def fixed_point(
 
 @dataclass(frozen=True)
 class Implicit(FixedStep):
-    """A method whose ``step(scene, x, h, xp) -> x, evaluations`` solves for the end of the step.
-
-    each : evaluations of an iteration; one more comes before the first.
-    """
+    """A method whose step returns x and iterations; each : evaluations of an iteration, one more comes first."""
 
     each: int = field(kw_only=True)
     engines: tuple[str, ...] = tuple(RUNS)
@@ -112,10 +106,7 @@ def gauss_tableau(stages: int, xp: Any) -> tuple[list[list[Any]], list[Any]]:
 
 @dataclass(frozen=True)
 class Gauss(Implicit):
-    """Gauss's collocation method, of order twice its stages, on the whole system.
-
-    Momenta come before positions in every iteration, which makes it converge as fast as one for second-order equations.
-    """
+    """Gauss's collocation, of order twice its stages; an iteration takes momenta first, which converges faster."""
 
     def refuses(self, scene: Scene) -> str | None:
         return unfit(self, scene, True, "")
@@ -134,9 +125,8 @@ def gauss(stages: int) -> Callable[[Any, Any, Any, Any], Any]:
         def update(slopes: Any) -> Any:
             if scene.canonical:
                 momenta = [moved(row, slopes).p for row in A]
-                slopes = [
-                    k._replace(q=tuple(scene.velocity(p))) for k, p in zip(slopes, momenta, strict=True)
-                ]
+                pairs = zip(slopes, momenta, strict=True)
+                slopes = [k._replace(q=tuple(scene.velocity(p))) for k, p in pairs]
             return tuple(scene.rhs(moved(row, slopes)) for row in A)
 
         slopes, converged, turns = fixed_point(update, (scene.rhs(x),) * stages, xp)

@@ -21,10 +21,9 @@ _programs: Cache[tuple[Any, float]] = Cache(1024)
 
 
 class CompiledRun(Prepared):
-    """A run whose saved states are a JAX function of the packed initial state and other arguments.
+    """A run whose saved states are a JAX function of the packed initial state and all other numbers.
 
-    Everything numerical (initial data, parameters, steps, tolerances, saved times) is an argument:
-    a program is compiled once per scene structure and `capacity` for saved times, then shared.
+    So a program is compiled once per scene structure and `capacity` for saved times, then shared.
     """
 
     #: numbers of saved times a program is compiled for; the next larger one serves all in between
@@ -93,10 +92,7 @@ class CompiledRun(Prepared):
         self.program, self.compile_s = self.compiled("run", states, self._start_on_device, self.fixed)
 
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-        """The program for a purpose, and the seconds it took to trace and compile.
-
-        Raises `CannotRecord` where what is traced branches on values.
-        """
+        """The program for a purpose, and the seconds it took to make; `CannotRecord` where it branches on values."""
 
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()

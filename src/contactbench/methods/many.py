@@ -30,10 +30,7 @@ TOGETHER = Lock()
 
 
 def field_program(advance: Callable[..., Any], scene: Many, packing: Packing) -> FieldProgram:
-    """Record ``advance(scene, x, h, n, xp, repeat)``; with two blocks the state's numbers are dual.
-
-    Raises `CannotRecord`.
-    """
+    """Record ``advance(scene, x, h, n, xp, repeat)``, on dual numbers with two blocks; may raise `CannotRecord`."""
     (d, with_s, blocks), names = packing, tuple(scene.constants)
 
     def fields(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:
@@ -148,10 +145,8 @@ def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = Fal
 def slopes_of(scene: Many, carry: tuple[str, ...]) -> FieldLoop:
     """The right-hand side."""
     packing = Packing(scene.dimensions, "s" in carry)
-    known = scene.equations if scene.identity is not None else None
-    return _loops.get(
-        key(known, packing), lambda: FieldLoop(lambda scene, x, *_: scene.rhs(x), scene, packing)
-    )
+    known = key(scene.equations if scene.identity is not None else None, packing)
+    return _loops.get(known, lambda: FieldLoop(lambda scene, x, *_: scene.rhs(x), scene, packing))
 
 
 class SweepLoop(FixedStepRun):
@@ -203,10 +198,7 @@ class ArrayLoop(SweepLoop):
 
 
 class MeshLoop(JaxLoop):
-    """The compiled steps; many sites are divided among all devices, of all processes, where they do so evenly.
-
-    A single process on a CPU divides them where threads would, for which it has a device each.
-    """
+    """The compiled steps; many sites are divided evenly among all devices, on one CPU where threads would do so."""
 
     @cached_property
     def mesh(self) -> Any:

@@ -51,10 +51,7 @@ def weights(nodes: Sequence[int], moments: Iterable[Fraction]) -> list[Fraction]
 
 @dataclass(frozen=True)
 class Multistep(FixedStep):
-    """z_{n+1} from α and K forces; see above.
-
-    alpha : α₁, …, α_k.  forces : K.
-    """
+    """z_{n+1} from α₁, …, α_k and so many forces; see above."""
 
     alpha: tuple[int, ...] = field(kw_only=True)
     forces: int = field(kw_only=True)

@@ -39,7 +39,6 @@ class OneStep:
     carry: tuple[str, ...]
 
     def __repr__(self) -> str:
-        """One line: of which method and scene, and what its arguments are."""
         y = f"an array ({len(self.start)},)" if self.many else f"({', '.join(self.labels)})"
         return f"<step map of {self.method.name} on {self.scene.name}: step(y, h), y = {y}>"
 
@@ -90,16 +89,12 @@ class OneStep:
 
     @cached_property
     def compiled(self) -> Any:
-        """The step as straight-line arithmetic, compiled by numba.
-
-        Raises `CannotRecord` where scene or method branch on values, and of many sites.
-        """
+        """The step, compiled by numba; `CannotRecord` where scene or method branch on values, and of many sites."""
         import numba
 
         if self.many:
-            raise CannotRecord(
-                "numba.njit takes no step map of many sites: call it outside, or use `cb.prepare`"
-            )
+            why = "numba.njit takes no step map of many sites: call it outside, or use `cb.prepare`"
+            raise CannotRecord(why)
 
         d = len(self.labels)
         recorded = formula(self.advance, (d, 0, len(self.names), "xp"), ())
@@ -146,9 +141,8 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
     if not isinstance(chosen, FixedStep):
         raise BadInput(f"method = {method!r}: chooses its own steps, so that there is no map of a single one")
     if not chosen.one_step:
-        raise BadInput(
-            f"method = {method!r}: a step needs those before it, so that there is no map of a single one"
-        )
+        before = "a step needs those before it, so that there is no map of a single one"
+        raise BadInput(f"method = {method!r}: {before}")
     if (why := chosen.refuses(scene)) is not None:
         raise BadInput(f"method = {method!r}: {why}")
     return OneStep(scene, chosen, scene.carry(carry))

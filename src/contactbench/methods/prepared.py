@@ -15,15 +15,7 @@ import numpy as np
 from contactbench.errors import BadInput, Registry, blame, excerpt
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, norm
-from contactbench.solution import (
-    DIVERGENCE,
-    EXACT,
-    Counts,
-    Differential,
-    Solution,
-    Status,
-    setting_key,
-)
+from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
 
 #: name → method, each a `base.Method`
 METHODS = Registry("method")
@@ -68,8 +60,7 @@ class Request:
 class Outcome:
     """What integrating gave: packed states (NaN where not reached), counts, and how it ended.
 
-    checked : the states are known to be finite and the last one to be at the end.
-    steps : the step chosen in this run, and the longest taken, where the run chose one.
+    checked : the states are known to be finite, the last at the end.  steps : the one chosen, and the longest taken.
     """
 
     y: np.ndarray
@@ -240,8 +231,7 @@ class Prepared(ABC):
     def _without_rise(self, y0: np.ndarray, out: Outcome) -> Outcome:
         """Take an `ok` back where H0 ends above its start by more than all its terms there.
 
-        No motion of a scene that `bounds_energy` does so: the steps are far too long for it.  An error that is
-        small beside the terms at the end, after a start next to an equilibrium, is no such rise.
+        No motion of a scene that `bounds_energy` does so; a small error after a start next to an equilibrium is none.
         """
         r = self.request
         x = r.scene.unpack(r.scene.entries(y0), r.carry)
@@ -274,11 +264,7 @@ class Prepared(ABC):
         raise BadInput(f"{self.method} ({self.request.engine}): its map cannot be differentiated")
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Saved states (k, d) and their derivative (k, d, m), of one and the same numerical map.
-
-        y : the saved states of the plain run.  A solver that has to run anew for the derivative
-        gives the states of that run instead.
-        """
+        """Saved states (k, d), maybe of a run made anew, and their derivative (k, d, m), of one and the same map."""
         return y, self.sensitivity(y0)
 
     def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
@@ -295,10 +281,7 @@ class Prepared(ABC):
         return differences(self, y0, out)
 
     def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-        """Log of the product of the conformal factors of the contact maps applied, up to each saved time, (k,).
-
-        y : the saved states.  None where a run is no composition of such maps.
-        """
+        """Log of the product of the conformal factors up to each saved time, (k,); None without contact maps."""
         return None
 
     def modified_hamiltonian(self, x: Any) -> Any | None:
@@ -321,10 +304,7 @@ class Refused(Prepared):
 
 
 def require_slope(scene: Scene, start: Any) -> None:
-    """Raise `BadInput` unless the equations have a finite slope at an initial state.
-
-    Some solvers, SciPy's among them, never return from a first step that is not a number.
-    """
+    """Raise `BadInput` unless the slope at a state is finite: some solvers never return from a first step of nan."""
     try:
         slope = [float(component) for component in scene.pack(scene.rhs(start))]
     except NO_NUMBER as error:

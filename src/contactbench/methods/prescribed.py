@@ -84,17 +84,13 @@ def steps_until(steps: np.ndarray, times: np.ndarray) -> np.ndarray:
     off[1:] |= np.diff(nearest) == 0
     if off.any():
         time = times[np.argmax(off)]
-        raise BadInput(
-            f"step: {len(steps)} steps to t = {ends[-1]:.10g}, none of which ends at t = {time:.10g}"
-        )
+        why = f"step: {len(steps)} steps to t = {ends[-1]:.10g}, none of which ends at t = {time:.10g}"
+        raise BadInput(why)
     return nearest + 1
 
 
 def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
-    """Return the steps as runs of equal ones, of which one ends at each of some times, the last of them the end.
-
-    Steps lead to these times to the last digit: the round-off of their sum goes to the last run before each.
-    """
+    """Return runs of equal steps, of which one ends at each of some times, to the last digit; the last is the end."""
     last = steps_until(steps, times) - 1
     changes = np.abs(np.diff(steps)) > EQUAL * steps[1:]
     changes = np.append(changes, True)

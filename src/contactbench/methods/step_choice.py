@@ -47,10 +47,7 @@ class Pilot(NamedTuple):
 
 @dataclass
 class ChosenStep(Prepared):
-    """A fixed-step method run to a tolerance on max ‖y − y*‖ / max ‖y*‖ over the saved times.
-
-    The pilots are part of every call: their evaluations are in the counts and their time in the call.
-    """
+    """A fixed-step method run to a tolerance on max ‖y − y*‖ / max ‖y*‖; its pilots are part of every call."""
 
     #: the state decides on a whole number of steps, which a small change of it leaves as it is
     steps_follow_state = False

@@ -1,7 +1,4 @@
-"""Choices and loops on every kind of number.
-
-Plain numbers (floats, mpmath) may be looked at; arrays and traced numbers may not: see `Abilities`.
-"""
+"""Choices and loops: plain numbers may be looked at, arrays and traced numbers may not (see `Abilities`)."""
 
 from __future__ import annotations
 
@@ -21,9 +18,8 @@ ENDLESS = 200
 
 @dataclass(frozen=True)
 class Repeat:
-    """``repeat(n, body, x)``: n-fold application, by the kind of loop an engine has.
+    """``repeat(n, body, x)``: n-fold application, by the kind of loop an engine has, maybe that over stages, too.
 
-    over_stages : the loops over the stages of a step are to be such loops too, for short code.
     joint_first : a turn begins with the kick that joins two steps: with the drift after it, it is one loop over sites.
     """
 
@@ -61,10 +57,7 @@ def settle(x: Any, xp: Any) -> Any:
 def scan(
     body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int, rest: Callable[[Any], Any], xp: Any
 ) -> tuple[Any, Any]:
-    """x after `turns` of ``x, out = body(x)``, and the outs; plain numbers until ``rest(x)`` is negligible.
-
-    Raises `ArithmeticError` if it never is.
-    """
+    """x after `turns` of ``x, out = body(x)``, and the outs; of plain numbers until ``rest(x)`` is negligible."""
     can = abilities(xp)
     if can.traced:
         return lax.scan(lambda x, _: body(x), x, None, length=turns)

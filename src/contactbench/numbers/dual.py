@@ -1,7 +1,4 @@
-"""Dual numbers a + bε, ε² = 0: the derivative of plain arithmetic along one direction.
-
-Components may be any numbers a scene runs on, dual numbers included (nested: second derivatives).
-"""
+"""Dual numbers a + bε, ε² = 0, of any numbers, dual ones too: the derivative of plain arithmetic."""
 
 from __future__ import annotations
 

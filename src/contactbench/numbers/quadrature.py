@@ -55,10 +55,7 @@ def weigh(weights: list[Any], values: list[Any]) -> Any:
 
 
 def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> tuple[Any, Any]:
-    """G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, in one step of the method on G' = γ, φ' = e^{−G}.
-
-    rate : γ(t).  No choices on the way, so that it runs on traced and recorded numbers.
-    """
+    """G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ of a rate γ(t), by one step on G' = γ, φ' = e^{−G}."""
     nodes, weights, matrix = rule(xp)
     values = [rate(t + c * h) for c in nodes]
     kept = [xp.exp(-h * weigh(row, values)) for row in matrix]

@@ -31,10 +31,7 @@ def total(x: Any) -> Any:
 
 
 def neighbour(x: Any, places: int, boundary: str) -> Any:
-    """Return the value at the next site (places = 1) or the one before (−1).
-
-    Beyond the ends of a chain that is fixed there are zeros, of one that is free the last value again.
-    """
+    """Return the value at the next site (places = 1) or the one before (−1); beyond an end 0, or the last if free."""
     if isinstance(x, Dual):
         return Dual(neighbour(x.a, places, boundary), neighbour(x.b, places, boundary))
     if isinstance(x, Unknown):
@@ -48,10 +45,7 @@ def neighbour(x: Any, places: int, boundary: str) -> Any:
 
 
 def pairs(function: Callable[..., tuple[Any, ...]], x: tuple[Any, ...], *weights: Any) -> tuple[Any, ...]:
-    """Return Σ_{j ≠ i} function(x_i − x_j, w_i, w_j, …) at every site i, for each of the function's results.
-
-    x : the components of a position.  Two sites at one place do not act on each other.
-    """
+    """Return Σ_{j ≠ i} function(x_i − x_j, w_i, w_j, …) at every site i, for each of its results; nothing at r = 0."""
     first = value(x[0])
     if isinstance(first, Unknown):
         return first.tape.pairs(function, x, weights)  # type: ignore[attr-defined]

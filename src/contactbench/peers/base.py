@@ -19,7 +19,6 @@ from __future__ import annotations
 import importlib.util
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple, Self
@@ -38,11 +37,9 @@ from contactbench.trace.recording import Recorded, Tape, attempt
 
 @dataclass(frozen=True)
 class Peer(Adaptive):
-    """A solver of another library.
+    """A solver of another library; run : makes its prepared run, or raises `ImportError`; solver : its name there.
 
-    run : its prepared run, of name, request and the method; raises `ImportError` where the library cannot be used.
-    solver : its name in the library.  package : what must be installed.  stages : evaluations of an attempted step,
-    where that is fixed.  implicit : whether it takes a Jacobian.  costs : see `step_cost`, by engine.
+    package : what must be installed.  stages : of an attempted step, where fixed.  costs : see `step_cost`, by engine.
     """
 
     name: str
@@ -164,11 +161,9 @@ class Variational(System):
         return Bundle(base.rhs(z.x), tuple(v))
 
     def jacobian(self, z: Bundle) -> list[list[Any]]:
-        """diag(Df, …, Df), for the implicit solvers.
+        """diag(Df, …, Df), without the coupling D²f(y) v_j of tangents to the state, strictly block triangular.
 
-        What is left out, the coupling D²f(y) v_j of the tangents to the state, is strictly block
-        triangular: Newton's iteration converges all the same, the tangents one iteration after the
-        state, and the convergence test of the solver sees both.
+        So Newton's iteration converges all the same, the tangents one turn later, and the solver's test sees both.
         """
         rows = derivative(self.base, z.x, self.carried(z))
         moved = [self.base.without_clock(row) for row in self.base.without_clock(rows)]
@@ -185,10 +180,8 @@ class Variational(System):
 
 def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
     """Df at x, rows in packed order: the scene's own Jacobian, or its right-hand side on dual numbers."""
-    with suppress(NotImplementedError):
-        rows = scene.jacobian(x)
-        if rows is not None:
-            return rows
+    if (rows := scene.jacobian(x)) is not None:
+        return rows
     y = scene.pack(x)
     columns = []
     for j in range(len(y)):
@@ -204,13 +197,9 @@ INTERPOLANT, BEFORE = 3, 2
 
 @dataclass
 class CallbackPeer(PeerRun):
-    """A run of a solver whose right-hand side, and Jacobian if it takes one, are Python functions of plain floats.
+    """A run of a solver that calls back Python functions of plain floats, recorded with the numbers as constants.
 
-    They are as lean as what a user would write for one problem: the scene is recorded once as a plain Python
-    function, its numbers written in as constants.  Where it cannot be recorded (a force that branches on values)
-    it is called as it is, at four times the cost.
-
-    rhs : ``(t, y) -> slopes`` and jacobian : ``(t, y) -> rows``, on a list of floats; None where there is none.
+    A function that cannot be recorded is called as it is, at four times the cost.
     """
 
     #: as how many steps the last one counts that failed
@@ -223,9 +212,8 @@ class CallbackPeer(PeerRun):
         self.rhs = recorded or (lambda t, y: scene.slopes(t, y, carry))
         self.jacobian: Callable[[float, Any], Any] | None = None
         if self.method_.implicit and scene.has_jacobian:
-            self.jacobian = record_function(scene, "jacobian", carry) or (
-                lambda t, y: motion_jacobian(scene, t, y, carry)
-            )
+            recorded = record_function(scene, "jacobian", carry)
+            self.jacobian = recorded or (lambda t, y: motion_jacobian(scene, t, y, carry))
 
     @abstractmethod
     def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Any:

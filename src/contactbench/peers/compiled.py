@@ -46,8 +46,6 @@ RHS_CALLS, JACOBIAN_CALLS, ORIGIN, CONSTANTS = 0, 1, 2, 3
 #: what a compiled call returns of a run, followed by the packed state reached
 FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
 KNOWN = len(FACTS)
-#: the version of CyRK whose C interface is known
-INTERFACE = "0.20."
 #: CyRK's status codes
 SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR = 1, -52, -53
 #: the major version of SUNDIALS whose C interface is known
@@ -59,10 +57,7 @@ LARGEST_JACOBIAN = 64
 
 
 class CFunctions(NamedTuple):
-    """Addresses of the two functions (jacobian 0 where it cannot be had), and how to make their data.
-
-    compile_s : seconds spent recording and compiling.  code : the machine code, kept alive.
-    """
+    """Addresses of rhs and jacobian (0: none), how to make their data, seconds to compile, code kept alive."""
 
     rhs: int
     jacobian: int
@@ -78,10 +73,7 @@ _compiled: Cache[CFunctions] = Cache(256)
 
 
 def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions | FieldFunctions:
-    """The C functions of a scene, compiled once for its identity and the fields carried.
-
-    Raises `CannotRecord` where the right-hand side branches on values.
-    """
+    """The C functions of a scene, once for its identity and fields; `CannotRecord` where it branches on values."""
 
     if isinstance(scene, Many):
         return FieldFunctions(scene, carry)

@@ -28,10 +28,8 @@ def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tup
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
     variables = variables if isinstance(variables, list) else [variables]
     slopes = map(bare, scene.slopes(Series(heyoka.time), [Series(v) for v in variables], carry))
-    return [
-        (v, heyoka.expression(s) if isinstance(s, float) else s)
-        for v, s in zip(variables, slopes, strict=True)
-    ]
+    expressions = (heyoka.expression(s) if isinstance(s, float) else s for s in slopes)
+    return list(zip(variables, expressions, strict=True))
 
 
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile

@@ -1,10 +1,9 @@
 """SUNDIALS CVODE: variable-order Adams (non-stiff) and BDF (stiff).
 
-Hindmarsh et al., ACM Trans. Math. Softw. 31, 363 (2005), doi:10.1145/1089014.1089020.
-Engine "c": the C library that scikit-sundae's wheel ships, with the scene as C functions (abi/cvode.py).  Engine
-"c+python": scikit-sundae as it is, calling back into Python.
-CVODE stops after 500 steps by default and says so only in its result: the budget is set from
-`max_steps` and the result's status is read.
+Hindmarsh et al., ACM Trans. Math. Softw. 31, 363 (2005), doi:10.1145/1089014.1089020.  Engine "c": the C library that
+scikit-sundae's wheel ships, with the scene as C functions (abi/cvode.py).  Engine "c+python": scikit-sundae as it is,
+calling back into Python.  CVODE stops after 500 steps by default and says so only in its result: the budget is set
+from `max_steps` and the result's status is read.
 """
 
 from __future__ import annotations

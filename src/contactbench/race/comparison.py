@@ -183,10 +183,9 @@ def users_reference(scene: Scene, given: Callable[[np.ndarray], Any]) -> Referen
     function("reference", given)
     carry, t = carry_of(scene), ends(scene)
     labels = ", ".join(scene.labels(carry)[:8])
+    wanted = f"a function of the times that gives a row of {labels} for each"
     with their_code("reference"):
-        y = array(
-            "reference", given(t.copy()), f"a function of the times that gives a row of {labels} for each"
-        )
+        y = array("reference", given(t.copy()), wanted)
     if y.shape != (shape := (len(t), len(scene.labels(carry)))) or not np.isfinite(y).all():
         raise BadInput(f"reference: gives shape {y.shape}: must be {shape}, finite, for each time {labels}")
     return Reference(scene, carry, t, y, [], np.finfo(float).precision, "given")
@@ -250,8 +249,7 @@ class Unsupported(Exception):
 class Scout:
     """One method on its way from its coarsest setting to the one that reaches the smallest error.
 
-    why : a status and a reason where no setting could be tried, or no finer one.  compile_s : seconds until its first
-    run has ended.  spent : seconds it has had since.  a_step : seconds a step takes.
+    why : a status and a reason where it got no further.  spent : seconds since its first run.  a_step : of a step.
     """
 
     def __init__(self, question: Question, method: str) -> None:
@@ -341,9 +339,8 @@ class Scout:
         options: dict[str, Any] = {"carry": carry_of(scene), "max_steps": self.most_steps()}
 
         def prepared(end: float) -> Any:
-            return prepare(
-                scene, name, save_at=[end], **setting_to(end, scene, self.control, value), **options
-            )
+            setting = setting_to(end, scene, self.control, value)
+            return prepare(scene, name, save_at=[end], **setting, **options)
 
         *earlier, end = ends(scene).tolist()
         start = perf_counter()
@@ -587,9 +584,8 @@ class Comparison:
 def differentiation_time(each: Scout, attempt: Attempt) -> float:
     scene = each.question.scene
     components = 0 if isinstance(scene, Many) else scene.motion
-    return (
-        COMPILATIONS * max(each.compile_s, CACHED) * (1 + (components / MANY) ** 3) + RUNS * attempt.seconds
-    )
+    compilation = max(each.compile_s, CACHED) * (1 + (components / MANY) ** 3)
+    return COMPILATIONS * compilation + RUNS * attempt.seconds
 
 
 def judge_times(frame: pd.DataFrame) -> pd.DataFrame:

@@ -4,14 +4,5 @@ A chapter answers one question with a summary, views and figures as data (chapte
 markdown.py, draw.py and page/ render them.
 """
 
-from contactbench.report import (
-    claims,
-    damping,
-    ensemble,
-    gradients,
-    headline,
-    long_time,
-    scaling,
-    stability,
-    structure,
-)
+# headline imports the others
+from contactbench.report import damping, ensemble, gradients, headline, long_time, scaling, stability

@@ -13,12 +13,8 @@ from contactbench.results.schema import BEYOND, SEPARATOR
 
 SOURCE = "claims.csv"
 VERDICTS = {"holds": Mark.holds, "holds, corrected": Mark.corrected, "refuted": Mark.refuted}
-CAPTIONS = {
-    "repairs": "Corrected",
-    "replaces": "True instead",
-    "sharpens": "Stronger",
-    "extends": "How far it goes",
-}
+CAPTIONS = {"repairs": "Corrected", "replaces": "True instead", "sharpens": "Stronger"}
+CAPTIONS |= {"extends": "How far it goes"}
 LEGEND = (
     "*holds*: the measurements agree with the claim as it stands. *holds, corrected*: true once the stated correction "
     "is made. *refuted*: a number contradicts it. [How claims are judged](../docs/reading.md#claims)."
@@ -80,15 +76,10 @@ def items(evidence: str) -> tuple[str, ...]:
 def parts(frames: Frames) -> list[Part]:
     frame = frames["claims"]
     drawn = {figure.name: figure for figure in paper.all_figures(frames["paper_figures"])}
-    own, beyond = (
-        tuple(claim_section(row, drawn) for _, row in some.iterrows()) for some in split_claims(frame)
-    )
-    return [
-        claims_view(frame),
-        Section("Claim by claim", own),
-        Section("Beyond the paper", beyond),
-        Section("Other figures", tuple(drawn.values())),
-    ]
+    sections: list[Part] = []
+    for title, some in zip(("Claim by claim", "Beyond the paper"), split_claims(frame), strict=True):
+        sections.append(Section(title, tuple(claim_section(row, drawn) for _, row in some.iterrows())))
+    return [claims_view(frame), *sections, Section("Other figures", tuple(drawn.values()))]
 
 
 TITLE, QUESTION = "The paper's claims, measured", "Which claims of the paper hold?"

@@ -56,13 +56,9 @@ def parts(frames: Frames) -> list[Part | None]:
         f"±: spread of the extrapolation. Marked: further from the claimed order than that and than {AGREES:g}. "
         "Before any extrapolation: column `last_slope`."
     )
-    return [
-        View("orders", "Extrapolated order", orders, legend, SOURCE),
-        figure(frames["convergence"]),
-    ]
+    return [View("orders", "Extrapolated order", orders, legend, SOURCE), figure(frames["convergence"])]
 
 
-# -- the figure ------------------------------------------------------------------------------------
 def guides(rows: pd.DataFrame, methods: list[str]) -> Iterator[Curve]:
     part = rows[rows["method"].isin(methods) & (rows["solution_error"] > ROUNDING)]
     for order, own in part.groupby("order_nominal"):
@@ -83,14 +79,10 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     title = f"{SCENE}: {len(off)} methods converge at their claimed order, to within {off.max():.1g}"
     curves = best_of_each(by_method(rows, "step", "solution_error"), lowest, by_order=True)
     x = Axis("step size h (smaller to the right)", "log", inverted=True)
-    panel = Panel(
-        "",
-        x,
-        Axis("error of the solution", "log"),
-        (*guides(rows, [curve.method for curve in curves if not curve.muted]), *curves),
-    )
+    y = Axis("error of the solution", "log")
+    slopes = guides(rows, [curve.method for curve in curves if not curve.muted])
     caption = "Dotted: the claimed slopes. In colour: the most accurate of each family and order."
-    return Figure("convergence", title, (panel,), caption)
+    return Figure("convergence", title, (Panel("", x, y, (*slopes, *curves)),), caption)
 
 
 TITLE, QUESTION = "Order of convergence", "Do the methods have the order they claim?"

@@ -55,7 +55,6 @@ def decade(value: float, end: Callable[[float], int]) -> str:
     return power(10.0 ** end(math.log10(value))) if value > 0 else "0"
 
 
-# -- which curves are in colour --------------------------------------------------------------------
 def best_of_each(curves: Iterable[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
     """Return the curves, of each family (and order) all but the best muted and first; MOST groups have one."""
     curves = list(curves)

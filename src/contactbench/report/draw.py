@@ -128,7 +128,6 @@ def power(value: float) -> str:
 
 
 def seen(panel: Panel) -> list[tuple[float, float]]:
-
     def inside(axis: Axis, v: float) -> bool:
         low, high = axis.within
         finite = math.isfinite(v) and (v > 0 or axis.scale == "linear")
@@ -155,11 +154,9 @@ def scale(axes: Axes, which: str, axis: Axis, values: Sequence[float]) -> None:
 
 def draw_panel(axes: Any, panel: Panel) -> None:
     for curve in panel.curves:
-        cloud = not curve.line
         every = len(curve.x) // 8 if len(curve.x) > MARKED and curve.line else 1
-        axes.plot(
-            curve.x, curve.y, markevery=every, rasterized=cloud and len(curve.x) > MANY, **properties(curve)
-        )
+        picture = not curve.line and len(curve.x) > MANY
+        axes.plot(curve.x, curve.y, markevery=every, rasterized=picture, **properties(curve))
     points = [] if panel.equal else seen(panel)  # the aspect decides
     scale(axes, "x", panel.x, [x for x, _ in points])
     scale(axes, "y", panel.y, [y for _, y in points])

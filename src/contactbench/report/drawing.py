@@ -20,13 +20,9 @@ class Axis:
 class Curve:
     """Points of one curve, in drawing order; nan interrupts the line.
 
-    label : its entry in the legend; "" for none.  Equal labels are one entry.
-    method : a name of METHODS gives it that method's colour, dash and marker, everywhere the same.
-    role : the look of what is no method, a name of `look.ROLES`.
-    line, markers : whether either is drawn.
-    family : what a method unknown to look.py declares itself.
-    muted : thin and grey, not the best of its family.
-    settings : of each point; empty for none.
+    label : its entry in the legend, equal ones are one; "" for none.  method : gives it that method's look.
+    role : of `look.ROLES`, the look of what is no method.  family : what a method unknown to look.py declares itself.
+    muted : thin and grey, not the best of its family.  settings : of each point; empty for none.
     """
 
     x: tuple[float, ...]

@@ -49,7 +49,6 @@ def answers(frames: Frames) -> pd.DataFrame:
     return summary(*lines)
 
 
-# -- views -----------------------------------------------------------------------------------------
 def arithmetic_view(frame: pd.DataFrame) -> View:
     shapes, own = beside_loops(frame)
     loops = {shape: f"C loop, {shape}" for shape in shapes}

@@ -31,9 +31,8 @@ def answers(frames: Frames) -> pd.DataFrame:
             first, *rest = part.to_dict("records")
             least = first["time_min_s"]
             beside = [f"{r['method']}, {r['mode']} {times(r['time_min_s'] / least)}" for r in rest]
-            question = (
-                f"Who has a derivative {how} in the least time, `{scene}`, T = {end:g}, {power(asked)}?"
-            )
+            case = f"`{scene}`, T = {end:g}, {power(asked)}"
+            question = f"Who has a derivative {how} in the least time, {case}?"
             who = first["method"] if how == FORWARD else f"{first['method']}, {first['mode']}"
             lines.append((question, who, "; ".join([duration(least), *beside])))
     return summary(*lines)
@@ -61,11 +60,8 @@ def costs_view(frame: pd.DataFrame) -> View:
 
 
 def growth_view(frame: pd.DataFrame) -> View:
-    errors = {
-        "growth": "e^{γT}",
-        "start_error": "error of the start",
-        "gradient_error": "error of the derivative",
-    }
+    errors = {"growth": "e^{γT}", "start_error": "error of the start"}
+    errors |= {"gradient_error": "error of the derivative"}
     table = pick(frame, "method", gamma="γ", force="force", t_end="T", **errors)
     legend = "A forced oscillator, ω = 1, whose steps are taken back. Flows have exact inverses: this is round-off."
     show = dict.fromkeys(errors.values(), scientific)

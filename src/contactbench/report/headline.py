@@ -128,10 +128,8 @@ def parts(frames: Frames) -> list[Part | None]:
     if len(frames["work_precision"]):
         drawn = work_precision.figure(frames["work_precision"], PICTURED)
         contests = work_precision.all_contests(frames).values()
-        found += [
-            drawn and replace(drawn, caption=""),
-            *cheapest_parts([c for c in contests if len(c.contests)]),
-        ]
+        found.append(drawn and replace(drawn, caption=""))
+        found += cheapest_parts([c for c in contests if len(c.contests)])
     return [*found, documents_view(frames)]
 
 

@@ -50,10 +50,8 @@ def counts(rows: pd.DataFrame) -> str:
 def answers(frames: Frames) -> pd.DataFrame:
     rows = structural_rows(frames)
     claimed = rows[rows["claimed"]].groupby("label", sort=False)
-    lines = (
-        (f"{label}: at round-off where claimed?", how_often(*kept_of(r)), counts(r)) for label, r in claimed
-    )
-    return summary(*lines)
+    question = "{}: at round-off where claimed?".format
+    return summary(*((question(label), how_often(*kept_of(own)), counts(own)) for label, own in claimed))
 
 
 # -- cells -----------------------------------------------------------------------------------------
@@ -79,9 +77,8 @@ def drift_cell(row: Any, law: str) -> Cell:
     unsure = error > 0 and value <= UNSURE * error
     bar = f" ± {scientific(error, 0)}" if not unsure and 0 < value / 10 <= error else ""
     signs = (DAGGER if number(f"{law}_clamped") > 0 else "") + (DOUBLE_DAGGER if ill else "")
-    return Cell(
-        f"{'≤ ' if unsure else ''}{scientific(value)}{bar}{signs}", value, Mark.kept if kept else None
-    )
+    text = f"{'≤ ' if unsure else ''}{scientific(value)}{bar}{signs}"
+    return Cell(text, value, Mark.kept if kept else None)
 
 
 def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:

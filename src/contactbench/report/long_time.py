@@ -49,10 +49,7 @@ def right_from(rows: pd.DataFrame, right: pd.Series) -> float:
 
 
 def least(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Return the evaluations from which on each method surely has an average right, the fewest first.
-
-    bound : that is its cheapest setting.  first : it is within a rung of the fewest.
-    """
+    """Return the fewest evaluations that have an average right; bound : the cheapest setting; first : or a tie."""
     found = {}
     for name, own in deviations(frame, quantity).groupby("method", sort=False):
         cost = right_from(own, own["off"] + SURE * own["bar"] <= 1)
@@ -88,11 +85,9 @@ def answers(frames: Frames) -> pd.DataFrame:
     return summary(*lines)
 
 
-# -- views -----------------------------------------------------------------------------------------
 def costs_view(frame: pd.DataFrame) -> View:
-    found = pd.concat(
-        [least(frame, q).rename_axis("method").reset_index().assign(average=q) for q in ALLOWED]
-    )
+    costs = {quantity: least(frame, quantity) for quantity in ALLOWED}
+    found = pd.concat(costs, names=["average", "method"]).reset_index()
     alone = found.groupby("average")["first"].sum() == 1
 
     def cell(rows: pd.DataFrame) -> Cell:

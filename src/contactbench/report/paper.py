@@ -37,15 +37,9 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
         elif kind in ("flow", "stable", "unstable"):
             label = kind
         single = len(points) == 1
-        yield Curve(
-            floats(points["x"]),
-            floats(points["y"]),
-            label,
-            method,
-            "" if method else role,
-            line=not single and (kind != "method" or alone),
-            markers=single or kind == "method",
-        )
+        line, markers = not single and (kind != "method" or alone), single or kind == "method"
+        places = floats(points["x"]), floats(points["y"])
+        yield Curve(*places, label, method, "" if method else role, line, markers)
 
 
 def flat(rows: pd.DataFrame, panel: str, title: str, x: Axis, y: Axis, **more: Any) -> Panel:

@@ -39,10 +39,8 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
     reference = frame.attrs["reference"]
     second = reference["confirmed"]
     agreed, confirmed = "two precisions of one engine agree", f"{second} of them confirmed by a second engine"
-    checked = agreed if second is None else confirmed
-    checked = {"given": "not checked", "two solvers": "to which DOP853 and extrapolation agree"}.get(
-        reference["source"], checked
-    )
+    known = {"given": "not checked", "two solvers": "to which DOP853 and extrapolation agree"}
+    checked = known.get(reference["source"], agreed if second is None else confirmed)
     yield (
         f"Reference: {reference['source']}, {reference['digits']} digits, {checked}; errors below "
         f"{reference['error']:.1e} are not claimed."
@@ -177,10 +175,8 @@ def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
 def front(tried: pd.DataFrame) -> pd.DataFrame:
     """Return of each method the runs that no cheaper one is as accurate as: too coarse ones are accurate by chance."""
     ordered = tried.sort_values(["cost", "error"], kind="stable")
-    least = ordered.groupby("method")["error"].transform(
-        lambda errors: errors.cummin().shift(fill_value=np.inf)
-    )
-    return ordered[ordered["error"] < least]
+    errors = ordered.groupby("method")["error"]
+    return ordered[ordered["error"] < errors.transform(lambda own: own.cummin().shift(fill_value=np.inf))]
 
 
 # -- documents -------------------------------------------------------------------------------------

@@ -73,9 +73,8 @@ def answers(frames: Frames) -> pd.DataFrame:
     slopes = [s for own in lines(main[main["cores"] == 1]).values() if (s := slope(own)) == s]
     if slopes:
         middle = f"as n to the power {np.median(slopes):.2f}"
-        between = (
-            f"{min(slopes):.2f} to {max(slopes):.2f}, {len(slopes)} methods and engines, a C loop among them"
-        )
+        among = f"{len(slopes)} methods and engines, a C loop among them"
+        between = f"{min(slopes):.2f} to {max(slopes):.2f}, {among}"
         found.append((f"How does the time of an evaluation grow on `{SCENE}`?", middle, between))
     return summary(*found)
 
@@ -102,9 +101,8 @@ def costs_view(frame: pd.DataFrame) -> View:
         at = [each.get(n) for n in sizes]
         rows.append((f"{method}, {engine}", scene, int(cores), *at, (other or [None])[0], *more))
     labels = [("", "method"), ("", "scene"), ("", "cores")]
-    labels += [
-        ("an evaluation at a degree of freedom, n =", size) for size in (*map(count, sizes), "another")
-    ]
+    group = "an evaluation at a degree of freedom, n ="
+    labels += [(group, size) for size in (*map(count, sizes), "another")]
     labels += [("", name) for name in ("power of n", "to 10⁻⁶", "compilation", "memory, MB")]
     legend = (
         f"Least round. Power of n: of the time of an evaluation, from n = {LARGE} on. To 10⁻⁶: at the "

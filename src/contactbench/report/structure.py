@@ -46,10 +46,7 @@ def cost(rows: pd.DataFrame, column: str) -> float:
 
 
 def costs(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return evaluations per unit of time and the time of a run by method and end, the least time first.
-
-    bound : the cheapest setting that ends well is more accurate than asked for.
-    """
+    """Return evaluations and time by method and end, least time first; bound : the cheapest setting exceeds it."""
     found = [
         (m, end, own["family"].iloc[0], own["energy_error"].max() < ALLOWED, *(cost(own, c) for c in COSTS))
         for (m, end), own in rows.groupby(["method", "t_end"], sort=False)
@@ -139,7 +136,6 @@ def others_view(frame: pd.DataFrame) -> View:
     return View("structure_others", "Other dampings and sizes", made, legend, SOURCE)
 
 
-# -- the figure ------------------------------------------------------------------------------------
 def reaching(curve: Curve, own: Sequence[Curve]) -> float:
     """Return how good a curve (x: cost, y: error) is at the error allowed."""
     return -math.log(value) if (value := costs_to_reach(curve.y, curve.x, (ALLOWED,))[0]) > 0 else math.nan
@@ -181,8 +177,6 @@ def parts(frames: Frames) -> list[Part | None]:
     return [costs_view(rows), figure(rows), others_view(frame)]
 
 
-TITLE, QUESTION = (
-    "What structure buys",
-    "What does keeping the contact structure buy on a long chaotic motion?",
-)
+TITLE = "What structure buys"
+QUESTION = "What does keeping the contact structure buy on a long chaotic motion?"
 CHAPTERS.add(Chapter("structure_buys", TITLE, QUESTION, 57, ("structure_buys",), parts, answers))

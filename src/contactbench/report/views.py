@@ -37,11 +37,7 @@ class Mark(StrEnum):
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a view.
-
-    value : what it is sorted by; None: words are sorted by `text`, a missing number last.
-    link : an address the text leads to.
-    """
+    """An entry; value : what it is sorted by, None: words by `text`, a missing number last; link : an address."""
 
     text: str
     value: float | None = None
@@ -58,13 +54,10 @@ class Head:
 
 @dataclass(frozen=True)
 class View:
-    """A table to read.
+    """A table to read; name : unique over all chapters, [a-z0-9_]; source : the CSV it is from.
 
-    name : unique over all chapters, [a-z0-9_].
     frame : its entries are words, numbers or `Cell`s; the first column names the row.  Column names are labels, or
-        pairs of a group and a label.
-    legend : one or two sentences under the title; says what marks and dashes mean.
-    source : the CSV it is from.
+    pairs of a group and a label.  legend : one or two sentences under the title; says what marks and dashes mean.
     show : how the numbers of a column are written, by label; "": of all other columns.
     """
 
@@ -78,18 +71,15 @@ class View:
     @cached_property
     def rows(self) -> tuple[tuple[Cell, ...], ...]:
         shows = [self.show.get(label, self.show.get("", readable)) for _, label in self.labels]
-        return tuple(
-            tuple(as_cell(value, show) for value, show in zip(row, shows, strict=True))
-            for row in self.frame.itertuples(index=False, name=None)
-        )
+        rows = self.frame.itertuples(index=False, name=None)
+        return tuple(tuple(map(as_cell, row, shows)) for row in rows)
 
     @cached_property
     def columns(self) -> tuple[Head, ...]:
         columns = list(zip(*self.rows, strict=True)) or [()] * len(self.labels)
         words = (all(cell.value is None for cell in column) for column in columns)
-        return tuple(
-            Head(label, word, group) for (group, label), word in zip(self.labels, words, strict=True)
-        )
+        heads = zip(self.labels, words, strict=True)
+        return tuple(Head(label, word, group) for (group, label), word in heads)
 
     @property
     def labels(self) -> list[tuple[str, str]]:

@@ -104,7 +104,6 @@ def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
 
 
 def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE) -> View:
-
     def cell(own: pd.DataFrame) -> Cell:
         lost, judged = own[own["winner"] == OTHER], own[own["winner"] != ""]
         if not len(lost):

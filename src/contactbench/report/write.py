@@ -1,7 +1,4 @@
-"""Documents and figures from the tables of a folder alone, and whether the committed ones say what the tables say.
-
-Nothing is solved here.
-"""
+"""Documents and figures from the tables of a folder alone, and whether the committed ones agree with them."""
 
 from __future__ import annotations
 

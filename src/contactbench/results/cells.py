@@ -48,8 +48,7 @@ class Entry:
 class Cells:
     """The cells of one run, which one or several processes finish, and those of the runs before it.
 
-    profile, selection : what is run, and which part of it was asked for (empty: all).  A cell is done if it was
-    finished since a run with this selection last began anew.
+    A cell is done if it was finished since a run with this selection (empty: all) last began anew.
     """
 
     def __init__(self, results: Path, profile: str, run: str, selection: str = "") -> None:
@@ -105,9 +104,8 @@ class Cells:
                 if (record := self._record(run)).exists():
                     made_by = {name for entry in entries if entry.run == run for name, _ in entry.rows}
                     # rows of a larger profile stay, and with them the run that made them
-                    alone = [
-                        n for n in whole if read(TABLES[n], self.results)["profile"].isin(profiles).all()
-                    ]
+                    profile_of = {n: read(TABLES[n], self.results)["profile"] for n in whole}
+                    alone = [name for name, profile in profile_of.items() if profile.isin(profiles).all()]
                     known = json.loads(record.read_text(encoding="utf-8"))
                     save_run(run, known, made_by, alone if run == self.run else (), self.results)
             for entry in entries:

@@ -46,9 +46,8 @@ RESOLVED = 1.5
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of cost.
+    """A kind of cost: its column, and those of the ratio of a cell's halves, and of a second process to the first.
 
-    cost, halves, processes : columns: of it, the ratio of the cell's own halves, and of a second process to the first.
     resolved : neither a cost whose halves differ by more than `RESOLVED` takes part, nor a closed form.
     """
 
@@ -123,12 +122,7 @@ def contestants(work: pd.DataFrame) -> pd.DataFrame:
     return work[(work["family"] != LIMIT) & work["variant"].fillna("").isin(["", GROWING])]
 
 
-def costs(
-    rows: pd.DataFrame,
-    kind: Kind,
-    keys: Sequence[str] = ("scene", "method"),
-    targets: Sequence[float] = TARGETS,
-) -> pd.DataFrame:
+def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "method")) -> pd.DataFrame:
     """Return the cost of each error for each method, on its best engine where times are compared.
 
     One row per `keys` and error, with the columns
@@ -148,7 +142,7 @@ def costs(
     found: list[dict[str, Any]] = []
     for key, own in part.groupby(list(keys), sort=False):
         engines = [one for _, one in own.groupby("engine", sort=False)] if kind.timed else [own]
-        tried = [list(_costs_on(one, kind, targets, spreads[one["engine"].iloc[0]])) for one in engines]
+        tried = [list(_costs_on(one, kind, spreads[one["engine"].iloc[0]])) for one in engines]
         lead = dict(zip(keys, key, strict=True)) | {"family": own["family"].iloc[0]}
         found += [lead | min(same, key=_preference) for same in zip(*tried, strict=True)]
     columns = ("family", "engine", "error", "cost", "bound", "reason", "fixed", "halves", "processes")
@@ -160,19 +154,17 @@ def _preference(row: dict[str, Any]) -> tuple[bool, float]:
     return not reached, row["cost"] if reached else not row["reason"]
 
 
-def _costs_on(
-    rows: pd.DataFrame, kind: Kind, targets: Sequence[float], processes: float
-) -> Iterator[dict[str, Any]]:
+def _costs_on(rows: pd.DataFrame, kind: Kind, processes: float) -> Iterator[dict[str, Any]]:
     reason, rows = cut_off(rows), rows[rows["status"] == "ok"]
     errors, spent = (_floats(rows[name]) for name in ("solution_error", kind.cost))
     front = envelope(errors, spent)
     ratios = [max(r, 1 / r) for r in _floats(rows[kind.halves])] if kind.timed else [1.0] * len(rows)
-    halves = interpolate(errors, ratios, front, targets)
+    halves = interpolate(errors, ratios, front, TARGETS)
     shares = [math.nan] * len(rows)
     if kind.timed and not kind.resolved and "fixed_s" in rows:
         shares = _floats(rows["fixed_s"] / rows["time_min_s"])
     loosest = max(errors, default=math.nan)
-    for target, cost, own in zip(targets, interpolate(errors, spent, front, targets), halves, strict=True):
+    for target, cost, own in zip(TARGETS, interpolate(errors, spent, front, TARGETS), halves, strict=True):
         reach = [(c, s) for e, c, s in zip(errors, spent, shares, strict=True) if e <= target and c == c]
         yield {
             "error": target,
@@ -240,9 +232,8 @@ def contests(costs: pd.DataFrame) -> pd.DataFrame:
             continue
         for target, part in here.groupby("error", sort=False):
             part = part[part["cost"].notna()].sort_values("cost", kind="stable")
-            ours, theirs = (
-                next(part[(part["family"] == CONTACT) == own].itertuples(), None) for own in (True, False)
-            )
+            contact = part["family"] == CONTACT
+            ours, theirs = (next(part[own].itertuples(), None) for own in (contact, ~contact))
             rows.append({"scene": scene, "error": target} | _contest(ours, theirs))
     names = "scene error contact contact_cost other other_cost ratio margin winner"
     return pd.DataFrame(rows, columns=names.split())

@@ -37,10 +37,7 @@ def laws_at_equal_cost() -> list[str]:
 
 
 def bound(rows: pd.DataFrame, law: str) -> pd.Series:
-    """Return up to what a deviation from a law is round-off, row by row.
-
-    The round-off of a law of the derivative grows with the numerical map where that was measured, else with the motion.
-    """
+    """Return up to what a deviation is round-off: by the growth of the map where known, else by the motion's."""
     growth = pd.Series(1.0, rows.index)
     if law not in OF_THE_STATE:
         motion = numbers(rows, "condition_number", 1.0)

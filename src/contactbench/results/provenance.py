@@ -90,11 +90,7 @@ def new_run_id() -> str:
 
 
 def runs(results: Path) -> list[dict[str, Any]]:
-    """Return the runs behind the tables of a folder, the oldest first; none where there is no record.
-
-    Each is a record of `environment` with "run", its name, and "tables": table name → "whole" or "part".
-    Raises `BadInput` for a file that is no such list.
-    """
+    """Return the runs behind the tables of a folder, oldest first, none without a record; `BadInput` if damaged."""
     path = results / "environment.json"
     if not path.exists():
         return []

@@ -134,7 +134,6 @@ class Table:
 TABLES = Registry("table", Table)
 
 
-# -- round-off -------------------------------------------------------------------------------------
 def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
     import pandas as pd  # takes long to load, and `import contactbench` needs the tables' names alone
 

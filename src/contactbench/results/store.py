@@ -134,10 +134,9 @@ def merge(
     made: Iterable[tuple[Any, ...]] | None = None,
     profiles: Sequence[str] = (),
 ) -> pd.DataFrame:
-    """Put rows into the table's files; return the merged table.
+    """Put rows into the table's files, one of an older version replaced; return the merged table.
 
     made : the keys of all rows of these profiles, where the table was made as a whole: others are dropped.
-    A file of an older version is replaced: nobody can read it any more.
     """
     try:
         old = read(table, results)
@@ -148,10 +147,8 @@ def merge(
     replaced = list(table.whole or table.key)
     frame = pd.concat([old[~index(old, replaced).isin(index(new, replaced))], new], ignore_index=True)
     if made is not None:
-        stale = frame["profile"].isin(profiles) & ~index(frame, list(table.key)).isin(
-            pd.Index(made, tupleize_cols=False)
-        )
-        frame = frame[~stale]
+        known = index(frame, list(table.key)).isin(pd.Index(made, tupleize_cols=False))
+        frame = frame[known | ~frame["profile"].isin(profiles)]
     if new.empty and len(frame) == len(old):
         return old
     frame = set_types(in_order(frame, table), table)
@@ -228,18 +225,14 @@ def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
         if column.type == "number" and not column.exact and frame[name].notna().any():
             digits = np.full(len(frame), TIME_DIGITS if column.timed else DIGITS)
             digits[(frame[name].abs() <= floor(column.rule, frame)).to_numpy()] = ROUND_OFF_DIGITS
-            frame[name] = [
-                float(f"{value:.{n - 1}e}") for value, n in zip(frame[name], digits.tolist(), strict=True)
-            ]
+            pairs = zip(frame[name], digits.tolist(), strict=True)
+            frame[name] = [float(f"{value:.{n - 1}e}") for value, n in pairs]
     return frame
 
 
 @contextlib.contextmanager
 def replacing(path: Path, sync: bool = True) -> Iterator[Any]:
-    """Open a text file that takes the place of `path` when the block ends without an exception.
-
-    sync : whether it is on the disk then, so that not even a failure of power takes it away.
-    """
+    """Open a text file that takes the place of `path` when the block ends well; sync : even if power fails then."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:

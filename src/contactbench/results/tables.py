@@ -46,7 +46,6 @@ def law_columns() -> dict[str, Column]:
     return columns
 
 
-# -- tables ---------------------------------------------------------------------------------------
 def columns(declared: Mapping[str, Any]) -> dict[str, Column]:
     found: dict[str, Column] = {}
     for name, entry in declared.items():

@@ -21,10 +21,7 @@ class State(NamedTuple):
 
 
 class BodyState(NamedTuple):
-    """State of a rigid body: body momentum M, attitude R as a quaternion (w, x, y, z), and s.
-
-    R and s are None when not carried.
-    """
+    """State of a rigid body: momentum M, attitude R as a quaternion (w, x, y, z), s; R, s None if not carried."""
 
     M: Vector
     R: Vector | None = None
@@ -44,9 +41,9 @@ def shifted(x: Any, h: Any, slope: Any) -> Any:
 
 def scaled(c: Any, v: Sequence[Any]) -> Vector:
     """Return c v; component by component where c is a tuple."""
-    return (
-        tuple(a * b for a, b in zip(c, v, strict=True)) if isinstance(c, tuple) else tuple(c * b for b in v)
-    )
+    if isinstance(c, tuple):
+        return tuple(a * b for a, b in zip(c, v, strict=True))
+    return tuple(c * b for b in v)
 
 
 def times(c: Any, factor: Any) -> Any:
@@ -63,12 +60,10 @@ def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
 
 
 def norm(a: Vector) -> Any:
-    """Return ‖a‖."""
     return dot(a, a) ** 0.5
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return a × b in R³."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
@@ -96,7 +91,6 @@ def rotation_matrix(R: Vector) -> tuple[Vector, Vector, Vector]:
 
 
 def rotate(R: Vector, v: Vector) -> Vector:
-    """Return R v for an attitude quaternion R."""
     return tuple(dot(row, v) for row in rotation_matrix(R))
 
 

@@ -201,10 +201,7 @@ class System(ABC):
 
     @property
     def identity(self) -> Hashable | None:
-        """What compiled code depends on besides the numbers; None where nobody can tell, and nothing is kept.
-
-        A user's function counts by the operations it was recorded with; what a kind of a user's own does is not known.
-        """
+        """What compiled code depends on besides the numbers, functions by their operations; None: nobody can tell."""
         given = (getattr(self, name) for name in self.functions)
         known = is_ours(type(self)) and all(f is None or isinstance(f, Formula) or is_ours(f) for f in given)
         return self.structure if known else None
@@ -218,11 +215,9 @@ class System(ABC):
     @property
     def functions_of_floats(self) -> list[str]:
         """Return the names of its user's functions that cannot be recorded, as SciPy's splines cannot."""
-        given = {name: getattr(self, name) for name in self.functions}
-        users = (name for name, f in given.items() if f is not None and not is_ours(f))
-        return [
-            name for name in users if not isinstance(given[name], Formula) and self._formula(name) is None
-        ]
+        given = ((name, getattr(self, name)) for name in self.functions)
+        plain = (name for name, f in given if not (f is None or is_ours(f) or isinstance(f, Formula)))
+        return [name for name in plain if self._formula(name) is None]
 
     @property
     def own_equations(self) -> str | None:
@@ -234,11 +229,7 @@ class System(ABC):
         return f"its flows are those of {self.kind}, and {own}" if anew else None
 
     def recorded(self) -> Self:
-        """Return the scene with its user's functions as formulas: what they compute now.
-
-        A function that cannot be recorded stays as it is.
-        Raises `BadInput` where a function gives another value for recorded numbers than for floats.
-        """
+        """Return the scene with its functions as formulas, where they can be; `BadInput` where the two differ."""
         found = {name: made for name in self.functions if (made := self._formula(name)) is not None}
         return self._replaced(**found) if found else self
 
@@ -423,12 +414,10 @@ class Scene(System):
         return dataclasses.replace(self, **changes)
 
     def _repr_html_(self) -> str:
-        """Return the scene's numbers as a table, for notebooks."""
         names = (*self.initial_fields, *self.coefficients, "t_end")
         rows = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
-        return html_table(
-            rows | dict(getattr(self, "parameters", {})), f"{self.name}: {self.about or self.kind}"
-        )
+        rows |= getattr(self, "parameters", {})
+        return html_table(rows, f"{self.name}: {self.about or self.kind}")
 
     def numbers(self) -> list[float]:
         own = System.pack([getattr(self, name) for name in self.coefficients])

@@ -206,7 +206,6 @@ def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
             )
 
 
-# -- derivatives -----------------------------------------------------------------------------------
 def _compare(scene: Mechanical, claim: Claim) -> None:
     f = lambda x: np.array(claim.f(x), dtype=float)  # noqa: E731
     x, given, size = (np.array(part, dtype=float) for part in (claim.x, claim.given, claim.size))
@@ -228,10 +227,7 @@ def _compare(scene: Mechanical, claim: Claim) -> None:
 
 
 def difference(f: Callable[[Any], Any], q: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the derivative of f along a direction by central differences of order 4, and about its error.
-
-    Two estimates may agree by luck where rounding leaves f but a few values: it adds ε |f| over the step.
-    """
+    """Return the derivative along a direction by central differences of order 4, and about its error."""
     best, error = np.full_like(f(q), math.nan), math.inf
     for step in STEPS:
         ends = [(f(q + h * direction), f(q - h * direction)) for h in (step, step / 2)]

@@ -153,9 +153,6 @@ class Driven(Mechanical):
     may_gain_energy = True
     bounds_energy = False
 
-    def jacobian(self, x: Any) -> None:
-        """Return None."""
-
     @property
     def conformal_rate(self) -> Any:
         return self.gamma if self.rate is None else None

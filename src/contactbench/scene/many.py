@@ -93,9 +93,8 @@ class Many(Canonical):
             inverse = 1 / masses
         if not (np.isfinite(masses) & np.isfinite(inverse) & (masses > 0)).all():
             least = float(masses.min())
-            raise BadInput(
-                f"{self.weights}: must be > 0 and finite, and so 1/{self.weights}; the least is {least!r}"
-            )
+            why = f"{self.weights}: must be > 0 and finite, and so 1/{self.weights}; the least is {least!r}"
+            raise BadInput(why)
         self._fix("uniform", masses.ndim == 0)
         for name, numbers in ((self.weights, masses), ("inverse_mass", inverse)):
             self._fix(name, float(numbers) if self.uniform else frozen(numbers))
@@ -118,9 +117,8 @@ class Many(Canonical):
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
                 value = self.call(name, *probes)
             if not isinstance(value, np.ndarray) or value.shape != (1,):
-                raise BadInput(
-                    f"{name}: must be one number that depends on its arguments; it is {excerpt(value)}"
-                )
+                why = f"{name}: must be one number that depends on its arguments; it is {excerpt(value)}"
+                raise BadInput(why)
         for parameter in self.parameters:
             if not any(parameter in self.named(name) for name in given):
                 raise BadInput(f"parameter {parameter!r}: is taken by none of {', '.join(given)}")
@@ -145,9 +143,8 @@ class Many(Canonical):
         if values.shape not in ((size,), (self.sites, self.dimensions)):
             raise BadInput(f"{name} has shape {values.shape}: must be {shape}, or a function of the index")
         if not np.isfinite(values).all():
-            raise BadInput(
-                f"{name}: must be finite; entry {int(np.argmin(np.isfinite(values.ravel())))} is not"
-            )
+            why = f"{name}: must be finite; entry {int(np.argmin(np.isfinite(values.ravel())))} is not"
+            raise BadInput(why)
         return frozen(values.reshape(size))
 
     def with_(self, **changes: Any) -> Self:
@@ -172,7 +169,6 @@ class Many(Canonical):
 
     # -- packing -----------------------------------------------------------------------------------
     def size(self, carry: Sequence[str]) -> int:
-        """Return how many numbers a packed state has."""
         return self.motion + ("s" in carry)
 
     @property
@@ -210,7 +206,6 @@ class Many(Canonical):
     components = entries
 
     def pack(self, state: Any) -> Any:  # type: ignore[override]
-        """Return a state as one array."""
         xp = namespace(state.q[0])
         rest = xp.shape(state.q[0])[1:]
         flat = [
@@ -252,7 +247,6 @@ class Many(Canonical):
         return {key: value for key, value in self.parameters.items() if every or key in own}
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Return what one of the scalar functions gives."""
         return getattr(self, name)(*arguments, **self.named(name))
 
     def slope(self, name: str, *arguments: Any) -> Any:
@@ -351,7 +345,6 @@ class Lattice(Many):
 
     functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(("onsite", "bond"), ("probe", "**"))
     checks: ClassVar[dict[str, Check]] = Many.checks | dict.fromkeys(functions, optional(function))
-    #: where the potentials are tried
     probe: ClassVar[float] = 0.25
 
     def __post_init__(self) -> None:
@@ -487,7 +480,6 @@ class Particles(Many):
     functions: ClassVar[dict[str, tuple[str, ...]]] = {"pair": ("probe", "probe", "probe", "**")}
     weights: ClassVar[str] = "masses"
     checks: ClassVar[dict[str, Check]] = Many.checks | {"pair": function}
-    #: where the potential is tried
     probe: ClassVar[float] = 1.25
 
     def __post_init__(self) -> None:
@@ -548,18 +540,9 @@ def unrolled(scene: Many, potential: Callable[..., Any]) -> Mechanical:
     masses: Any = scene.weight
     if not scene.uniform:
         masses = tuple(np.repeat(masses, scene.dimensions).tolist())
-    return Mechanical(
-        name=scene.name,
-        potential=potential,
-        q=tuple(scene.q.tolist()),
-        p=tuple(scene.p.tolist()),
-        s=scene.s,
-        gamma=scene.gamma,
-        mass=masses,
-        parameters=scene.parameters,
-        t_end=scene.t_end,
-        about=scene.about,
-    )
+    same = {name: getattr(scene, name) for name in ("name", "s", "gamma", "parameters", "t_end", "about")}
+    q, p = (tuple(block.tolist()) for block in (scene.q, scene.p))
+    return Mechanical(potential=potential, q=q, p=p, mass=masses, **same)
 
 
 def picklable(f: Any) -> bool:

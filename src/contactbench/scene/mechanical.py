@@ -38,9 +38,8 @@ def masses(name: str, value: Any) -> Any:
     """Return one number > 0, or a tuple of such; raise `BadInput` for anything else."""
     if callable(value) or np.ndim(value) > 1:
         how = "a constant matrix is diagonal in other coordinates; one that depends on q SciPy's solve_ivp takes"
-        raise BadInput(
-            f"{name} = {excerpt(value)}: must be one number > 0, or one for every component; {how}"
-        )
+        why = f"{name} = {excerpt(value)}: must be one number > 0, or one for every component; {how}"
+        raise BadInput(why)
     if not isinstance(value, tuple | list | np.ndarray) or np.ndim(value) == 0:
         return positive(name, value)
     return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
@@ -67,11 +66,9 @@ class Canonical(Scene):
     kappa_sign: int = 0
 
     def velocity(self, p: Vector) -> Vector:
-        """Return p/m."""
         return scaled(self.inverse_mass, p)
 
     def product(self, a: Vector, b: Vector) -> Any:
-        """Return a·b."""
         return dot(a, b)
 
     def damping_at(self, x: Any) -> Any:
@@ -270,7 +267,7 @@ class Mechanical(Canonical):
         return self.hessian is not None
 
     def jacobian(self, x: State) -> list[list[Any]] | None:
-        if self.hessian is None:
+        if self.hessian is None or not self.has_jacobian:
             return None
         n = len(x.q)
         hess = self.hessian(x.q, **self.parameters)
@@ -367,6 +364,3 @@ class GeneralDamping(Mechanical):
 
     #: Γ'' is not asked for: solvers difference
     has_jacobian = False
-
-    def jacobian(self, x: State) -> None:
-        """Return None."""

@@ -61,11 +61,7 @@ class Composition:
 
 
 def palindrome(first: str, second: str, half: Sequence[Any]) -> tuple[Stage, ...]:
-    """Return a palindromic two-part list of stages from the coefficients printed for its first half.
-
-    `half` alternates first, second, first, … up to the middle pair, which consistency supplies: the
-    coefficients of each part add up to one.
-    """
+    """Return a palindromic list from the coefficients of its first half; the middle pair makes either sum one."""
     left = [Fraction(str(c)) for c in half]
     sums = sum(left[::2], Fraction(0)), sum(left[1::2], Fraction(0))
     beside, centre = HALF - sums[len(left) % 2], ONE - 2 * sums[(len(left) + 1) % 2]
@@ -170,10 +166,7 @@ def arrange(stages: tuple[Stage, ...], before: tuple[Stage, ...] = (), clocked: 
 def advance(
     composition: Composition, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat
 ) -> Any:
-    """Advance the state x by n ≥ 1 steps of size h.
-
-    Merging at the joints leaves the map unchanged up to round-off.
-    """
+    """Advance the state x by n ≥ 1 steps of size h, merged at the joints."""
     if by_the_clock(composition, scene):
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
     steps = plan(composition, scene)
@@ -249,12 +242,9 @@ def shortest_period(names: list[str]) -> int:
 def stage_constants(
     stages: Iterable[Stage], scene: Any, h: Any, xp: Any
 ) -> Callable[[Sequence[Stage]], Callable[[Any], Any]]:
-    """Return the constants of every stage, computed once: ``constants(some)(k)`` are those of the k-th of some
-    stages of one flow.
+    """Return the constants of every stage, computed once: ``constants(some)(k)``, of the k-th of some of one flow.
 
-    For array namespaces all stages of a flow are one vector: an exponential for all of them costs what
-    one costs, and compiled code reads its scalars where it needs them.  h may itself be an array, one
-    entry for each member of an ensemble.
+    For arrays those of a flow are one vector: one exponential for all.  h may have an entry for each member.
     """
     flows, distinct = flows_of(scene), list(dict.fromkeys(stages))
     if not abilities(xp).vectors:

@@ -462,21 +462,10 @@ BODY = {
 ISOTROPIC = BODY | {"free_damp": Flow(_time_and_damping, free_damp, FREE_COSTS, linear_log_factor)}
 HEAVY_TOP = BODY | {"kick": Flow(plain, top_kick, {"gradient": 1})}
 
-FLOWS = {
-    "mechanical": MECHANICAL,
-    "driven": DRIVEN,
-    "general damping": GENERAL,
-    "many": MANY,
-    "isotropic body": ISOTROPIC,
-    "body": BODY,
-    "heavy top": HEAVY_TOP,
-}
+FLOWS = {"mechanical": MECHANICAL, "driven": DRIVEN, "general damping": GENERAL, "many": MANY}
+FLOWS |= {"isotropic body": ISOTROPIC, "body": BODY, "heavy top": HEAVY_TOP}
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:
-    """Return the subflows a scene has, by name; a free body has no kick.
-
-    The paper's A on a body is `free`; compositions of higher order are made of `turn`, `top` and `damp`
-    instead, because the free body in closed form costs many rotations.
-    """
+    """Return a scene's subflows by name; compositions of higher order leave out a body's `free`, which is costly."""
     return FLOWS[scene.kind]

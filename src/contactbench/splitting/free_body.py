@@ -10,13 +10,12 @@ With W = a_ik M_i² + a_2k M₂², V = a_i2 M₂² + a_ik M_k², both constant, 
 upper signs where axes 1, 2, 3 are right-handed: the addition theorems, with no phase to be found and no
 difference in N.  Landau, Lifshitz, Mechanics, §37.
 
-The attitude turns M(t) into the constant R M.  Let C(z) take the direction z of M to an axis e, first about e
-and then across it; then R(t) = R(0) C(z₀)⁻¹ Rot_e(ψ) C(z), ψ' = L (2E − a_e M_e²)/(L² − M_e²).  e = k where
-W ≥ V and e = i elsewhere keeps z more than 45° away from e all the time, and the characteristic −ν of the
-integral in [−1, 0]: ν = V/W or a_2k/a_i2, and ψ' = L (a_i or a_k) ± L a₁₃ ν sn²/(1 + ν sn²), of which the
-second term is never more than half of the first.  Celledoni, Fassò, Säfström, Zanna, SIAM J. Sci. Comput. 30,
-2084 (2008), doi:10.1137/070704393; van Zon, Schofield, J. Comput. Phys. 225, 145 (2007),
-doi:10.1016/j.jcp.2006.11.019.
+The attitude turns M(t) into the constant R M.  Let C(z) take the direction z of M to an axis e, first about e and
+then across it; then R(t) = R(0) C(z₀)⁻¹ Rot_e(ψ) C(z), ψ' = L (2E − a_e M_e²)/(L² − M_e²).  e = k where W ≥ V and e =
+i elsewhere keeps z more than 45° away from e all the time, and the characteristic −ν of the integral in [−1, 0]: ν =
+V/W or a_2k/a_i2, and ψ' = L (a_i or a_k) ± L a₁₃ ν sn²/(1 + ν sn²), of which the second term is never more than half
+of the first.  Celledoni, Fassò, Säfström, Zanna, SIAM J. Sci. Comput. 30, 2084 (2008), doi:10.1137/070704393; van
+Zon, Schofield, J. Comput. Phys. 225, 145 (2007), doi:10.1016/j.jcp.2006.11.019.
 
 Jacobi's functions and Carlson's integral of the third kind are plain arithmetic.  Moduli come with their complements,
 m and m1 = 1 − m ≥ SMALLEST, so that nothing is lost towards m = 1.  Loops stop when they have converged; on arrays and
@@ -82,10 +81,7 @@ def course(scene: RigidBody, z: Vector, xp: Any) -> Course:
 
 
 def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
-    """Return the exact flow of ½ M·I⁻¹M for any time t, up to round-off of the phase λt.
-
-    ‖M‖ and J = R M are kept to round-off.  On the middle axis exactly the body stays there.
-    """
+    """Return the exact flow of ½ M·I⁻¹M for any time, up to round-off of the phase λt; ‖M‖ and J = R M are kept."""
     s = None if x.s is None else x.s + t * scene.kinetic(x)
     L, z, resting = polar(x.M, xp)
     tau = choose(resting, 0.0 * t, L * t, xp)
@@ -261,9 +257,8 @@ def jacobi(u: Any, m: Any, m1: Any, xp: Any) -> tuple[Any, Any, Any, Any]:
 def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Any) -> Any:
     """Return R_J(x, y, 1, p) from √x and √y; 0 ≤ x ≤ 1, 0 < y ≤ 1 ≤ p.
 
-    excess : (p − x)(p − y)(p − 1) ≥ 0, which the caller knows without cancellation.
-    Duplication: Carlson, Numer. Algorithms 10, 13 (1995), doi:10.1007/BF02198293, algorithm for R_J;
-    series to the seventh degree, DLMF 19.36.2.
+    excess : (p − x)(p − y)(p − 1) ≥ 0, which the caller knows without cancellation.  Duplication: Carlson, Numer.
+    Algorithms 10, 13 (1995), doi:10.1007/BF02198293, algorithm for R_J; series to the seventh degree, DLMF 19.36.2.
     """
     one = xp.cos(0 * root_x * root_y * p)  # as a number of the engine's kind
     x, y = root_x * root_x * one, root_y * root_y * one

@@ -49,10 +49,7 @@ EXACT = 1e-10
 
 @dataclass(frozen=True)
 class MethodCase:
-    """A method on an engine and a scene.
-
-    first : whether what no engine changes is looked at here.  measured : by the rule that is followed.
-    """
+    """A method, engine and scene; first : whether what no engine changes is looked at; measured : by the rule."""
 
     method: Method
     engine: str

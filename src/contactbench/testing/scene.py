@@ -1,7 +1,4 @@
-"""The rules of `scene.base.Scene`, by their numbers there.
-
-Derivatives are central differences at 50 digits, taken of the scene's own functions: no algebra is shared with it.
-"""
+"""The rules of `scene.base.Scene`, by their numbers there; derivatives are central differences at 50 digits."""
 
 from __future__ import annotations
 

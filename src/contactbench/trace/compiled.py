@@ -242,11 +242,7 @@ class Lowering:
 
 
 def intrinsic(function: form.Function, lanes: int = 1, fused: bool = True) -> Any:
-    """The function as a numba intrinsic.
-
-    lanes : how many states it runs on at a time.  fused : whether products and sums may be one operation.
-    Its arguments are contiguous arrays of one or two dimensions, pointers to numbers, and numbers.
-    """
+    """The function of arrays, pointers and numbers as a numba intrinsic; lanes, fused : see `compile_function`."""
     from numba.core import cgutils, types
     from numba.extending import intrinsic
     from numba.np.arrayobj import make_array
@@ -297,31 +293,22 @@ def back_end() -> str:
 
 @cache
 def compile_function(function: form.Function, lanes: int = 1, fused: bool = True) -> Any:
-    """The function, compiled for the arrays that its arguments name.
+    """The function, compiled for the arrays that its arguments name; `CannotRecord` where numba is not to compile.
 
-    lanes : how many states it runs on at a time; see `Lanes`.  fused : whether products and sums may be one
-    operation with one rounding, which Python's are not.
-    Raises `CannotRecord` where numba is told not to compile.
+    lanes : states it runs on at a time.  fused : products and sums may be one operation, which Python's are not.
     """
     kinds = []
     for array in function.arguments:
         dimensions = ", ".join([":"] * (DIMENSIONS.get(array, 1) - 1) + ["::1"])
         kinds.append(f"{'int64' if array in WHOLE else 'float64'}[{dimensions}]")
-    source = FUNCTION.format(
-        digest=form.digest(back_end(), function.digest, lanes, fused),
-        kinds=", ".join(kinds),
-        name=function.name,
-        arguments=", ".join(function.arguments),
-    )
+    key, arguments = form.digest(back_end(), function.digest, lanes, fused), ", ".join(function.arguments)
+    source = FUNCTION.format(digest=key, kinds=", ".join(kinds), name=function.name, arguments=arguments)
     module = import_source(source, lambda: {"lowered": intrinsic(function, lanes, fused)})
     return getattr(module, function.name)
 
 
 def import_source(source: str, names: Any) -> ModuleType:
-    """A module from a file of the cache folder, which is written unless it is there.
-
-    names() : what the source finds defined.
-    """
+    """A module from a file of the cache folder, written unless it is there; names() : what it finds defined."""
     if not COMPILES:
         raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
     name = f"program_{hashlib.sha256(source.encode()).hexdigest()[:32]}"

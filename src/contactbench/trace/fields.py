@@ -96,7 +96,6 @@ class FieldTape(ProgramTape):
         self.taken: set[str] = set()
 
     def row(self) -> str:
-        """Return the name of a new row."""
         name = self.name("row")
         self.reads[name] = []
         return name
@@ -209,7 +208,6 @@ class FieldTape(ProgramTape):
         return tuple(made)
 
     def total(self, x: Field) -> Recorded:
-        """The sum over all sites."""
         sweep = self.sweep((x, 0))
         name = self.at_site(x, sweep)
         if name not in sweep.sums:
@@ -249,15 +247,12 @@ class FieldTape(ProgramTape):
                 after.append((own.name, self.read(v, inner, own.kind)))
         inner.close(*updates(after))
         outer.close(*updates(before), LoopOf(self.read(times, outer, "i"), inner))
-        return rebuild(
-            x,
-            [
-                Field(self, v.name, outer, v.row)
-                if isinstance(v, Field)
-                else Recorded(self, v.name, v.kind, outer)
-                for v in carried
-            ],
-        )
+
+        def outside(v: Any) -> Any:
+            rows = isinstance(v, Field)
+            return Field(self, v.name, outer, v.row) if rows else Recorded(self, v.name, v.kind, outer)
+
+        return rebuild(x, list(map(outside, carried)))
 
     def keep(self, own: Field, v: Any, inner: Owner) -> list[tuple[str, Operand]]:
         """What makes v the carried field of the next turn."""
@@ -286,20 +281,15 @@ class LoopOf(NamedTuple):
 
 
 def updates(pairs: list[tuple[str, Operand]]) -> list[Update]:
-    """Return one statement that sets several variables at once; none for none."""
     return [Update(tuple(name for name, _ in pairs), tuple(to for _, to in pairs))] if pairs else []
 
 
 def exchange(a: str, b: str) -> list[tuple[str, Operand]]:
-    """Return the updates that exchange two rows."""
     return [] if a == b else [(a, b), (b, a)]
 
 
 class FieldProgram(NamedTuple):
-    """As `Program`; the result of `run` is the rows of all fields, and the scalars.
-
-    rows : how many it needs; those given come first.  sums : how many one sweep has at most.
-    """
+    """As `Program`; `run` gives the rows of all fields, the given first, and scalars; sums : of one sweep at most."""
 
     setup: Function
     run: Function
@@ -311,7 +301,6 @@ class FieldProgram(NamedTuple):
 
 
 def sweeps(owner: Owner) -> list[Sweep]:
-    """Return all sweeps of an owner and of the loops in it."""
     found: list[Sweep] = []
     for item in owner.statements:
         if isinstance(item, LoopOf):
@@ -349,9 +338,8 @@ def record_fields(
     held = [Field(tape, f"@{row}", tape.main, row) for row in rows]
     plain = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(scalars)]
     loop = Repeat(tape.repeat, over_stages=True, joint_first=True)
-    end = attempt(
-        lambda: advance(given, h, n, held[:fields], plain, held[fields:], RecordedArrays(tape), loop)
-    )
+    state = held[:fields], plain, held[fields:]
+    end = attempt(lambda: advance(given, h, n, *state, RecordedArrays(tape), loop))
     if len(end) != fields + scalars:
         raise CannotRecord("a step to a state of another shape")
     kept = [tape.stored(x) for x in end[:fields]]
@@ -360,13 +348,8 @@ def record_fields(
     once = setup(tape)
     known = len(tape.shape)
     most = max((len(s.sums) for s in sweeps(tape.main)), default=0)
-    main = written(tape.main.statements)
-    body = [
-        *tape.whole.statements,
-        Assign("u", Element("shape", (known,), kind="i")),
-        *tape.loads,
-        Update(tuple(tape.reads), tuple(range(len(tape.reads)))),
-        *main,
-    ]
-    run = Function("run", (), tuple(body), (tuple(kept), tuple(values)))
+    head = *tape.whole.statements, Assign("u", Element("shape", (known,), kind="i")), *tape.loads
+    first = Update(tuple(tape.reads), tuple(range(len(tape.reads))))
+    body = *head, first, *written(tape.main.statements)
+    run = Function("run", (), body, (tuple(kept), tuple(values)))
     return FieldProgram(once, run, *tape.constants, len(tape.reads), most)

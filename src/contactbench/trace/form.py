@@ -35,10 +35,7 @@ class Operation(NamedTuple):
 
 
 class Element(NamedTuple):
-    """An element of an array, `shift` places beyond its last index.
-
-    kind : what the floating-point number there stands for: "f" itself, "i" a whole number, "b" a truth value.
-    """
+    """An array's element, `shift` beyond its last index; kind : of number, as in `Recorded`."""
 
     array: str
     indices: tuple[Operand, ...]
@@ -104,10 +101,7 @@ class Digested:
 
 @dataclass(frozen=True, eq=False)
 class Function(Digested):
-    """A recorded function of arrays and numbers.
-
-    result : an operand; in Python nested tuples of operands, too.
-    """
+    """A recorded function of arrays and numbers; result : an operand, in Python also nested tuples of them."""
 
     name: str
     arguments: tuple[str, ...]
@@ -151,12 +145,8 @@ def prune(statements: list[Any], result: Results) -> tuple[Any, ...]:
 #: operations that are no calls
 NAMES = ("add", "sub", "mul", "div", "pow", "lt", "le", "gt", "ge", "eq", "ne", "and", "or")
 SIGNS = ("+", "-", "*", "/", "**", "<", "<=", ">", ">=", "==", "!=", "and", "or")
-FORMS = {
-    **{name: f"{{}} {sign} {{}}" for name, sign in zip(NAMES, SIGNS, strict=True)},
-    "neg": "-{}",
-    "not": "not {}",
-    "where": "{1} if {0} else {2}",
-}
+FORMS = {name: f"{{}} {sign} {{}}" for name, sign in zip(NAMES, SIGNS, strict=True)}
+FORMS |= {"neg": "-{}", "not": "not {}", "where": "{1} if {0} else {2}"}
 #: the names that printed functions use
 SCOPE = {name: getattr(math, name) for name in (*FUNCTIONS, "atan2", "hypot", "inf", "nan")}
 READ = {"f": "{}", "i": "int({})", "b": "{} != 0.0"}

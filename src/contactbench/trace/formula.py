@@ -35,14 +35,9 @@ WRITTEN = FORMS | {
     "or": "({0} or {1} if isinstance({0}, bool) else {0} | {1})",
     "not": "(not {0} if isinstance({0}, bool) else ~{0})",
 }
-SCOPE: dict[str, Any] = {
-    **{name: functions.function(name) for name in form.FUNCTIONS},
-    "atan2": functions.atan2,
-    "hypot": functions.hypot,
-    "where": _where,
-    "inf": math.inf,
-    "nan": math.nan,
-}
+SCOPE: dict[str, Any] = {name: functions.function(name) for name in form.FUNCTIONS}
+SCOPE |= {"atan2": functions.atan2, "hypot": functions.hypot, "where": _where}
+SCOPE |= {"inf": math.inf, "nan": math.nan}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,10 +91,7 @@ class Formula(form.Digested):
 
     # -- derivatives -------------------------------------------------------------------------------
     def gradient(self) -> Formula:
-        """The derivative of a single result along the components of the first argument, by reverse mode.
-
-        Raises `CannotRecord` for a function whose derivative is not known.
-        """
+        """The derivative of a single result along the first argument, by reverse mode; may raise `CannotRecord`."""
         return self.derive(lambda rows: rows[0])
 
     def hessian(self) -> Formula:
@@ -126,10 +118,7 @@ Amount = tuple[float, Any]
 
 
 def derivatives(tape: Tape, results: Sequence[Operand], along: Sequence[str]) -> list[list[Any]]:
-    """Derivatives of results on a tape along some of their arguments, the last operation first.
-
-    Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2, doi:10.1137/1.9780898717761.
-    """
+    """Derivatives of results along arguments; Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2."""
     operations, rows = list(tape.root.statements), []
     for result in results:
         found: dict[Operand, Amount] = {result: (1.0, 1.0)}

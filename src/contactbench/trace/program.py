@@ -28,11 +28,7 @@ from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape,
 
 
 class Program(NamedTuple):
-    """A recorded time loop.
-
-    data : floating-point numbers and shape : whole numbers it is called with; `run` takes (*shape, *which).
-    width : how long a row of w is.
-    """
+    """A recorded time loop; data, shape : what it is called with, `run` with (*shape, *which); width : of w."""
 
     setup: Function
     run: Function
@@ -43,10 +39,7 @@ class Program(NamedTuple):
 
 
 class Column(Block):
-    """A vector: what is computed for every element of it, beside the elements it starts from.
-
-    data : those elements, one range after another, as often as they are picked.
-    """
+    """What is computed for every element of a vector, and these: data, ranges of them as often as they are picked."""
 
     def __init__(self, tape: ProgramTape, values: tuple[float, ...]) -> None:
         super().__init__(tape.root)
@@ -179,9 +172,8 @@ class RecordedArrays(RecordedNumbers):
 def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int, factor: float) -> Program:
     """The program of ``advance(numbers, h, n, y, xp, repeat) -> y``, on packed states of d components.
 
-    `run` returns the first interval that ends with a number that is not finite, or with one of the first
-    `bounded` components larger than `factor` times their norm at the start (1 if that is zero); −1 if none.
-    Raises `CannotRecord`.
+    `run` returns the first interval at whose end a number is not finite, or one of the first `bounded` larger than
+    `factor` times their norm at the start (1 if that is zero); −1 if none.  Raises `CannotRecord`.
     """
     tape = ProgramTape()
     given, h, n = tape.given(numbers)
@@ -206,9 +198,8 @@ def setup(tape: ProgramTape) -> Function:
     for j, column in enumerate(tape.columns):
         length = tape.size(("length", j), lambda j=j: len(tape.columns[j].data))  # type: ignore[misc]
         first = tape.size(("first", j), lambda j=j: sum(len(c.data) for c in tape.columns[:j]))  # type: ignore[misc]
-        stores = (
-            Store(Element("w", ("u", tape.place(column, name, 0).name), "k"), name) for name in column.stored
-        )
+        places = ((tape.place(column, name, 0).name, name) for name in column.stored)
+        stores = (Store(Element("w", ("u", place), "k"), name) for place, name in places)
         load = Assign(column.element, Element("data", (first.name,), "k"))
         body.append(Loop("k", length.name, (load, *column.statements, *stores)))
     rows = Assign("rows", Operation("len", ("spans",)))
@@ -226,9 +217,8 @@ def watch(tape: ProgramTape, d: int, bounded: int, factor: float) -> tuple[list[
     size = xp.sqrt(square)
     bound = Recorded(tape, (factor * xp.where(size > 1.0, size, 1.0)).name, "f", tape.whole)
     state = [Recorded(tape, f"x{i}", "f", last) for i in range(d)]
-    healthy = reduce(
-        and_, (abs(x) <= (bound if i < bounded else sys.float_info.max) for i, x in enumerate(state))
-    )
+    most = [bound if i < bounded else sys.float_info.max for i in range(d)]
+    healthy = reduce(and_, (abs(x) <= end for x, end in zip(state, most, strict=True)))
     first = ~healthy & (Recorded(tape, "bad", "i", last) < 0)
     mark = Assign("first", Operation("where", (first.name, "j", "bad")))
     return [*head.statements, Update(("bad",), (-1,))], [*last.statements, mark, Update(("bad",), ("first",))]
@@ -242,20 +232,12 @@ def steps(
     head: Sequence[Any] = (),
     last: Sequence[Any] = (),
 ) -> tuple[Any, ...]:
-    """The loop over the intervals from an array of states to another one.
-
-    ends : the state after an interval.  head, last : what is done before the loop and at the end of each interval.
-    """
+    """The loop over the intervals from an array of states to another; head, last : before it, at the end of each."""
     state, known = tuple(f"x{i}" for i in range(len(ends))), len(tape.shape)
     first = tuple(f"start{i}" for i in range(len(ends)))
     given = [Assign(name, Element(start, (i,))) for i, name in enumerate(first)]
     row = Assign("u", Element("shape", (known,), "j", "i"))
     stores = [Store(Element(after, ("j", i)), x) for i, x in enumerate(state)]
-    return (
-        *(*tape.whole.statements, *given, Update(state, first), *head),
-        Assign("all", Operation("len", ("shape",))),
-        Assign("intervals", Operation("sub", ("all", known))),
-        Loop(
-            "j", "intervals", (row, *tape.loads, *tape.main.statements, Update(state, ends), *stores, *last)
-        ),
-    )
+    body = row, *tape.loads, *tape.main.statements, Update(state, ends), *stores, *last
+    count = Assign("all", Operation("len", ("shape",))), Assign("intervals", Operation("sub", ("all", known)))
+    return *tape.whole.statements, *given, Update(state, first), *head, *count, Loop("j", "intervals", body)

@@ -26,10 +26,7 @@ from contactbench.trace.form import Assign, Element, Operand, Operation, Results
 
 
 class Block:
-    """Statements in their order: a program, or the body of a loop in one.
-
-    depth : how many blocks it is in.  known : the name of every value assigned so far, by what it is.
-    """
+    """Statements in their order; depth : in how many blocks; known : the names of values, by what they are."""
 
     def __init__(self, parent: Block | None = None) -> None:
         self.parent = parent
@@ -158,10 +155,7 @@ def _truth(function: str) -> Callable[..., Any]:
 
 
 class Recorded(Unknown):
-    """A value of the recorded program, known by its name there.
-
-    kind : f for a floating-point number, i for a whole one, b for a truth value.
-    """
+    """A value of the program, known by its name; kind : f floating-point, i whole number, b truth value."""
 
     __slots__ = ("block", "kind", "name", "tape")
 

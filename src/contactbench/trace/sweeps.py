@@ -84,10 +84,8 @@ class SweepLowering(llvm.Lowering):
         self.site: Any = None
 
     def entry(self, name: str) -> Any:
-        place = self.whole(FIRST + (*ADDRESSES, *WHOLE).index(name))
-        return self.builder.load(
-            self.builder.bitcast(self.builder.gep(self.data, [place]), self.whole.as_pointer())
-        )
+        b, place = self.builder, self.whole(FIRST + (*ADDRESSES, *WHOLE).index(name))
+        return b.load(b.bitcast(b.gep(self.data, [place]), self.whole.as_pointer()))
 
     def slot(self, kind: Any) -> Any:
         with self.builder.goto_entry_block():
@@ -116,12 +114,10 @@ class SweepLowering(llvm.Lowering):
 
     @property
     def length(self) -> Any:
-        """How long a packed state is."""
         d, with_s, _ = self.packing
         return self.builder.add(self.builder.mul(self.sites, self.whole(2 * d)), self.whole(int(with_s)))
 
     def copy(self, packed: Any, j: int, begin: Any, end: Any, inwards: bool) -> None:
-        """Copy the j-th field of packed states from or to `row`."""
         from numba.core.cgutils import for_range
 
         b, whole, d = self.builder, self.whole, self.packing.dimensions
@@ -157,9 +153,8 @@ class SweepLowering(llvm.Lowering):
             return super().place(element)
         b, (row, where) = self.builder, element.indices
         site = self.site if where == "site" else self.values["other"]
-        pointer = b.gep(
-            self.rows[str(row)], [b.add(site, self.whole(PAD + int(element.shift)))], inbounds=True
-        )
+        offset = b.add(site, self.whole(PAD + int(element.shift)))
+        pointer = b.gep(self.rows[str(row)], [offset], inbounds=True)
         return b.bitcast(pointer, self.wide.as_pointer()) if where == "site" else pointer
 
     # -- sweeps ------------------------------------------------------------------------------------
@@ -203,17 +198,14 @@ class SweepLowering(llvm.Lowering):
         b = self.builder
         self.run(sites.body)
         for row, value in sites.stores:
-            b.store(
-                self.spread(self.value(value)), self.place(form.Element("fields", (row, "site"))), align=8
-            )
+            stored = self.spread(self.value(value))
+            b.store(stored, self.place(form.Element("fields", (row, "site"))), align=8)
         for slot, (_, value) in zip(self.partial[self.wide], sites.sums, strict=False):
             b.store(b.fadd(b.load(slot), self.spread(self.value(value))), slot)
 
     def chunk_sum(self, i: int, chunk: Any) -> Any:
-        sums = self.arrays["sums"]
-        return self.builder.gep(
-            sums.first, [self.builder.add(self.builder.mul(self.whole(i), sums.row), chunk)]
-        )
+        b, sums = self.builder, self.arrays["sums"]
+        return b.gep(sums.first, [b.add(b.mul(self.whole(i), sums.row), chunk)])
 
     def ends(self, sites: Sites, begin: Any, end: Any) -> None:
         """The places beyond the ends of what is stored; those of a fixed chain stay zero."""
@@ -271,7 +263,6 @@ class SweepLowering(llvm.Lowering):
 
 
 def rows_of(sites: Sites) -> set[str]:
-    """Return the names of all rows that a sweep reads and writes."""
     body = [s for statement in sites.body for s in getattr(statement, "body", (statement,))]
     values = (s.value for s in body if isinstance(s, form.Assign))
     read = {str(v.indices[0]) for v in values if isinstance(v, form.Element) and v.array == "fields"}
@@ -280,10 +271,7 @@ def rows_of(sites: Sites) -> set[str]:
 
 @cache
 def compile_sweeps(function: form.Function, boundary: str, sums: int, width: int, packing: Packing) -> Any:
-    """A recorded function as a C function ``(out, t, y, data)`` of packed states; see `FieldProgram`.
-
-    Raises `CannotRecord` where numba is told not to compile.
-    """
+    """A recorded function as a C function ``(out, t, y, data)`` of packed states; may raise `CannotRecord`."""
     from numba.core import types
     from numba.extending import intrinsic
 

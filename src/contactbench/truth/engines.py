@@ -194,11 +194,7 @@ def taylor(
 
 
 def heyoka_reads_rhs(scene: Scene, y: list[Any], carry: tuple[str, ...]) -> bool:
-    """Return whether heyoka and mpmath evaluate the same right-hand side at y to 35 digits.
-
-    They do not where a force divides by an integer that is no power of two: heyoka turns ``x / 3``
-    into a product with the double nearest to 1/3.
-    """
+    """Return whether heyoka agrees with mpmath to 35 digits, as not on x / 3, the product with a double near 1/3."""
     import heyoka
 
     bits = 160
@@ -223,11 +219,7 @@ def extrapolation(
 ) -> Rows:
     """Return states at increasing times ≥ 0 (decimal strings) by the Gragg–Bulirsch–Stoer method in mpmath.
 
-    Raises `BlowUp` when a step falls below `collapse` of the span, `OutOfTime` after the deadline (a time of
-    `perf_counter`).
-
-    Modified midpoint rule with 2, 4, 6, … substeps, extrapolated in h² until two neighbours agree
-    to `digits` digits: no Taylor series and no heyoka, only evaluations of ``scene.rhs``.
+    Modified midpoint rule, extrapolated in h² until two neighbours agree to `digits` digits; raises as `taylor` does.
     Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9.
     """
     context = decimal_context(digits + 15)  # extrapolation amplifies round-off

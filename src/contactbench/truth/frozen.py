@@ -34,11 +34,7 @@ def fingerprint(value: Any) -> Any:
 
 
 def digest(scene: Scene) -> str:
-    """Return the SHA-256 of what determines the trajectory: kind, functions, numbers and initial data.
-
-    The scene's own name, its end time, and the Hessian and closed form (which follow from the rest)
-    do not count.
-    """
+    """Return the SHA-256 of what determines the trajectory: kind, functions, numbers and initial data."""
     functions = [
         [f.name, *name_of(value)]
         for f in fields(scene)
@@ -54,11 +50,7 @@ def digest(scene: Scene) -> str:
         [fingerprint(getattr(scene, name)) for name in scene.initial_fields],
     ]
     if isinstance(scene, Many):
-        definition += [
-            scene.sites,
-            scene.boundary,
-            *map(fingerprint, scene.constants.values()),
-        ]
+        definition += [scene.sites, scene.boundary, *map(fingerprint, scene.constants.values())]
     return hashlib.sha256(json.dumps(definition).encode()).hexdigest()
 
 

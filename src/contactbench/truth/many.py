@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,16 +27,14 @@ Slope = Callable[[np.ndarray], np.ndarray]
 
 def doubles(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> tuple[np.ndarray, int]:
     """Return states (k, size) at increasing times, and how many digits of them two solvers agree on."""
-    start = np.array(scene.pack(scene.initial(carry)))
-    found: list[Any] = []
-    for solver in (by_dop853, by_extrapolation):
+
+    def slope(y: np.ndarray) -> np.ndarray:
+        return np.asarray(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry))))
+
+    start, found = np.array(scene.pack(scene.initial(carry))), list[Any]()
+    for solver in (by_dop853, partial(extrapolate, most=COLUMNS, tolerance=TIGHTEST)):
         with np.errstate(all="ignore"):
-            rows = solver(
-                lambda y: np.asarray(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry)))),
-                start,
-                t.tolist(),
-                Stopwatch(scene, float(t[-1]), deadline),
-            )
+            rows = solver(slope, start, t.tolist(), watch=Stopwatch(scene, float(t[-1]), deadline))
         if not np.isfinite(rows[-1]).all():
             raise BadInput(f"no reference for scene {scene.name!r}: it cannot be followed to t = {t[-1]:g}")
         found.append(np.array(rows))
@@ -59,8 +58,3 @@ def by_dop853(slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch)
             y, now = run.y[:, -1] if run.success else math.nan * y, time
         rows.append(y)
     return rows
-
-
-def by_extrapolation(slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch) -> list[np.ndarray]:
-    """Return the states by the extrapolated midpoint rule."""
-    return extrapolate(slope, y, times, COLUMNS, TIGHTEST, watch)

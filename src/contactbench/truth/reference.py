@@ -75,7 +75,6 @@ class Reference:
     source: str
 
     def __repr__(self) -> str:
-        """Return one line: of what, how much of it, how well it is known."""
         what = f"{len(self.t)} states to t = {self.t.max():g}, {self.digits} digits, {self.source}"
         return f"<Reference of {self.scene.name}: {what}>"
 
@@ -177,11 +176,9 @@ def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | 
 
 
 def closed_form_columns(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> list | None:
-    """Return decimals and digits of every column of the closed form; None for a column it lacks.
+    """Return decimals and digits of every column of the closed form, by two precisions; None for a column it lacks.
 
-    Evaluated at two precisions; every entry keeps its own agreeing significant digits.  None where
-    the scene has no closed form, or has one that does not solve its equations (as after a change
-    of a parameter the formula leaves out).
+    None where there is no closed form that solves the equations, as after a change of a parameter it leaves out.
     """
     if scene.exact is None or not solves_equations(scene, float(t.max())):
         return None
@@ -214,10 +211,7 @@ def closed_form_rows(scene: Scene, t: np.ndarray, carry: tuple[str, ...], digits
 
 
 def solves_equations(scene: Scene, end: float) -> bool:
-    """Return whether the closed form starts at the initial data and obeys the right-hand side.
-
-    Central differences of step 10⁻²⁰ at 65 digits, so a right formula passes with room to spare.
-    """
+    """Return whether the closed form starts at the initial data and obeys the right-hand side, by differences."""
     if scene.conformal_rate is None and scene.clock is None:
         return False  # κ ≠ 0 or a matrix D: no closed form of ours covers it
     context = decimal_context(CLOSED_FORM_DIGITS + 15)
@@ -240,12 +234,10 @@ def solves_equations(scene: Scene, end: float) -> bool:
 
 # -- live --------------------------------------------------------------------------------------------
 def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> tuple:
-    """Return decimals, digits and source from two precisions, keeping the digits that agree.
+    """Return decimals, digits and source from two precisions of heyoka or, without it, extrapolation.
 
-    heyoka's Taylor series where it is installed, else extrapolation in mpmath.  Enough means 20
-    digits of every column and of the smallest state along the way, neither counted as less than
-    10⁻⁶⁰ of the largest.  Where entries decay below 10⁻²⁰, columns known in closed form are taken
-    from there, relative digits and all.
+    20 digits of every column and of the smallest state are enough, neither counted as less than 10⁻⁶⁰ of the largest.
+    Where entries decay below 10⁻²⁰, columns known in closed form are taken from there, relative digits and all.
     """
     unique, back = np.unique(t, return_inverse=True)
     times = [repr(x) for x in unique.tolist()]
@@ -301,10 +293,7 @@ def computations(
 
 
 def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
-    """Return the digits of a reference that extrapolation, independent of Taylor series, confirms; at most 20.
-
-    t ascending.  None where there was no time for it, or the reference is from that engine itself.
-    """
+    """Return the digits, at most 20, that extrapolation confirms; None without the time, or for its own result."""
     if not found.decimals or (found.source == "live" and importlib.util.find_spec("heyoka") is None):
         return None
     scene = found.scene.unrolled() if isinstance(found.scene, Many) else found.scene
@@ -323,11 +312,9 @@ BLOW_UP_COLLAPSE = 1e-45
 
 
 def blow_up_time(scene: Scene) -> tuple[str, int] | None:
-    """Return when the trajectory reaches infinity, as a decimal string, and how many digits of it are known.
+    """Return when the trajectory reaches infinity, as a decimal string, and its digits; None if it is finite to t_end.
 
-    Frozen where it is stored, else from heyoka's Taylor series at two precisions: steps shrink in
-    proportion to the time that is left.  None if the trajectory is finite up to the scene's t_end, as
-    those known in closed form are.
+    Frozen, or by heyoka's Taylor series at two precisions, whose steps shrink in proportion to the time that is left.
     """
     if scene.exact is not None:
         return None
@@ -342,7 +329,6 @@ def blow_up_time(scene: Scene) -> tuple[str, int] | None:
 
 
 def taylor_blow_up(scene: Scene, bits: int) -> Any:
-    """Return the time of blow-up by heyoka at one precision, an mpmath number, or None."""
     try:
         taylor(scene, [repr(scene.t_end)], scene.carry(), bits, BLOW_UP_COLLAPSE)
     except BlowUp as found:

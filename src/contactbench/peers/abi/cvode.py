@@ -194,8 +194,7 @@ def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: 
 def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
 
-    One internal step at a time, so that the steps are those of `to_end`: in CVODE's other mode the first
-    step depends on the first time asked for.
+    By single steps, those of `to_end`: in CVODE's other mode the first depends on the first time asked for.
     """
     restart(start, memory, vector, y, data, clock, end)
     saved, flag, now = 0, np.int32(TOO_MUCH_WORK), np.zeros(1)
@@ -218,10 +217,7 @@ def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):
 
 
 class Memory:
-    """CVODE's memory for one scene, method and tolerance; freed with the object.
-
-    functions, data : the scene's C functions and their argument; size : of the state; bounds : on the step.
-    """
+    """CVODE's memory, freed with the object; data : the argument of the C functions; bounds : on the step."""
 
     def __init__(
         self,
@@ -250,10 +246,7 @@ class Memory:
         check("CVodeSetMaxStep", memory, bounds[1])
 
     def choose(self, method: str, many: bool, size: int, context: Any) -> dict[str, int]:
-        """Connect what solves for a step, and return it by what frees it.
-
-        Of many sites no dense matrix is made: Adams iterates to a fixed point, BDF solves by GMRES.
-        """
+        """Connect what solves for a step (no dense matrix of many sites), and return it by what frees it."""
         if many and method == "Adams":
             iteration = library.SUNNonlinSol_FixedPoint(self.vector, 0, context)
             check("CVodeSetNonlinearSolver", self.memory, iteration)

@@ -1,7 +1,4 @@
-"""Compiled code between CyRK's C++ solvers and a scene's C functions, by the C interface of CyRK.
-
-Every call makes and frees a result of its own.
-"""
+"""Compiled code between CyRK's C++ solvers and a scene's C functions; every call makes and frees a result."""
 
 from __future__ import annotations
 
@@ -15,21 +12,15 @@ from CyRK.cy.pyhelpers import find_ode_method_int
 from CyRK.nb import numba_c_api
 
 from contactbench.peers.abi import external, join, split
-from contactbench.peers.compiled import (
-    INTERFACE,
-    KNOWN,
-    RHS_CALLS,
-    SUCCESS,
-    TOO_MANY_STEPS,
-    TOO_MANY_STEPS_SO_FAR,
-)
+from contactbench.peers.compiled import KNOWN, RHS_CALLS, SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR
 
 __all__ = ["at_times", "find_ode_method_int", "get_error_message", "in_a_loop", "to_end"]
 
+#: the version whose C interface is known
+INTERFACE = "0.20."
 if not CyRK.__version__.startswith(INTERFACE):
-    raise ImportError(
-        f"CyRK {CyRK.__version__} may have another C interface than {INTERFACE}, which this is written for"
-    )
+    why = f"CyRK {CyRK.__version__} may have another C interface than {INTERFACE}, which this is written for"
+    raise ImportError(why)
 
 
 def function(name: str, word: str) -> Any:
