@@ -13,8 +13,12 @@ from contactbench.results.schema import BEYOND, SEPARATOR
 
 SOURCE = "claims.csv"
 VERDICTS = {"holds": Mark.holds, "holds, corrected": Mark.corrected, "refuted": Mark.refuted}
-CAPTIONS = {"repairs": "Corrected", "replaces": "True instead", "sharpens": "Stronger"}
-CAPTIONS |= {"extends": "How far it goes"}
+CAPTIONS = {
+    "repairs": "Corrected",
+    "replaces": "True instead",
+    "sharpens": "Stronger",
+    "extends": "How far it goes",
+}
 LEGEND = (
     "*holds*: the measurements agree with the claim as it stands. *holds, corrected*: true once the stated correction "
     "is made. *refuted*: a number contradicts it. [How claims are judged](../docs/reading.md#claims)."

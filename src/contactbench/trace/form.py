@@ -145,8 +145,12 @@ def prune(statements: list[Any], result: Results) -> tuple[Any, ...]:
 #: operations that are no calls
 NAMES = ("add", "sub", "mul", "div", "pow", "lt", "le", "gt", "ge", "eq", "ne", "and", "or")
 SIGNS = ("+", "-", "*", "/", "**", "<", "<=", ">", ">=", "==", "!=", "and", "or")
-FORMS = {name: f"{{}} {sign} {{}}" for name, sign in zip(NAMES, SIGNS, strict=True)}
-FORMS |= {"neg": "-{}", "not": "not {}", "where": "{1} if {0} else {2}"}
+FORMS = {
+    **{name: f"{{}} {sign} {{}}" for name, sign in zip(NAMES, SIGNS, strict=True)},
+    "neg": "-{}",
+    "not": "not {}",
+    "where": "{1} if {0} else {2}",
+}
 #: the names that printed functions use
 SCOPE = {name: getattr(math, name) for name in (*FUNCTIONS, "atan2", "hypot", "inf", "nan")}
 READ = {"f": "{}", "i": "int({})", "b": "{} != 0.0"}

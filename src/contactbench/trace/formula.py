@@ -35,9 +35,14 @@ WRITTEN = FORMS | {
     "or": "({0} or {1} if isinstance({0}, bool) else {0} | {1})",
     "not": "(not {0} if isinstance({0}, bool) else ~{0})",
 }
-SCOPE: dict[str, Any] = {name: functions.function(name) for name in form.FUNCTIONS}
-SCOPE |= {"atan2": functions.atan2, "hypot": functions.hypot, "where": _where}
-SCOPE |= {"inf": math.inf, "nan": math.nan}
+SCOPE: dict[str, Any] = {
+    **{name: functions.function(name) for name in form.FUNCTIONS},
+    "atan2": functions.atan2,
+    "hypot": functions.hypot,
+    "where": _where,
+    "inf": math.inf,
+    "nan": math.nan,
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

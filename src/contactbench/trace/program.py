@@ -173,7 +173,7 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
     """The program of ``advance(numbers, h, n, y, xp, repeat) -> y``, on packed states of d components.
 
     `run` returns the first interval at whose end a number is not finite, or one of the first `bounded` larger than
-    `factor` times their norm at the start (1 if that is zero); −1 if none.  Raises `CannotRecord`.
+    `factor` times their norm at the start (1 where that is less); −1 if none.  Raises `CannotRecord`.
     """
     tape = ProgramTape()
     given, h, n = tape.given(numbers)

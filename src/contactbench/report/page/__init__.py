@@ -25,8 +25,12 @@ from contactbench.report.look import DASHES, look
 from contactbench.report.views import Cell, View
 
 #: where readers go from here: documents beside the page, and the source above it
-LINKS = {"results as text": "README.md", "the paper and its claims": "claims.md"}
-LINKS |= {"glossary": "glossary.md", "source": "../README.md"}
+LINKS = {
+    "results as text": "README.md",
+    "the paper and its claims": "claims.md",
+    "glossary": "glossary.md",
+    "source": "../README.md",
+}
 
 # -- inline Markdown and simple mathtext as HTML; everything else is escaped -----------------------
 INLINE = re.compile(
