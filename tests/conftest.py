@@ -1,13 +1,16 @@
 """Fixtures of the tests, and which cases of a long parametrisation the quick run takes."""
 
+import sys
 from typing import Any
 
+import numba
 import pytest
 from mpmath import mp
 
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS
 from contactbench.plugins import GROUPS, LOADED, OWN, VARIABLE
+from contactbench.scene import Cache
 from contactbench.scenes import SCENES
 
 
@@ -49,6 +52,27 @@ def registries(monkeypatch):
     for registry, items in kept:
         registry.clear()
         registry.update(items)
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """Forget every truth and compiled program from before the test, once more at each call, and its own after it."""
+
+    def forget():
+        for module in [each for name, each in sys.modules.items() if name.startswith("contactbench.")]:
+            for name in [name for name, value in vars(module).items() if isinstance(value, Cache)]:
+                monkeypatch.setattr(module, name, Cache(256))
+
+    forget()
+    return forget
+
+
+@pytest.fixture
+def threads():
+    """Set how many threads numba uses, until the test ends."""
+    before = numba.get_num_threads()
+    yield numba.set_num_threads
+    numba.set_num_threads(before)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES
+from cases import ALL_SCENES, refusal
 from contactbench.cli import main
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import definition, verify
@@ -183,15 +183,6 @@ CALLS = [
     (made(cb.Driven, span=lambda t, h, xp: 1.0), "span: must return a pair"),
     (made(cb.GeneralDamping, damping_flow=lambda s, h, xp: None), "damping_flow: must return a real"),
 ]
-
-
-def refusal(call):
-    """The message of a refusal: one line, short enough to be read."""
-    with pytest.raises(cb.BadInput) as caught:
-        call()
-    assert len(str(caught.value)) <= 300
-    assert str(caught.value).isprintable()
-    return str(caught.value)
 
 
 @pytest.mark.timeout(60)

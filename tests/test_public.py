@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib import pyplot
 
 import contactbench as cb
 from contactbench.cli import main
@@ -155,8 +156,6 @@ def test_the_command_line_writes_run_and_plot_and_prints_laws(tmp_path, capsys, 
 
 @pytest.mark.parametrize("scene", ["particle", "rigid_body", "forced_pulsating", "quadratic_damping"])
 def test_a_solution_is_drawn(scene):
-    from matplotlib import pyplot
-
     solution = cb.solve(scene, "contact-strang", step=0.1)
     figure = solution.plot()
     motion, portrait, energies = figure.axes

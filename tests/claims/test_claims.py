@@ -5,7 +5,6 @@ import re
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
-from importlib import import_module
 
 import numpy as np
 import pandas as pd
@@ -16,15 +15,14 @@ from contactbench.claims import CLAIMS, Correction, Verdict, algebra, integrator
 from contactbench.claims.curves import FIGURES, rows
 from contactbench.claims.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
-from contactbench.methods import METHODS, contact_adaptive, fixed_step_run, jax_engine
+from contactbench.methods import METHODS
 from contactbench.methods.contact import contact_method
-from contactbench.peers import compiled as compiled_peers
 from contactbench.report import claims as chapter
 from contactbench.report import markdown, paper
 from contactbench.results.schema import BEYOND
 from contactbench.results.store import merge, read
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
-from contactbench.scene import Cache, Mechanical, RigidBody
+from contactbench.scene import Mechanical, RigidBody
 from contactbench.splitting import flows
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -42,16 +40,6 @@ def expected(name):
 @cache
 def measured(name):
     return CLAIMS[name].row()
-
-
-@pytest.fixture
-def fresh(monkeypatch):
-    """No truth and no compiled program from before a mutation, and none left after it."""
-    monkeypatch.setattr(import_module("contactbench.truth.reference"), "_cache", Cache(64))
-    monkeypatch.setattr(jax_engine, "_programs", Cache(64))
-    for module in (fixed_step_run, contact_adaptive):
-        monkeypatch.setattr(module, "_loops", Cache(64))
-    monkeypatch.setattr(compiled_peers, "_compiled", Cache(64))
 
 
 # -- the rows --------------------------------------------------------------------------------------

@@ -49,13 +49,6 @@ def without(**values):
     return lambda t, r: None if values.items() <= {"table": t, **r}.items() else r
 
 
-def test_identical_tables_are_green(baseline, tmp_path):
-    found = judge(baseline, same, tmp_path)
-    assert found.status == 0
-    assert found.moved.empty
-    assert "9 rows of a smoke run" in found.as_markdown()  # the standard row is not expected
-
-
 LAWS, WORK, CLAIMS, ORDERS = "laws", "work_precision", "claims", "convergence"
 FIT, NO_FIT = [("in_fit", True)], [("in_fit", False)]
 #: a change of one method's rows in a table, which is red in the first of its columns
@@ -169,7 +162,7 @@ def test_a_value_moves_within_its_limits_only(case, tmp_path):
 
 def test_of_a_larger_run_the_larger_profiles_rows_are_expected(baseline, tmp_path):
     small = {"keep": lambda row: row["profile"] == "smoke"}
-    assert not judge(baseline, same, tmp_path, **small).red
+    assert judge(baseline, same, tmp_path, **small).moved.empty
     large = judge(baseline, same, tmp_path / "again", **small, run={**RUN, "profile": "standard"})
     assert large.moved[["table", "setting", "result"]].values.tolist() == [[WORK, "step=0.01", "missing"]]
 

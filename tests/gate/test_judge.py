@@ -254,10 +254,6 @@ def test_exit_status_and_json(root, tmp_path, capsys):
     assert ("particle", "rk4", "solution_error") in found
 
 
-def replaced(old, new):
-    return lambda text: text.replace(old, new)
-
-
 #: what is done to a file of a folder, and where the message says that it is damaged
 DAMAGE = {
     "odd record": ("environment.json", lambda text: "[1]", "no list of runs"),

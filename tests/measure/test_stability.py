@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import contactbench as cb
 from bench_stability import overdamped_row, weak_row
@@ -22,7 +21,6 @@ from planted import plant_truth
 
 METHODS = [kernel(method) for method in fixed_step_methods()]
 every = pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
-as_a_whole = pytest.mark.parametrize("method", fixed_step_methods(), ids=lambda m: m.name)
 
 
 @pytest.mark.parametrize("name", THEORY)
@@ -91,15 +89,6 @@ def test_the_error_of_a_whole_run_falls_with_the_order_of_the_method(name, order
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.4)
 
 
-@as_a_whole
-def test_the_one_step_map_tends_to_the_flow(method):
-    h = 1e-3
-    for gamma in (0.0, 1.0, 5.0):
-        flow = expm(h * np.array([[0.0, 1.0], [-1.0, -gamma]]))
-        gap = np.abs(step_matrix(method, gamma, 1.0, h) - flow).max()
-        assert gap < 40 * h ** (method.order + 1) + 1e-15
-
-
 @pytest.mark.parametrize("name", ["contact-abc", "contact-strang"])
 @pytest.mark.parametrize(("damping", "expected"), [(1.0, 1.08), (5.0, 2.54), (25.0, 13.3)])
 def test_splitting_force_and_friction_gets_the_creep_wrong(name, damping, expected):
@@ -137,7 +126,7 @@ def test_the_exact_solution_has_no_error_of_its_rate(t_end):
 
 
 @pytest.mark.parametrize("n", [1, 2, 7])
-@as_a_whole
+@pytest.mark.parametrize("method", fixed_step_methods(), ids=lambda m: m.name)
 def test_the_matrix_of_a_run_is_the_run(method, n):
     x = method.advance(oscillator(0.5), State((0.6,), (0.8,)), 0.3, n, math)
     np.testing.assert_allclose(linear.run_matrix(method, 0.5, 0.3, n) @ (0.6, 0.8), [*x.q, *x.p], rtol=1e-12)

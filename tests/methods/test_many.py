@@ -6,16 +6,17 @@ import numba
 import numpy as np
 import pytest
 
+import cases
 import contactbench as cb
 from chains import BOUNDARIES, SMALL, bodies, chain, masses
 from contactbench.methods import many
-from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import total
 from contactbench.peers.base import Peer
 from contactbench.scene import many as many_scene
+from contactbench.xla import jax, jnp
 
-FIXED = [m.name for m in cb.METHODS.values() if isinstance(m, FixedStep)]
+FIXED = [method.name for method in cases.FIXED]
 PEERS = [m.name for m in cb.METHODS.values() if isinstance(m, Peer)]
 #: merges, stages in a loop, processing, no merging: one of each way to be recorded
 SHAPES = ("contact-strang", "contact-rkn6", "contact-abc", "herglotz2", "rk4")
@@ -90,14 +91,6 @@ def test_a_force_may_be_constant(boundary, onsite):
     for engine in ("python", "jax"):
         assert gap(states(scene, "contact-strang", engine), states(scene, "contact-strang")) < ROUND_OFF
     assert gap(states(scene.unrolled(), "contact-strang"), states(scene, "contact-strang")) < ROUND_OFF
-
-
-@pytest.fixture
-def threads():
-    """Set how many threads numba uses."""
-    before = numba.get_num_threads()
-    yield numba.set_num_threads
-    numba.set_num_threads(before)
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
@@ -216,8 +209,6 @@ def test_an_ensemble_notices_what_diverges_and_takes_one_start_for_all():
 
 @pytest.mark.parametrize("name", ["free masses", "bodies 3D"])
 def test_a_step_map_takes_and_gives_an_array(name):
-    from contactbench.xla import jax, jnp
-
     scene = SMALL[name]
     step = cb.step_map(scene, "contact-rkn4")
     run = cb.solve(scene, "contact-rkn4", step=0.1, save_at=[0.1]).y[0]

@@ -1,16 +1,13 @@
 """Recorded numbers, recorded programs, and the compiled loops made of them."""
 
 import math
-import os
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, REPOSITORY, USER, by_name, pairs, random_state
-from contactbench.methods.fixed_step import FixedStep
+from cases import ALL_SCENES, FIXED, REPOSITORY, USER, by_name, pairs, random_state, run
 from contactbench.methods.fixed_step_run import loop_of
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
@@ -20,7 +17,6 @@ from contactbench.trace.form import FUNCTIONS, execute
 from contactbench.trace.program import record
 from contactbench.trace.recording import ALIASES
 
-FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 PARTICLE = cb.SCENES["particle"]
 
 
@@ -225,9 +221,8 @@ print(sum(run.run.stats.cache_hits.values()), run().y[-1].tolist())
 
 
 def run_elsewhere(folder):
-    environment = os.environ | {"CONTACTBENCH_CACHE": str(folder), "PYTHONPATH": str(REPOSITORY / "src")}
-    command = [sys.executable, "-c", SECOND]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    done = run(sys.executable, "-c", SECOND, CONTACTBENCH_CACHE=folder, PYTHONPATH=REPOSITORY / "src")
+    assert done.returncode == 0, done.stderr
     return done.stdout.split(" ", 1)
 
 
@@ -241,6 +236,3 @@ def test_a_second_process_compiles_nothing(tmp_path):
 def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
     (tmp_path / "file").write_text("")
     assert run_elsewhere(tmp_path / "file")[0] == "0"
-
-
-# -- ensembles -------------------------------------------------------------------------------------

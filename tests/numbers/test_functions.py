@@ -12,6 +12,7 @@ from contactbench.errors import FUNCTIONS
 from contactbench.numbers.dual import DERIVATIVES, Dual
 from contactbench.numbers.protocol import CannotRecord, Numbers
 from contactbench.numbers.series import Series, SeriesNumbers
+from contactbench.xla import jax, jnp
 
 #: inside the domain of each
 POINT = {name: 1.25 if name == "acosh" else 0.375 for name in FUNCTIONS}
@@ -19,8 +20,6 @@ POINT = {name: 1.25 if name == "acosh" else 0.375 for name in FUNCTIONS}
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_kind_of_number_gives_the_same(name):
-    from contactbench.xla import jax, jnp
-
     x, function = POINT[name], getattr(cb.math, name)
     expected = getattr(math, name)(x)
     assert function(x) == expected

@@ -201,9 +201,6 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
     assert "no compiler found" in found["reason"][0]
 
 
-# -- input -----------------------------------------------------------------------------------------
-
-
 # -- verdicts --------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("times", "halves", "expected"),

@@ -8,7 +8,9 @@ import shutil
 from html.parser import HTMLParser
 
 import pytest
+from selenium import webdriver
 from selenium.webdriver import ActionChains
+from selenium.webdriver.chrome.service import Service
 
 from contactbench.report import page
 from contactbench.report.chapters import Chapter, Contents, Section, Text, summary
@@ -141,9 +143,6 @@ def chrome(text, tmp_path_factory):
         if os.environ.get("CI"):  # continuous integration installs them: to skip there would go unnoticed
             pytest.fail(missing)
         pytest.skip(missing)
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(text, encoding="utf-8")
     options = webdriver.ChromeOptions()

@@ -9,6 +9,7 @@ import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, TILTED, USER, by_name, random_state
+from chains import SMALL
 from contactbench.peers.heyoka import taylor_system
 from contactbench.scene import State, rotation_matrix, verify
 from contactbench.scene.definition import verify_along, verify_at
@@ -87,7 +88,15 @@ def test_same_right_hand_side_on_jax_and_heyoka(scene):
 
 
 # -- the contract ---------------------------------------------------------------------------------
-@by_name([*cb.SCENES.values(), USER, TILTED, cb.SCENES["oscillator"].with_(name="moving", p=(0.7,))])
+@by_name(
+    [
+        *cb.SCENES.values(),
+        *SMALL.values(),
+        USER,
+        TILTED,
+        cb.SCENES["oscillator"].with_(name="moving", p=(0.7,)),
+    ]
+)
 def test_a_scene_keeps_its_contract(scene):
     check_scene(scene)
 

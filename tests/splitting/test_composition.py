@@ -76,9 +76,6 @@ def test_without_damping_each_is_velocity_verlet_bit_for_bit(composition):
         assert (*x.q, *x.p) == (*q, *p)
 
 
-# -- subflows --------------------------------------------------------------------------------------
-
-
 # -- kinetic energy and Γ = γs + ½κs² together -----------------------------------------------------
 #: how often rounding errors of one unit occur in the flow, at most: each is amplified by the condition below
 UNITS = 12
