@@ -33,24 +33,14 @@ def handed_out() -> int:
     return sizes[4] + sizes[7]
 
 
-def user_scene() -> cb.Mechanical:
-    """A scene a user might bring: three degrees of freedom, mass 2, no Hessian."""
-
-    def potential(q):  # its constants are binary fractions, exact in every precision
-        x, y, z = q
-        return x * x / 2 + y * y + z * z + x * y * z / 4
-
-    def gradient(q):
-        x, y, z = q
-        return (x + y * z / 4, 2 * y + x * z / 4, 2 * z + x * y / 4)
-
-    data = {"q": (0.3, -0.2, 0.5), "p": (0.1, 0.4, -0.6), "s": 0.2}
-    return cb.Mechanical(
-        name="user", potential=potential, gradient=gradient, gamma=0.2, mass=2.0, t_end=2.0, **data
-    )
-
-
-USER = user_scene()
+DATA = {"q": (0.3, -0.2, 0.5), "p": (0.1, 0.4, -0.6), "s": 0.2, "gamma": 0.2, "mass": 2.0, "t_end": 2.0}
+#: a scene a user might bring: no Hessian, and constants that are exact in every precision
+USER = cb.Mechanical(
+    name="user",
+    potential=lambda q: q[0] * q[0] / 2 + q[1] * q[1] + q[2] * q[2] + q[0] * q[1] * q[2] / 4,
+    gradient=lambda q: (q[0] + q[1] * q[2] / 4, 2 * q[1] + q[0] * q[2] / 4, 2 * q[2] + q[0] * q[1] / 4),
+    **DATA,
+)
 #: a full symmetric D, whose axes are not the body's
 TILTED = cb.SCENES["rigid_body_anisotropic"].with_(
     name="tilted", damping=((0.3, 0.1, 0.0), (0.1, 0.2, 0.05), (0.0, 0.05, 0.1))
@@ -59,7 +49,7 @@ TILTED = cb.SCENES["rigid_body_anisotropic"].with_(
 STANDARD = [scene for scene in cb.SCENES.values() if not scene.hard and not scene.experiments]
 #: all of them, the potentials only hard ones have, and the shapes the registry does not have
 TWO_SCALES = cb.SCENES["stiff_spring"].with_(omega=3.0)  # not so stiff that round-off tests feel it
-ALL_SCENES = [*STANDARD, TWO_SCALES, cb.SCENES["kepler_drag"], USER, TILTED]
+ALL_SCENES = [*STANDARD, TWO_SCALES, *map(cb.SCENES.get, ("kepler_drag", "forced_pulsating")), USER, TILTED]
 #: methods with a step map
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 #: tests that ask the C library what it has handed out
@@ -98,7 +88,6 @@ def refusal(call):
 
 
 def saved(scene, count=5):
-    """Equal times up to the end."""
     return scene.t_end * np.arange(1, count + 1) / count
 
 
@@ -147,7 +136,6 @@ def environment(without=("PYTEST_",), **variables):
 
 
 def run(*command, **variables):
-    """A command of its own."""
     given = {"cwd": REPOSITORY, "env": environment(**variables), "timeout": 240}
     return subprocess.run(list(map(str, command)), capture_output=True, text=True, **given)
 

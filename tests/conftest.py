@@ -77,6 +77,5 @@ def threads():
 
 @pytest.fixture
 def mp50():
-    """mpmath at 50 digits."""
     with mp.workdps(50):
         yield mp

@@ -36,7 +36,6 @@ def close(a, b, digits):
 
 
 def slope(f, at):
-    """The derivative of a list of numbers by central differences."""
     delta = mp.mpf(10) ** -DELTA
     return [(a - b) / (2 * delta) for a, b in zip(f(at + delta), f(at - delta), strict=True)]
 
@@ -58,7 +57,6 @@ def contact_field(scene, hamiltonian, x):
 
 
 def flowed(scene, name, x, h, xp=mp):
-    """The named subflow for time h, packed."""
     flow = flows.flows_of(scene)[name]
     return scene.pack(flow.apply(scene, x, flow.constants(scene, h, xp), xp))
 

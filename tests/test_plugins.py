@@ -44,7 +44,6 @@ module = partial(run, sys.executable, "-m", JAX_PLATFORMS="cpu")
 
 
 def search(folder):
-    """Where Python looks for modules: a folder first."""
     return os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH")]))
 
 
@@ -59,7 +58,7 @@ def results(given, tmp_path_factory):
     """The benchmark with all of them, for real, on a small part."""
     folder = tmp_path_factory.mktemp("results")
     own = "my-method and (double-well or particle and not long) or double-well and cvode-bdf"
-    few = "particle and not long and not limit and (strang or rk4 or cvode or heyoka)"
+    few = "particle and not long and not limit and (strang or cvode-adams)"
     finished(bench(folder, f"{own} or {few}", *given))
     run(sys.executable, EXTENSIONS[-1], folder).check_returncode()
     return folder
@@ -80,7 +79,7 @@ def test_the_readmes_example_has_its_rows_in_the_tables(results):
 
 def test_a_partial_run_fills_its_part_of_every_table(results):
     work = read(WORK_PRECISION, results)
-    solvers = "contact-strang rk4 cvode-adams cvode-bdf heyoka-taylor my-method"
+    solvers = "contact-strang cvode-adams cvode-bdf my-method"
     assert set(work["method"]) == set(solvers.split())
     assert (work["status"] == "ok").all()
     needed = "solution_error steps evaluations compile_s first_call_s time_median_s time_halves_ratio rounds"
@@ -90,7 +89,7 @@ def test_a_partial_run_fills_its_part_of_every_table(results):
     assert (work["rounds"] >= work["visits"]).all()
     assert (work["time_min_s"] <= work["time_median_s"]).all()
     assert (work["time_min_s"] > 0).all()
-    assert {"contact-strang", "rk4", "my-method"} == set(read(CONVERGENCE, results)["method"])
+    assert {"contact-strang", "my-method"} == set(read(CONVERGENCE, results)["method"])
     assert (results / "environment.json").exists()
 
 
@@ -105,11 +104,6 @@ def test_report_writes_documents_and_figures_from_the_tables(results):
     assert "## double-well" in (results / "work_precision.md").read_text()
     for path in results.glob("*.md"):
         assert not re.search(r"\bnan\b", path.read_text()), path
-    again = {path: path.read_bytes() for path in (*results.rglob("*.svg"), *results.glob("*.md"))}
-    for path in results.rglob("*.svg"):
-        path.unlink()  # one that shows the same would not be drawn again
-    write.report(results, REGISTRIES)
-    assert {path: path.read_bytes() for path in again} == again  # equal tables give equal files
 
 
 @pytest.mark.slow
@@ -122,7 +116,7 @@ def test_a_law_and_a_question_have_their_documents_and_are_gated(results, given,
     contactbench("report", "--results", results)
     assert "mean_position" in contactbench("list")
     laws = pd.read_csv(results / "laws.csv")
-    assert (laws.loc[laws["method"] == "rk4", "mean_position"] > 0).all()
+    assert (laws.loc[laws["method"] == "contact-strang", "mean_position"] > 0).all()
     names = ("laws.md", "report.html", "half_life.md", "README.md")
     document, page, answer, front = ((results / name).read_text() for name in names)
     assert "mean q" in document

@@ -74,7 +74,6 @@ def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
 
 
 def test_another_process_prepares_and_times_what_it_is_told():
-    """A C loop of the particle, timed in a process of its own."""
     cell = ("arithmetic", "particle", "limit-c", "c", "contact-strang plain", "step", 0.1, 64, 1)
     table = Timetable({}, 8)
     try:
@@ -92,7 +91,6 @@ def test_another_process_prepares_and_times_what_it_is_told():
 
 # -- The profiles of the benchmark, and which cells they visit -------------------------------------
 def visited(experiment, test, profile="smoke"):
-    """The cells of a test in a profile."""
     return getattr(import_module(experiment), test).cells(PROFILES[profile])
 
 

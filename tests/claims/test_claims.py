@@ -1,13 +1,11 @@
 """The ledger of claims: complete, computed, and sensitive to the formulas it judges."""
 
 import math
-import re
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from cases import few_slow
@@ -17,10 +15,9 @@ from contactbench.claims.integrator import ABC, PRINTED, STRANG, threshold, unco
 from contactbench.claims.ledger import Claim, at_least, at_most
 from contactbench.methods import METHODS
 from contactbench.methods.contact import contact_method
-from contactbench.report import claims as chapter
-from contactbench.report import markdown, paper
+from contactbench.report import paper
 from contactbench.results.schema import BEYOND
-from contactbench.results.store import merge, read
+from contactbench.results.store import merge
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.scene import Mechanical, RigidBody
 from contactbench.splitting import flows
@@ -241,7 +238,6 @@ def test_body_momentum_taken_for_the_momentum_map(monkeypatch, fresh):
 
 
 def test_a_palindrome_in_place_of_the_printed_scheme(monkeypatch, fresh):
-    """A verdict against the paper falls too."""
     monkeypatch.setitem(METHODS, PRINTED, contact_method(replace(TABLES[ABC], name=PRINTED)))
     assert changes("C25") == ("refuted", "holds")
 
@@ -255,24 +251,7 @@ def test_without_the_brackets_part_in_s_damping_would_save_conditions_too(monkey
     assert algebra.dimensions(3, Fraction(1, 3), seed=1) == algebra.WITH
 
 
-# -- the table, the document, the figures ----------------------------------------------------------
-@pytest.mark.slow
-def test_document(tmp_path):
-    merge(CLAIMS_TABLE, [measured(name) for name in (*IDS, *MORE)], tmp_path)
-    again = read(CLAIMS_TABLE, tmp_path)
-    figures = pd.concat([pd.DataFrame(rows(name)) for name in FIGURES])
-    assert chapter.answers({"claims": again})["count"].tolist() == [
-        "22 hold, 8 hold once corrected, 12 refuted, of 42",
-        "2 hold, 0 hold once corrected, 0 refuted, of 2",
-    ]
-    text = markdown.parts(chapter.parts({"claims": again, "paper_figures": figures}))
-    for name in (*IDS, *MORE):
-        assert f"### {name} · {measured(name)['verdict']}" in text
-        assert measured(name)["claim"] in text
-    assert not re.search(r"\bnan\b", text)
-    assert all(f"figures/{name}.svg" in text for name in FIGURES)
-
-
+# -- the figures ----------------------------------------------------------
 @pytest.mark.parametrize("name", few_slow(FIGURES, "paper_stability"))
 def test_figures(name, tmp_path):
     frame = merge(PAPER_FIGURES, rows(name), tmp_path)

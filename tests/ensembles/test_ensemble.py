@@ -98,7 +98,6 @@ def solved(**options):
 
 @pytest.fixture(scope="module")
 def whole():
-    """In one chunk."""
     return solved()
 
 

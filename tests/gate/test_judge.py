@@ -90,6 +90,8 @@ ATTACKS = {
 
 @pytest.mark.parametrize("how", ["in the tree", "committed"])
 @pytest.mark.parametrize("attack", ATTACKS)
+@pytest.mark.quick(how="committed")
+@pytest.mark.quick(attack="a table removed")
 def test_the_baseline_cannot_be_moved_from_the_tree_that_is_judged(attack, how, root, tmp_path):
     harm, change, measure = ATTACKS[attack]
     harm(root)
@@ -222,7 +224,6 @@ LAXER = {
 
 
 def test_rules_made_laxer_in_the_tree_that_is_judged_turn_nothing_green(tmp_path):
-    """The code of the base judges, in a process of its own."""
     root = project(tmp_path.resolve() / "project")
     for file, change in LAXER.items():
         edit(root / "src" / "contactbench" / file, *change)

@@ -17,10 +17,9 @@ from contactbench.measure.stability import (
     step_matrix,
 )
 from contactbench.scene import State
-from planted import plant_truth
+from planted import Truth
 
 METHODS = [kernel(method) for method in fixed_step_methods()]
-every = pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
 
 
 @pytest.mark.parametrize("name", THEORY)
@@ -48,7 +47,7 @@ def test_the_first_loss_without_damping_is_a_narrow_window_next_to_half_a_period
     assert found.last > 5.0
 
 
-@every
+@pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
 @pytest.mark.quick(method=[m for m in METHODS if not m.iterates])
 def test_windows_at_random_damping_are_those_of_long_runs(method):
     """2³⁰ steps by squaring the matrix, at random steps up to the last border and none of them next to one."""
@@ -117,9 +116,9 @@ def test_contact_methods_damp_exactly_where_the_eigenvalues_are_complex(gamma):
 
 
 @pytest.mark.parametrize("t_end", [1e4, 1e5])
-def test_the_exact_solution_has_no_error_of_its_rate(t_end):
-    with plant_truth() as name:
-        row = weak_row("weak_damping", name, t_end)
+def test_the_exact_solution_has_no_error_of_its_rate(t_end, registries):
+    cb.METHODS.add(Truth("planted-truth"))
+    row = weak_row("weak_damping", "planted-truth", t_end)
     assert row["status"] == "ok"
     assert row["true_rate"] == pytest.approx(1e-5, rel=1e-4)
     assert row["rate_error"] <= 1e-12

@@ -15,14 +15,6 @@ def force(q, a=1.0, b=0.5):
     return tuple(a * c + b * c * c * c for c in q)
 
 
-def stiffer(q):
-    return sum(c * c for c in q)
-
-
-def stiffer_force(q):
-    return tuple(2 * c for c in q)
-
-
 START = {"q": (0.8,), "p": (0.3,), "s": 0.4, "t_end": 2.0}
 FORCE = {"potential": quartic, "gradient": force}
 SHAKEN = {
@@ -46,6 +38,7 @@ def damped(damping, slope):
 SPUN = {"inertia": (1.0, 1.7, 2.1), "M": (0.8, 0.9, -0.5), "s": 0.2}
 BODY = cb.SCENES["rigid_body"].with_(gamma=0.25, t_end=2.0, **SPUN)
 AXES = (0.1, 0.2, 0.3)
+STIFFER = {"potential": lambda q: sum(c * c for c in q), "gradient": lambda q: tuple(2 * c for c in q)}
 WELL = cb.Mechanical(name="well", **FORCE, gamma=0.2, **START)
 SPRING = cb.SCENES["stiff_spring"].with_(t_end=2.0)
 #: what differs: two scenes or more, and the fields each is to carry
@@ -62,7 +55,7 @@ PAIRS = {
         (WELL.with_(parameters=p), None) for p in ({}, {"a": 1.5, "b": 0.2}, {"b": 0.2, "a": 1.5}, {"b": 0.2})
     ],
     "components": [(WELL.with_(q=q, p=q[::-1]), None) for q in ((0.8,), (0.8, 0.5), (0.8, 0.5, 0.3))],
-    "potential": [(WELL, None), (WELL.with_(potential=stiffer, gradient=stiffer_force), None)],
+    "potential": [(WELL, None), (WELL.with_(**STIFFER), None)],
     # functions of the package are not recorded: the rest of the key is to tell these apart
     "names of our parameters": [
         (SPRING.with_(parameters=p), None)

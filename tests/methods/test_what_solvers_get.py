@@ -64,7 +64,6 @@ def prepared(name, engine, times):
 
 
 def calls(run):
-    """Every way through a solver."""
     solution = run()
     assert solution.ok
     run.bare(run.start)

@@ -157,7 +157,6 @@ def chrome(text, tmp_path_factory):
 
 
 def opened(chrome, size=WIDE, scheme="light"):
-    """Open a fresh view of the page."""
     screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": size[0] < 600}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     features = [{"name": "prefers-color-scheme", "value": scheme}]

@@ -53,13 +53,6 @@ def test_ctrl_c_in_a_force_is_no_bad_input():
         springs(interrupt)
 
 
-def test_with_changes_any_parameter_and_nothing_else():
-    scene = cb.SCENES["particle"].with_(gamma=0.3, coupling=0.2, q=(1.0, 0.5), t_end=5.0)
-    assert (scene.gamma, scene.parameters["coupling"], scene.t_end) == (0.3, 0.2, 5.0)
-    assert cb.SCENES["particle"].gamma == 0.1
-    assert scene.structure == cb.SCENES["particle"].structure  # no recompilation
-
-
 def test_carry_decides_what_is_integrated():
     assert cb.SCENES["particle"].carry(None) == ("s",)
     assert cb.SCENES["rigid_body"].carry(("s", "R")) == ("R", "s")

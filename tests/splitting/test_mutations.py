@@ -85,7 +85,6 @@ def test_every_composition_has_its_local_order(composition, mp50):
 
 # -- signs -----------------------------------------------------------------------------------------
 def signs(tree):
-    """Every binary + and − and every unary minus."""
     return [
         node
         for node in ast.walk(tree)
@@ -150,19 +149,15 @@ def test_the_source_really_is_parsed():
 RELATIVE = Fraction(1, 1000)
 
 
-def changed(composition, which, changes):
-    stages = enumerate(getattr(composition, which))
-    return replace(composition, **{which: tuple((name, c + changes.get(i, 0)) for i, (name, c) in stages)})
-
-
 def balanced(composition):
     """One coefficient off, and the next of its kind off the other way, so that the sum is kept."""
     for which in ("stages", "processor"):
         stages = getattr(composition, which)
         for i, (name, c) in enumerate(stages):
-            later = [j for j in range(i + 1, len(stages)) if stages[j][0] == name]
+            later = [j for j in range(i + 1, len(stages)) if stages[j][0] == name][:1]
+            changed = [(n, d + c * RELATIVE * ((j == i) - (j in later))) for j, (n, d) in enumerate(stages)]
             if later:
-                yield changed(composition, which, {i: c * RELATIVE, later[0]: -c * RELATIVE})
+                yield replace(composition, **{which: tuple(changed)})
 
 
 def is_right(composition):

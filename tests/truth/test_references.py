@@ -39,7 +39,6 @@ def generate():
 
 
 def mine(potential, gradient=None, q=1.0, p=0.0, t_end=1.0, **changes):
-    """A scene of one degree of freedom."""
     return Mechanical(
         name="mine", potential=potential, gradient=gradient, q=(q,), p=(p,), t_end=t_end, **changes
     )
