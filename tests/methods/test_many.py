@@ -160,6 +160,7 @@ def test_random_tangents_show_a_contact_map_however_many_sites(method):
 
 
 @pytest.mark.parametrize("name", [*SMALL])
+@pytest.mark.quick(name=("ring held", "free masses", "bodies 2D"))
 def test_random_tangents_measure_what_all_of_them_do(name, monkeypatch):
     """4 tangents: a ratio of two chi-distributed lengths, within 6 of the whole but once in 100; the seed is fixed."""
     drifts = {}
@@ -181,6 +182,8 @@ def spread(scene, n):
 
 @pytest.mark.parametrize("engine", ["numba", "jax"])
 @pytest.mark.parametrize("name", ["ring held", "free masses", "bodies 2D"])
+@pytest.mark.quick(engine="numba")
+@pytest.mark.quick(name="free masses")
 def test_an_ensemble_is_its_trajectories(name, engine):
     scene, n = SMALL[name], 5
     start, gammas = spread(scene, n), np.linspace(0.0, 0.4, n)
