@@ -10,6 +10,7 @@ from mpmath import mp
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS
 from contactbench.plugins import GROUPS, LOADED, OWN, VARIABLE
+from contactbench.results.schema import TABLES
 from contactbench.scene import Cache
 from contactbench.scenes import SCENES
 
@@ -52,6 +53,20 @@ def registries(monkeypatch):
     for registry, items in kept:
         registry.clear()
         registry.update(items)
+
+
+@pytest.fixture
+def only_tables():
+    """Leave some tables until the test ends: to read and compare the others, empty ones, takes most of its time."""
+    kept = dict(TABLES)
+
+    def only(*names):
+        for name in kept.keys() - {*names}:
+            del TABLES[name]
+
+    yield only
+    TABLES.clear()
+    TABLES.update(kept)
 
 
 @pytest.fixture

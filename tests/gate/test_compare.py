@@ -8,11 +8,12 @@ import pytest
 from contactbench.gate.compare import compare_folders
 from contactbench.results.schema import TABLES
 from contactbench.results.store import merge
-from made_up import CLAIM, RUN, folder, row, same
+from made_up import CLAIM, ROWS, RUN, folder, row, same
 
 
 @pytest.fixture
-def baseline(tmp_path):
+def baseline(tmp_path, only_tables):
+    only_tables(*ROWS)
     return folder(tmp_path / "baseline")
 
 
@@ -143,9 +144,10 @@ MOVES = {
 
 
 @pytest.mark.parametrize("case", MOVES)
-def test_a_value_moves_within_its_limits_only(case, tmp_path):
+def test_a_value_moves_within_its_limits_only(case, tmp_path, only_tables):
     name, rows, column, little, much = MOVES[case]
     table = TABLES[name]
+    only_tables(name)
 
     def tables(path, value):
         path.mkdir()
@@ -185,7 +187,8 @@ def test_counts_of_adaptive_solvers_may_move_elsewhere(method, steps, run, is_re
 
 
 @pytest.mark.parametrize(("spread", "is_red"), [(0.0, True), (0.04, True), (0.6, False)])
-def test_counts_may_move_by_what_roundings_were_measured_to_do_to_them(spread, is_red, tmp_path):
+def test_counts_may_move_by_what_roundings_were_measured_to_do_to_them(spread, is_red, tmp_path, only_tables):
+    only_tables(*ROWS)
     before = folder(tmp_path / "before", change(WORK, "cvode-adams", evaluations_spread=spread))
     now = change(WORK, "cvode-adams", evaluations_spread=spread, evaluations=1200)
     assert bool(judge(before, now, tmp_path, run={**RUN, "isa": "y"}).red) is is_red
