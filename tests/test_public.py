@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from math import cos, sin
 
 import numpy as np
 import pandas as pd
@@ -59,12 +60,9 @@ def test_dir_shows_the_public_names_and_they_exist():
 ONE = {"name": "one", "q": (0.5,), "p": (0.0,), "t_end": 1.0, "gamma": 0.1}
 
 
-def pendulum(sin, cos):
-    return cb.Mechanical(potential=lambda q: -cos(q[0]), gradient=lambda q: (sin(q[0]),), **ONE)
-
-
 BY_MATH = {"potential": lambda q: -math.cos(q[0]), "gradient": lambda q: (math.sin(q[0]),)}
-MATH, BARE = cb.Mechanical(**BY_MATH, **ONE), pendulum(math.sin, math.cos)
+BY_NAME = {"potential": lambda q: -cos(q[0]), "gradient": lambda q: (sin(q[0]),)}
+MATH, BARE = cb.Mechanical(**BY_MATH, **ONE), cb.Mechanical(**BY_NAME, **ONE)
 
 
 @pytest.mark.parametrize(("scene", "name"), [(MATH, "math.sin"), (BARE, "sin")], ids=["math", "bare"])

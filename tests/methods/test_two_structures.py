@@ -73,13 +73,10 @@ ENGINES += [("cvode-bdf", "c"), ("cyrk-tsit5", "c++"), ("heyoka-taylor", "llvm")
 ENGINES += [("contact-strang", "jax"), ("diffrax-tsit5", "jax")]
 
 
-def setting(name):
-    method = cb.METHODS[name]
-    return {} if method.exact else {"rtol": 1e-9} if method.adaptive else {"step": 0.1}
-
-
 def last_state(scene, carry, name, engine):
-    return cb.solve(scene, name, engine=engine, carry=carry, save_at=[scene.t_end], **setting(name)).y[-1]
+    method, options = cb.METHODS[name], {"engine": engine, "carry": carry, "save_at": [scene.t_end]}
+    setting = {} if method.exact else {"rtol": 1e-9} if method.adaptive else {"step": 0.1}
+    return cb.solve(scene, name, **options, **setting).y[-1]
 
 
 @pytest.mark.parametrize("order", ["forwards", "backwards"])
