@@ -55,5 +55,4 @@ def test_convergence(cell, record):
         point = {"step": hs[i], "solution_error": errors[i], "pairwise_order": fit.pairwise[i]}
         point |= {"in_fit": bool(fit.used[i]), "last_slope": fit.last_slope}
         record(CONVERGENCE, row | point | order)
-    assert all(row["status"] == "ok" or row["message"] for row in rows)
     assert math.isnan(fit.order) or fit.order > 0

@@ -84,4 +84,3 @@ def test_decay_laws(cell, profile, record):
     if solution.ok:
         row |= laws_row(scene, method, value, budget)
     record(DECAY_LAWS, row)
-    assert row["status"] == "ok" or row["message"]

@@ -97,4 +97,3 @@ def test_long_time(cell, record):
     if method.name == REFERENCE:
         rows += with_tangents(method, "rtol", REFERENCE_RTOL, REFERENCE_TRAJECTORIES)
     record(LONG_TIME, *rows)
-    assert all(each["status"] == "ok" or each["message"] for each in rows)

@@ -106,9 +106,7 @@ def loop(scene, cores, chosen):
 def prepared(cell, chosen, exact):
     """The row of a cell without its times, and what is to be timed, if it ends well."""
     name, method, engine, n, cores = cell
-    numba.set_num_threads(
-        cores
-    )  # it has seen all cores if it was loaded before this process was bound to one
+    numba.set_num_threads(cores)  # it saw all of them if it was loaded before this process was bound to one
     scene = sized(name, n)
     if method == LOOP:
         row, run, y = loop(scene, cores, chosen)
@@ -131,27 +129,22 @@ def prepared(cell, chosen, exact):
     return row | {"solution_error": float(np.linalg.norm(y - true) / size)}, Call(run)
 
 
-def with_shares(later):
-    """`later` of a clock, which adds the columns that follow from the time of a run."""
-
-    def keep(table, row):
-        record = later(table, row)
-
-        def finish(columns):
-            time, evaluations = columns["time_min_s"], row["n"] * (row["evaluations"] or 0)
-            columns |= {"site_ns": 1e9 * time / evaluations} if evaluations else {}
-            record(columns | ({"reach_s": time} if row["solution_error"] <= ERROR else {}))
-
-        return finish
-
-    return keep
+def shares(row, time):
+    """The columns that follow from the time of a run."""
+    evaluations = row["n"] * (row["evaluations"] or 0)
+    found = {"site_ns": 1e9 * time / evaluations} if evaluations else {}
+    return found | ({"reach_s": time} if row["solution_error"] <= ERROR else {})
 
 
 @cells(ladder)
 def test_scaling(cell, clock):
+    def later(table, row):
+        keep = once(table, row)
+        return lambda columns: keep(columns | shares(row, columns["time_min_s"]))
+
     name, method, _, n, cores = cell
     given = prepared, cell, value(name, method, n), truth(name).y
-    clock = replace(clock, later=with_shares(clock.later))
+    clock, once = replace(clock, later=later), clock.later
     if cores == 1:
         clock.time(SCALING, {}, *given)
     else:

@@ -151,12 +151,8 @@ def test_work_precision_errors(cell, profile, record):
 
 @pytest.mark.timed
 @cells(ladder, times=test_work_precision_errors)
-def test_work_precision(cell, profile, record, clock, untimed):
-    row = untimed or errors(cell, profile)
-    if row["status"] == "ok":
-        clock.time(WORK_PRECISION, row, runs, *options(cell, profile))
-    else:
-        record(WORK_PRECISION, row)
+def test_work_precision(cell, profile, clock, untimed):
+    clock.time(WORK_PRECISION, untimed or errors(cell, profile), runs, *options(cell, profile))
 
 
 #: blocks of calls of each kind that `added` compares, of runs shorter than this: in longer ones it is lost

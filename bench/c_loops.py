@@ -18,7 +18,6 @@ from contactbench.splitting.flows import MECHANICAL
 from contactbench.splitting.tables import RKN6, STRANG
 
 KERNELS = {"contact-strang": ("strang", STRANG), "contact-rkn6": ("rkn6", RKN6)}
-FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-shared", "-fPIC")
 
 
 @cache

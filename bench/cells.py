@@ -14,6 +14,7 @@ from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import Counts, Solution, Status, setting_key
 
+type Row = dict[str, Any]
 #: in the smoke profile what is soon compiled on one scene, and on every other one of our methods and one of theirs
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 
@@ -66,15 +67,8 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[s
 
 
 #: on callbacks a rival is timed on that scene alone: elsewhere compiled, and by its evaluations
-RIVALS = (
-    "contact-yoshida6",
-    "contact-rkn6a",
-    "contact-rkn8b",
-    "quinlan-tremaine8",
-    "quinlan-tremaine12",
-    "stormer12",
-)
-RIVALS += ("gauss4", "gauss6", "discrete-gradient")
+RIVALS = ("contact-yoshida6", "contact-rkn6a", "contact-rkn8b", "gauss4", "gauss6", "discrete-gradient")
+RIVALS += ("quinlan-tremaine8", "quinlan-tremaine12", "stormer12")
 #: of the other scenes a method is timed on one in so many by the smoke profile
 SOME = 3
 
@@ -117,20 +111,18 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
     return None if each is None else evaluations // each
 
 
-def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
+def controlled(control: str, value: float, variant: str = "") -> Row:
     setting = f"{variant} {setting_key(control, value)}".strip()
     return {"control": control, "value": value, "variant": variant, "setting": setting}
 
 
-def key(
-    scene: str, method: str, engine: str, control: str, value: float, variant: str = ""
-) -> dict[str, Any]:
+def key(scene: str, method: str, engine: str, control: str, value: float, variant: str = "") -> Row:
     family = METHODS[method].family if method in METHODS else "limit"
     own = {"scene": scene, "method": method, "family": family, "engine": engine}
     return own | controlled(control, value, variant)
 
 
-def outcome(solution: Solution, counts: Counts | None = None, variant: str = "") -> dict[str, Any]:
+def outcome(solution: Solution, counts: Counts | None = None, variant: str = "") -> Row:
     counts, method = counts or solution.counts, METHODS[solution.method]
     row = key(solution.scene.name, method.name, solution.engine, solution.control, solution.value, variant)
     row |= {"status": str(solution.status), "message": solution.message, "evaluation_kind": counts.kind}

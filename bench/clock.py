@@ -164,8 +164,11 @@ class Clock:
     benchmark: Any = None
 
     def time(self, table: Any, row: dict[str, Any], function: Callable[..., Any], *arguments: Any) -> None:
-        """Time a cell; the function gives what its row says beside `row`, and its call, None where it cannot be run."""
-        more, call = function(*arguments)
+        """Time a cell, unless its row is that of a bad end.
+
+        The function gives what the row says beside `row`, and the call, None where it cannot be run.
+        """
+        more, call = function(*arguments) if row.get("status", "ok") == "ok" else ({}, None)
         if call is None or self.timetable is None:
             self.record(table, row | more)
             return

@@ -224,7 +224,11 @@ def complete(request: pytest.FixtureRequest) -> Callable[..., dict[str, Any]]:
 
 @pytest.fixture
 def record(request: pytest.FixtureRequest, complete: Any) -> Callable[..., None]:
-    return lambda which, *rows: request.node.rows.extend((which, complete(which, row)) for row in rows)
+    def record(which: Any, *rows: dict[str, Any]) -> None:
+        request.node.rows += [(which, complete(which, row)) for row in rows]
+        assert all(row.get("status", "ok") == "ok" or row["message"] for row in rows), "a bad end says why"
+
+    return record
 
 
 @pytest.fixture

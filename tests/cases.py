@@ -11,6 +11,8 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.peers import compiled
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -31,24 +33,14 @@ def handed_out() -> int:
     return sizes[4] + sizes[7]
 
 
-def user_scene() -> cb.Mechanical:
-    """A scene a user might bring: three degrees of freedom, mass 2, no Hessian."""
-
-    def potential(q):  # its constants are binary fractions, exact in every precision
-        x, y, z = q
-        return x * x / 2 + y * y + z * z + x * y * z / 4
-
-    def gradient(q):
-        x, y, z = q
-        return (x + y * z / 4, 2 * y + x * z / 4, 2 * z + x * y / 4)
-
-    data = {"q": (0.3, -0.2, 0.5), "p": (0.1, 0.4, -0.6), "s": 0.2}
-    return cb.Mechanical(
-        name="user", potential=potential, gradient=gradient, gamma=0.2, mass=2.0, t_end=2.0, **data
-    )
-
-
-USER = user_scene()
+DATA = {"q": (0.3, -0.2, 0.5), "p": (0.1, 0.4, -0.6), "s": 0.2, "gamma": 0.2, "mass": 2.0, "t_end": 2.0}
+#: a scene a user might bring: no Hessian, and constants that are exact in every precision
+USER = cb.Mechanical(
+    name="user",
+    potential=lambda q: q[0] * q[0] / 2 + q[1] * q[1] + q[2] * q[2] + q[0] * q[1] * q[2] / 4,
+    gradient=lambda q: (q[0] + q[1] * q[2] / 4, 2 * q[1] + q[0] * q[2] / 4, 2 * q[2] + q[0] * q[1] / 4),
+    **DATA,
+)
 #: a full symmetric D, whose axes are not the body's
 TILTED = cb.SCENES["rigid_body_anisotropic"].with_(
     name="tilted", damping=((0.3, 0.1, 0.0), (0.1, 0.2, 0.05), (0.0, 0.05, 0.1))
@@ -57,7 +49,9 @@ TILTED = cb.SCENES["rigid_body_anisotropic"].with_(
 STANDARD = [scene for scene in cb.SCENES.values() if not scene.hard and not scene.experiments]
 #: all of them, the potentials only hard ones have, and the shapes the registry does not have
 TWO_SCALES = cb.SCENES["stiff_spring"].with_(omega=3.0)  # not so stiff that round-off tests feel it
-ALL_SCENES = [*STANDARD, TWO_SCALES, cb.SCENES["kepler_drag"], USER, TILTED]
+ALL_SCENES = [*STANDARD, TWO_SCALES, *map(cb.SCENES.get, ("kepler_drag", "forced_pulsating")), USER, TILTED]
+#: methods with a step map
+FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 #: tests that ask the C library what it has handed out
 counts_memory = pytest.mark.skipif(not handed_out(), reason="needs the C library of GNU")
 
@@ -84,8 +78,16 @@ def few_slow(values, *slow):
     return [pytest.param(*given, marks=[pytest.mark.slow] if value in slow else []) for value, given in each]
 
 
+def refusal(call):
+    """The message of a refusal: one line, short enough to be read."""
+    with pytest.raises(cb.BadInput) as caught:
+        call()
+    assert len(str(caught.value)) <= 300
+    assert str(caught.value).isprintable()
+    return str(caught.value)
+
+
 def saved(scene, count=5):
-    """Equal times up to the end."""
     return scene.t_end * np.arange(1, count + 1) / count
 
 
@@ -99,6 +101,26 @@ def random_state(scene, seed: int = 0, carry=None):
     return scene.unpack(y.tolist(), carry)
 
 
+def c_functions(scene, carry):
+    """A scene's C functions as Python's, ``(t, y) -> slopes`` and ``(t, y) -> Jacobian``, and the data they share."""
+    functions, size = compiled.c_functions(scene, carry), len(scene.without_clock(scene.labels(carry)))
+    data = functions.data(scene.numbers())
+
+    def called(address, *shape):
+        function = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)(
+            address
+        )
+
+        def f(t, y):
+            y, out = np.array(y), np.zeros(shape)  # as CVODE's matrix, of which zeros are left out
+            function(out.ctypes.data, t, y.ctypes.data, data.ctypes.data)
+            return out.T
+
+        return f
+
+    return called(functions.rhs, size), called(functions.jacobian, size, size), data
+
+
 def in_mp(scene, x):
     """Scene and state with 50-digit numbers (the floats' decimal representations)."""
     exact = scene.with_numbers([mp.mpf(repr(v)) for v in scene.numbers()])
@@ -106,7 +128,18 @@ def in_mp(scene, x):
     return exact, scene.unpack([mp.mpf(repr(v)) for v in scene.pack(x)], carry)
 
 
-# -- experiments -----------------------------------------------------------------------------------
+# -- processes -------------------------------------------------------------------------------------
+def environment(without=("PYTEST_",), **variables):
+    """Of a process that is no worker of the tests'."""
+    own = {name: value for name, value in os.environ.items() if not name.startswith(tuple(without))}
+    return own | {name: str(value) for name, value in variables.items()}
+
+
+def run(*command, **variables):
+    given = {"cwd": REPOSITORY, "env": environment(**variables), "timeout": 240}
+    return subprocess.run(list(map(str, command)), capture_output=True, text=True, **given)
+
+
 #: plug-ins of pytest that the environment of the benchmark does not have
 FOREIGN = [part for name in ("hypothesispytest", "jaxtyping", "anyio") for part in ("-p", f"no:{name}")]
 
@@ -115,10 +148,8 @@ def bench(results, keyword, *more):
     """A smoke run of the experiments in a process of its own."""
     command = [sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q"]
     command += ["-p", "no:cacheprovider", *FOREIGN, "-k", keyword, *more]
-    # a benchmark is a run of its own, not a worker of the tests': workers are not timed
-    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
     both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    return subprocess.Popen(command, cwd=REPOSITORY, env={**own, "JAX_PLATFORMS": "cpu"}, **both)
+    return subprocess.Popen(command, cwd=REPOSITORY, env=environment(JAX_PLATFORMS="cpu"), **both)
 
 
 def finished(process):

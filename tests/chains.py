@@ -13,10 +13,6 @@ def bond(r, k):
     return k * r * r / 2 + r * r * r / 8 + r * r * r * r / 16
 
 
-def attraction(r2, a, b, soft):
-    return -a * b / cb.math.sqrt(r2 + soft)
-
-
 def data(size, seed=1):
     return np.random.default_rng(seed).uniform(-0.5, 0.5, (2, size))
 
@@ -35,8 +31,8 @@ def chain(n, boundary="ring", held=True, mass=1.3, **changes):
 
 def bodies(n, dimensions, **changes):
     q, p = data(n * dimensions)
-    given = {"pair": attraction, "parameters": {"soft": 0.25}, "q": 4 * q, "p": p, "s": 0.3}
-    given |= {"masses": masses(n), "gamma": 0.2, "t_end": 1.0}
+    given = {"pair": lambda r2, a, b, soft: -a * b / cb.math.sqrt(r2 + soft), "parameters": {"soft": 0.25}}
+    given |= {"q": 4 * q, "p": p, "s": 0.3, "masses": masses(n), "gamma": 0.2, "t_end": 1.0}
     return cb.Particles(name="bodies", dimensions=dimensions, **given | changes)
 
 

@@ -1,13 +1,17 @@
 """Fixtures of the tests, and which cases of a long parametrisation the quick run takes."""
 
+import sys
 from typing import Any
 
+import numba
 import pytest
 from mpmath import mp
 
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS
 from contactbench.plugins import GROUPS, LOADED, OWN, VARIABLE
+from contactbench.results.schema import TABLES
+from contactbench.scene import Cache
 from contactbench.scenes import SCENES
 
 
@@ -52,7 +56,41 @@ def registries(monkeypatch):
 
 
 @pytest.fixture
+def only_tables():
+    """Leave some tables until the test ends: to read and compare the others, empty ones, takes most of its time."""
+    kept = dict(TABLES)
+
+    def only(*names):
+        for name in kept.keys() - {*names}:
+            del TABLES[name]
+
+    yield only
+    TABLES.clear()
+    TABLES.update(kept)
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """Forget every truth and compiled program from before the test, once more at each call, and its own after it."""
+
+    def forget():
+        for module in [each for name, each in sys.modules.items() if name.startswith("contactbench.")]:
+            for name in [name for name, value in vars(module).items() if isinstance(value, Cache)]:
+                monkeypatch.setattr(module, name, Cache(256))
+
+    forget()
+    return forget
+
+
+@pytest.fixture
+def threads():
+    """Set how many threads numba uses, until the test ends."""
+    before = numba.get_num_threads()
+    yield numba.set_num_threads
+    numba.set_num_threads(before)
+
+
+@pytest.fixture
 def mp50():
-    """mpmath at 50 digits."""
     with mp.workdps(50):
         yield mp

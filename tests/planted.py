@@ -1,6 +1,5 @@
 """Solvers that misbehave, for the stability experiment to survive, and one that is exact."""
 
-import contextlib
 import os
 import signal
 import time
@@ -65,15 +64,7 @@ class Exact(Prepared):
 
 
 class Truth(Planted):
+    """The truth at eight evaluations a unit of time."""
+
     def prepare(self, request):
         return Exact(self.name, request)
-
-
-@contextlib.contextmanager
-def plant_truth():
-    """The name of a registered method whose solutions are the truth, at eight evaluations a unit of time."""
-    METHODS.add(Truth("planted-truth"))
-    try:
-        yield "planted-truth"
-    finally:
-        del METHODS["planted-truth"]

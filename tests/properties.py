@@ -4,7 +4,6 @@ Used by the tests, and by the mutation check, which counts how many planted erro
 """
 
 import math
-from fractions import Fraction
 from functools import partial
 
 import numpy as np
@@ -17,7 +16,6 @@ from contactbench.numbers.protocol import Numbers, abilities
 from contactbench.scene import cross, dot, quaternion_product
 from contactbench.splitting import flows, free_body
 from contactbench.splitting.composition import merge
-from contactbench.splitting.free_body import free
 from decimals import contact_defect, momentum_defect
 
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))
@@ -38,7 +36,6 @@ def close(a, b, digits):
 
 
 def slope(f, at):
-    """The derivative of a list of numbers by central differences."""
     delta = mp.mpf(10) ** -DELTA
     return [(a - b) / (2 * delta) for a, b in zip(f(at + delta), f(at - delta), strict=True)]
 
@@ -60,7 +57,6 @@ def contact_field(scene, hamiltonian, x):
 
 
 def flowed(scene, name, x, h, xp=mp):
-    """The named subflow for time h, packed."""
     flow = flows.flows_of(scene)[name]
     return scene.pack(flow.apply(scene, x, flow.constants(scene, h, xp), xp))
 
@@ -215,21 +211,6 @@ def signed(y):
     """A packed body state with the largest entry of its quaternion positive."""
     side = max(y[3:7], key=abs)
     return [*y[:3], *(c * side / abs(side) for c in y[3:7]), y[7]]
-
-
-def turns_have_length_one():
-    """In double precision, on average over 4000 turns: what is off has one sign and adds up along a run.
-
-    Measured 1.5·10⁻¹⁷, and 4·10⁻¹⁷ where the turn is not scaled; the average itself is known to 10⁻¹⁸.
-    """
-    total, turns = Fraction(0), 1000
-    for inertia, M in MOTIONS[:4]:
-        body = BODY.with_(inertia=inertia, M=M)
-        x = body.initial(("R",))
-        for _ in range(turns):
-            x = free(body, x._replace(R=(1.0, 0.0, 0.0, 0.0)), 0.1, math)
-            total += (sum(Fraction(c) ** 2 for c in x.R) - 1) / 2
-    return abs(total / (4 * turns)) < 2.5e-17
 
 
 def flows_know_their_factors():

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES
+from cases import refusal
 from contactbench.cli import main
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.scene import definition, verify
+from contactbench.scene import definition
 from properties import GENERAL
 
 PARTICLE = cb.SCENES["particle"]
@@ -22,20 +22,13 @@ BODY, ANISOTROPIC = "rigid_body", "rigid_body_anisotropic"
 
 # -- a user's functions ----------------------------------------------------------------------------
 def user(**changes):
-    def potential(q):
-        x, y = q
-        return x * x / 2 + 2 * y * y + x * x * y
-
-    def gradient(q):
-        x, y = q
-        return (x + 2 * x * y, 4 * y + x * x)
-
-    def hessian(q):
-        x, y = q
-        return ((1 + 2 * y, 2 * x), (2 * x, 4.0))
-
-    given = {"potential": potential, "gradient": gradient, "hessian": hessian, **changes}
-    return cb.Mechanical(name="mine", q=(0.7, -0.4), p=(0.1, 0.3), gamma=0.1, t_end=1.0, **given)
+    functions = {
+        "potential": lambda q: q[0] ** 2 / 2 + 2 * q[1] ** 2 + q[0] ** 2 * q[1],
+        "gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4 * q[1] + q[0] ** 2),
+        "hessian": lambda q: ((1 + 2 * q[1], 2 * q[0]), (2 * q[0], 4.0)),
+    }
+    data = {"name": "mine", "q": (0.7, -0.4), "p": (0.1, 0.3), "gamma": 0.1, "t_end": 1.0}
+    return cb.Mechanical(**data, **functions | changes)
 
 
 GIVEN = {"name": "mine", "q": (1.0,), "p": (0.0,), "t_end": 1.0}
@@ -186,15 +179,6 @@ CALLS = [
 ]
 
 
-def refusal(call):
-    """The message of a refusal: one line, short enough to be read."""
-    with pytest.raises(cb.BadInput) as caught:
-        call()
-    assert len(str(caught.value)) <= 300
-    assert str(caught.value).isprintable()
-    return str(caught.value)
-
-
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize(("call", "says"), CALLS, ids=[says for _, says in CALLS])
 def test_a_call_is_refused_in_one_line(call, says):
@@ -251,12 +235,6 @@ SHIFTED = {"potential": lambda q: 5.0 + q[0] ** 2 / 2 + 2 * q[1] ** 2 + q[0] ** 
 @pytest.mark.parametrize("changes", [{}, {"hessian": None}, SHIFTED])
 def test_functions_that_fit_are_taken(changes):
     assert cb.solve(user(**changes), "rk4", step=0.1).ok
-
-
-@pytest.mark.parametrize("scene", ALL_SCENES, ids=lambda scene: scene.name)
-def test_every_scene_of_ours_fits(scene):
-    """What is not checked at run time is checked here, by the same rules."""
-    (definition._verify if isinstance(scene, cb.Mechanical) else verify)(scene)
 
 
 def test_a_definition_is_checked_once(monkeypatch):

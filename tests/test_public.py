@@ -3,10 +3,12 @@
 import math
 import subprocess
 import sys
+from math import cos, sin
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib import pyplot
 
 import contactbench as cb
 from contactbench.cli import main
@@ -58,12 +60,9 @@ def test_dir_shows_the_public_names_and_they_exist():
 ONE = {"name": "one", "q": (0.5,), "p": (0.0,), "t_end": 1.0, "gamma": 0.1}
 
 
-def pendulum(sin, cos):
-    return cb.Mechanical(potential=lambda q: -cos(q[0]), gradient=lambda q: (sin(q[0]),), **ONE)
-
-
 BY_MATH = {"potential": lambda q: -math.cos(q[0]), "gradient": lambda q: (math.sin(q[0]),)}
-MATH, BARE = cb.Mechanical(**BY_MATH, **ONE), pendulum(math.sin, math.cos)
+BY_NAME = {"potential": lambda q: -cos(q[0]), "gradient": lambda q: (sin(q[0]),)}
+MATH, BARE = cb.Mechanical(**BY_MATH, **ONE), cb.Mechanical(**BY_NAME, **ONE)
 
 
 @pytest.mark.parametrize(("scene", "name"), [(MATH, "math.sin"), (BARE, "sin")], ids=["math", "bare"])
@@ -155,8 +154,6 @@ def test_the_command_line_writes_run_and_plot_and_prints_laws(tmp_path, capsys, 
 
 @pytest.mark.parametrize("scene", ["particle", "rigid_body", "forced_pulsating", "quadratic_damping"])
 def test_a_solution_is_drawn(scene):
-    from matplotlib import pyplot
-
     solution = cb.solve(scene, "contact-strang", step=0.1)
     figure = solution.plot()
     motion, portrait, energies = figure.axes

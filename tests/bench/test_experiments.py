@@ -11,6 +11,7 @@ import bench_long_time as long_time
 import contactbench as cb
 from bench_claims import LONG
 from bench_decay import COSTS, SAVES, evaluations, value_at
+from bench_ensemble import prepared_row, truth
 from bench_work_precision import error, errors, evaluations_spread, passes_through
 from cases import REPOSITORY, bench, few_slow, finished
 from cells import DEAR, step_at, tolerance_at
@@ -73,9 +74,6 @@ def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
 
 
 def test_another_process_prepares_and_times_what_it_is_told():
-    """A C loop of the particle, timed in a process of its own."""
-    from bench_ensemble import prepared_row, truth
-
     cell = ("arithmetic", "particle", "limit-c", "c", "contact-strang plain", "step", 0.1, 64, 1)
     table = Timetable({}, 8)
     try:
@@ -93,7 +91,6 @@ def test_another_process_prepares_and_times_what_it_is_told():
 
 # -- The profiles of the benchmark, and which cells they visit -------------------------------------
 def visited(experiment, test, profile="smoke"):
-    """The cells of a test in a profile."""
     return getattr(import_module(experiment), test).cells(PROFILES[profile])
 
 

@@ -2,7 +2,6 @@
 
 import math
 
-import numba
 import numpy as np
 import pytest
 
@@ -12,13 +11,7 @@ from c_loops import ring_kernel
 from contactbench.measure.memory import peak_memory
 from contactbench.results.tables import SCALING
 
-
-@pytest.fixture(autouse=True)
-def threads():
-    """A cell says how many threads it takes; the other tests have those of before."""
-    before = numba.get_num_threads()
-    yield
-    numba.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("threads")  # a cell says how many it takes
 
 
 def row(n, method="contact-strang", engine="numba"):

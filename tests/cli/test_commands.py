@@ -1,8 +1,6 @@
 """The command line: ``compare``, ``check``, outputs that cannot be written, and a process of its own."""
 
 import json
-import os
-import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -12,7 +10,7 @@ import pytest
 
 import contactbench as cb
 import made_up
-from cases import REPOSITORY
+from cases import run
 from contactbench import cli
 from contactbench.cli import main, parsing
 from contactbench.methods.fixed_step import FixedStep
@@ -192,18 +190,11 @@ MODULE = [sys.executable, "-m", "contactbench"]
 SOLVE = ["solve", "particle", "rk4", "--step", "0.1", "--t-end", "1"]
 
 
-def run(*command, **variables):
-    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    return subprocess.run(
-        list(map(str, command)), cwd=REPOSITORY, capture_output=True, timeout=120, env=own | variables
-    )
-
-
 @pytest.mark.parametrize("line", [["list"], ["claim", "C25"], [*SOLVE, "--laws"]])
 def test_what_cannot_be_encoded_is_replaced(line):
     done = run(*MODULE, *line, PYTHONIOENCODING="ascii")
     assert done.returncode == 0, done.stderr
-    assert b"?" in done.stdout
+    assert "?" in done.stdout
     assert done.stdout.isascii()
     if "claim" in line:  # JSON needs no other encoding
         done = run(*MODULE, *line, "--json", PYTHONIOENCODING="ascii")
@@ -214,15 +205,15 @@ def test_what_cannot_be_encoded_is_replaced(line):
 def test_a_closed_stream_is_no_error(closed):
     done = run("sh", "-c", f'exec "$@" {closed}', "sh", *MODULE, "list", "laws")
     assert done.returncode == 0
-    assert done.stderr == b""
+    assert done.stderr == ""
 
 
 @pytest.mark.parametrize("platform", ["rocm", "abacus"])
 def test_a_platform_that_is_not_there_is_one_line(platform):
     done = run(*MODULE, *SOLVE, "--engine", "jax", JAX_PLATFORMS=platform)
     assert done.returncode == 2
-    assert done.stderr.decode().startswith(f"contactbench: JAX_PLATFORMS = {platform}: must be")
-    assert done.stderr.count(b"\n") == 1
+    assert done.stderr.startswith(f"contactbench: JAX_PLATFORMS = {platform}: must be")
+    assert done.stderr.count("\n") == 1
 
 
 INTERPRETED = """

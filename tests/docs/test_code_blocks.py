@@ -1,15 +1,13 @@
 """Every Python block of README and documentation runs, page by page, in the order of the page."""
 
 import re
-from pathlib import Path
 
 import pytest
 
-from cases import few_slow
+from cases import REPOSITORY, few_slow
 from contactbench.results import tables
 from made_up import folder
 
-REPOSITORY = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```python[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PAGES = [
     path
@@ -20,10 +18,6 @@ PAGES = [
 LONG = [page for page in PAGES if page.name in ("adding.md", "gallery.md", "tutorial.md")]
 
 
-def line_of(text: str, block: re.Match[str]) -> int:
-    return text.count("\n", 0, block.start(1))
-
-
 @pytest.mark.parametrize("page", few_slow(PAGES, *LONG), ids=lambda path: path.name)
 def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
@@ -32,4 +26,5 @@ def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
     text, scope = page.read_text(), {}
     for block in BLOCK.finditer(text):
         # padded so that a traceback shows the page's own line
-        exec(compile("\n" * line_of(text, block) + block[1], str(page), "exec"), scope)
+        before = "\n" * text.count("\n", 0, block.start(1))
+        exec(compile(before + block[1], str(page), "exec"), scope)

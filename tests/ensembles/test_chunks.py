@@ -117,7 +117,6 @@ def test_an_error_of_the_chunk_itself_is_not_tried_again():
 
 # -- cores -----------------------------------------------------------------------------------------
 def states(n):
-    """Packed initial states (4, n)."""
     return np.array([*SCENE.q, *SCENE.p])[:, None] + 0.05 * np.random.default_rng(1).normal(size=(4, n))
 
 

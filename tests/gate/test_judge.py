@@ -12,7 +12,12 @@ from contactbench.errors import BadInput
 from contactbench.gate import judge, revisions
 from contactbench.results.schema import TABLES
 from contactbench.results.store import merge
-from made_up import commit, folder, fresh, git, project, repository, same
+from made_up import ROWS, commit, folder, fresh, git, project, repository, same
+
+
+@pytest.fixture(autouse=True)
+def few_tables(only_tables):
+    only_tables(*ROWS, "strong_damping")
 
 
 @pytest.fixture
@@ -222,7 +227,6 @@ LAXER = {
 
 
 def test_rules_made_laxer_in_the_tree_that_is_judged_turn_nothing_green(tmp_path):
-    """The code of the base judges, in a process of its own."""
     root = project(tmp_path.resolve() / "project")
     for file, change in LAXER.items():
         edit(root / "src" / "contactbench" / file, *change)
@@ -252,10 +256,6 @@ def test_exit_status_and_json(root, tmp_path, capsys):
     assert status == 1
     found = {(line["scene"], line["method"], line["measure"]) for line in json.loads(text)["lines"]}
     assert ("particle", "rk4", "solution_error") in found
-
-
-def replaced(old, new):
-    return lambda text: text.replace(old, new)
 
 
 #: what is done to a file of a folder, and where the message says that it is damaged

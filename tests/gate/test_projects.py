@@ -5,17 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
 from time import perf_counter
 
 import pytest
 
+import made_up
+from cases import REPOSITORY, environment
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import benchmark, revisions
 from contactbench.plugins import VARIABLE
 
-ROOT = Path(__file__).parents[2]
 MY = """
 import contactbench as cb
 
@@ -44,29 +44,23 @@ WRONG = HALF.replace("/ 2", "/ 2.001")
 SLOW = HALF + "    for _ in range(2):\n        half = cb.shifted(half, 0 * h, scene.rhs(half))\n"
 
 
-def git(repository, *arguments):
-    names = ("-c", "user.name=me", "-c", "user.email=me@example.org")
-    subprocess.run(["git", "-C", repository, *names, *arguments], check=True, stdout=subprocess.DEVNULL)
-
-
 def commit(repository, text=MY):
     (repository / "my.py").write_text(text)
-    git(repository, "add", "-A")
-    git(repository, "commit", "-q", "--allow-empty", "-m", "my work")
+    made_up.commit(repository, "my work")
 
 
 @pytest.fixture
 def repository(tmp_path):
-    git(tmp_path, "init", "-q", "-b", "main")
+    made_up.git(tmp_path, "init", "-q", "-b", "main")
     (tmp_path / ".gitignore").write_text("results/.cells\n__pycache__\n")
     commit(tmp_path)
     return tmp_path
 
 
 def call(repository, *arguments, command=(sys.executable, "-m", "contactbench"), without=("PYTEST_",)):
-    own = {name: value for name, value in os.environ.items() if not name.startswith(tuple(without))}
     line = [*command, *map(str, arguments), "--plugin", "my.py"]
-    return subprocess.run(line, cwd=repository, env=own, capture_output=True, text=True, timeout=550)
+    given = {"cwd": repository, "env": environment(without), "timeout": 550}
+    return subprocess.run(line, capture_output=True, text=True, **given)
 
 
 def test_what_is_in_no_plug_in_has_no_gate(repository, monkeypatch, capsys):
@@ -114,12 +108,12 @@ def test_it_is_measured_and_gated(repository):
 @pytest.fixture(scope="module")
 def program(tmp_path_factory):
     place = tmp_path_factory.mktemp("stranger")
-    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", place, ROOT]
+    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", place, REPOSITORY]
     subprocess.run(build, check=True)
     subprocess.run([sys.executable, "-m", "venv", place / "environment"], check=True)
     install = [place / "environment" / "bin" / "pip", "install", "-q", "-q"]
     wheel = f"{next(place.glob('*.whl'))}[bench]"
-    subprocess.run([*install, wheel, "-c", ROOT / "constraints.txt"], check=True)
+    subprocess.run([*install, wheel, "-c", REPOSITORY / "constraints.txt"], check=True)
     return place / "environment" / "bin" / "contactbench"
 
 

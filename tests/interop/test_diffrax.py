@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from functools import cache
 
+import diffrax
+import mpmath
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
 import contactbench as cb
+from contactbench.xla import jax, jnp
 
 
 @cache
@@ -17,9 +21,6 @@ def terms_of(scene):
 
 
 def solve(scene, method, t_end=2.0, dt0=0.1, **options):
-    import diffrax
-    import jax.numpy as jnp
-
     scene, terms = cb.SCENES[scene], terms_of(scene)
     t0, start = getattr(scene, "t", 0.0), options.pop("y0", (jnp.array(scene.q), jnp.array(scene.p)))
     constant = {"stepsize_controller": diffrax.ConstantStepSize()} | options
@@ -46,8 +47,6 @@ def test_a_run_is_that_of_solve(scene, method):
 
 
 def test_steps_that_change_are_runs_of_their_own():
-    import diffrax
-
     times = np.array([0.1, 0.3, 0.4, 0.7])
     expected = cb.solve("particle", "contact-rkn8", step=1.0, save_at=times, carry=()).y[-1]
     controller = diffrax.StepTo(ts=np.append(0.0, times))
@@ -56,10 +55,6 @@ def test_steps_that_change_are_runs_of_their_own():
 
 
 def test_gradients_are_those_of_the_numerical_map():
-    import diffrax
-
-    from contactbench.xla import jax
-
     def last(gamma, adjoint=None):
         options = {"adjoint": adjoint} if adjoint else {"max_steps": 32}
         return solve("particle", "contact-rkn6", args={"gamma": gamma}, **options).ys[0][-1, 0]
@@ -72,8 +67,6 @@ def test_gradients_are_those_of_the_numerical_map():
 
 
 def test_vmap_over_a_parameter():
-    from contactbench.xla import jax, jnp
-
     rates = jnp.array([0.0, 0.1, 0.5])
     many = jax.vmap(lambda g: solve("particle", "contact-strang", args={"gamma": g}).ys[0][-1])(rates)
     for gamma, found in zip(rates.tolist(), many, strict=True):
@@ -84,10 +77,6 @@ def test_vmap_over_a_parameter():
 
 def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum():
     """The oscillators x'' = −x − γ x' of two rates, against their closed form."""
-    import diffrax
-
-    from contactbench.xla import jax, jnp
-
     rates = {"a": 0.1, "b": jnp.array([0.4, 0.0])}
     q, p = {"a": 1.0, "b": jnp.array([0.5, -0.5])}, {"a": 0.0, "b": jnp.zeros(2)}
     term = diffrax.ODETerm
@@ -105,8 +94,6 @@ def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum(
 
 
 def test_between_steps_it_interpolates_by_cubics():
-    import diffrax
-
     times = np.linspace(0, 2, 41)
     truth = cb.solve("particle", "contact-rkn8", step=0.05, save_at=times, carry=()).q
     errors = [
@@ -119,7 +106,6 @@ def test_between_steps_it_interpolates_by_cubics():
 # -- the derivative without the states -------------------------------------------------------------
 def derivative(scene, method, adjoint, t_end=4.0, dt0=0.1, mode="grad", **args):
     """The derivative of the last q1 in the parameters given by name and in the initial state."""
-    from contactbench.xla import jax, jnp
 
     def last(args, y0):
         options = {"args": args, "adjoint": adjoint, "y0": y0}
@@ -131,8 +117,6 @@ def derivative(scene, method, adjoint, t_end=4.0, dt0=0.1, mode="grad", **args):
 
 
 def values(derivative):
-    from jax.flatten_util import ravel_pytree
-
     program, given = derivative
     return np.array(ravel_pytree(program(*given))[0])
 
@@ -149,8 +133,6 @@ def values(derivative):
 @pytest.mark.quick(method=("contact-abc", "contact-strang"))
 def test_a_run_taken_back_has_the_derivative_of_the_numerical_map(scene, rate, method):
     """Round-off of 40 steps and of what it grows to, e^{∫γ} < 2; measured: 4e-15 of the largest."""
-    import diffrax
-
     rate = {rate: 0.1}
     expected = values(derivative(scene, method, diffrax.ForwardMode(), mode="jacfwd", **rate))
     found = values(derivative(scene, method, cb.diffrax.ReversibleAdjoint(), **rate))
@@ -158,8 +140,6 @@ def test_a_run_taken_back_has_the_derivative_of_the_numerical_map(scene, rate, m
 
 
 def test_a_run_taken_back_has_the_derivative_of_the_closed_form():
-    import mpmath
-
     scene, context = cb.SCENES["oscillator"], mpmath.MPContext()
     context.dps = 50
     rest = scene.numbers()[1:]  # after γ
@@ -234,8 +214,6 @@ def test_terms_that_it_does_not_solve_are_refused(velocity, damping):
 
 
 def test_what_is_no_contact_run_to_its_end_is_not_taken_back():
-    import diffrax
-
     adjoint, steps = cb.diffrax.ReversibleAdjoint(), diffrax.SaveAt(steps=True)
     changing = diffrax.StepTo(ts=np.linspace(0, 2, 5))
     for options in ({"saveat": steps}, {"dt0": None, "stepsize_controller": changing}):

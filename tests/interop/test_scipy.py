@@ -8,21 +8,11 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 import contactbench as cb
-from contactbench.methods.fixed_step import FixedStep
+from cases import FIXED, pairs
 
 #: Herglotz's steps are merged in a run of `cb.solve`, and agree to round-off, as do those that iterate
-FIXED = [
-    name
-    for name, method in cb.METHODS.items()
-    if isinstance(method, FixedStep) and method.one_step and not method.iterates
-    if method.family != "variational"
-]
-PAIRS = [
-    (scene, method)
-    for scene in ("particle", "quadratic_damping", "forced_pulsating", "rigid_body_anisotropic")
-    for method in FIXED
-    if cb.METHODS[method].refuses(cb.SCENES[scene]) is None
-]
+MERGED = [m for m in FIXED if m.one_step and not m.iterates and m.family != "variational"]
+NAMES = ("particle", "quadratic_damping", "forced_pulsating", "rigid_body_anisotropic")
 START = {"q": (1.0,), "p": (0.0,), "gamma": 0.1, "t_end": 2.0}
 
 
@@ -37,16 +27,15 @@ def last(scene, method, **options):
     return y if scene.clock is None else np.delete(y, scene.clock)
 
 
-@pytest.mark.parametrize(("scene", "method"), PAIRS)
+@pairs(MERGED, [cb.SCENES[name] for name in NAMES])
 @pytest.mark.quick(scene="particle", method=("contact-abc", "contact-strang", "contact-rkn8", "rk4"))
 @pytest.mark.quick(scene="forced_pulsating", method="contact-rkn6")
 def test_a_run_has_the_bits_of_solve(scene, method):
     """At an h that does not divide the time, too: 16 equal steps."""
-    scene = cb.SCENES[scene]
-    found = run(cb.scipy.Contact(method, scene), t0=getattr(scene, "t", 0.0))
+    found = run(cb.scipy.Contact(method.name, scene), t0=getattr(scene, "t", 0.0))
     assert found.success
     assert len(found.t) == 17
-    np.testing.assert_array_equal(found.y[:, -1], last(scene, method, step=0.13))
+    np.testing.assert_array_equal(found.y[:, -1], last(scene, method.name, step=0.13))
 
 
 def test_every_state_is_that_of_a_run_up_to_it():

@@ -24,7 +24,6 @@ STANDARD = [
 
 
 def truth_as_solution(scene, times=TIMES):
-    """The reference dressed up as a run."""
     exact = cb.reference(scene, times)
     y0 = np.array(scene.pack(scene.initial(scene.optional)))
     return Solution(scene, "truth", "none", scene.optional, times, exact.y.copy(), y0=y0)

@@ -161,14 +161,23 @@ def test_the_last_rung_is_the_end_of_the_range(method):
     assert {1e-3, 1e-6, 1e-13} <= {float(f"{v:.3g}") for v in values}
 
 
-def test_a_ladder_ends_where_the_error_stops_falling(monkeypatch):
+@pytest.fixture
+def errors(monkeypatch):
+    """Let attempts have errors that are a function of their setting."""
+
+    def scripted(error):
+        def attempt(scout, value):
+            scout.attempts.append(Attempt(value, "", cb.Status.ok, "", 0.0, error(value)))
+            return scout.attempts[-1]
+
+        monkeypatch.setattr(Scout, "attempt", attempt)
+
+    return scripted
+
+
+def test_a_ladder_ends_where_the_error_stops_falling(errors):
     """At 10⁻¹² and 10⁻¹³ the error is 3·10⁻¹³: one rung that brings nothing is tried, and no more."""
-
-    def attempt(scout, value):
-        scout.attempts.append(Attempt(value, "", cb.Status.ok, "", 0.0, max(value, 3e-13)))
-        return scout.attempts[-1]
-
-    monkeypatch.setattr(Scout, "attempt", attempt)
+    errors(lambda value: max(value, 3e-13))
     scene = cb.SCENES["oscillator"]
     question = Question(scene, cb.reference(scene, ends(scene), carry_of(scene)), (1e-300,), 60.0)
     tried = list(Scout(question, "heyoka-taylor").ladder())
@@ -177,14 +186,9 @@ def test_a_ladder_ends_where_the_error_stops_falling(monkeypatch):
 
 
 @pytest.mark.parametrize(("unit", "longest"), [(1e9, 1000.0), (150.0, 100.0), (3.0, 3.125)])
-def test_a_ladder_of_steps_begins_where_the_error_is_as_large_as_the_motion(monkeypatch, unit, longest):
+def test_a_ladder_of_steps_begins_where_the_error_is_as_large_as_the_motion(errors, unit, longest):
     """At most one step from each of the five ends to the next; unit : the step of error 1, of a second-order method."""
-
-    def attempt(scout, value):
-        scout.attempts.append(Attempt(value, "", cb.Status.ok, "", 0.0, (value / unit) ** 2))
-        return scout.attempts[-1]
-
-    monkeypatch.setattr(Scout, "attempt", attempt)
+    errors(lambda value: (value / unit) ** 2)
     scout = Scout(Question(cb.SCENES["planets"], None, (1e-3, 1e-6), 60.0), "contact-rkn6")
     list(scout.turns())
     assert max(a.value for a in scout.attempts) == longest

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, by_name, counts_memory, handed_out, random_state
+from cases import ALL_SCENES, by_name, c_functions, counts_memory, handed_out, random_state
 from contactbench.peers import abi, compiled
 from contactbench.peers.base import derivative
 from contactbench.solution import Status
@@ -23,20 +23,9 @@ CYRK = tuple(name for name in cb.METHODS if name.startswith("cyrk-"))
 PEERS = [(name, "c") for name in CVODE] + [(name, "c++") for name in CYRK]
 
 peers = pytest.mark.parametrize(("method", "engine"), PEERS, ids=[name for name, _ in PEERS])
-C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)
 
 
 # -- the scene as C functions ----------------------------------------------------------------------
-def called(scene, x, carry):
-    """What the C functions make of a state, and how often they say they were called."""
-    functions = compiled.c_functions(scene, carry)
-    y = np.array(scene.without_clock(scene.pack(x)))
-    data, slopes, matrix = functions.data(scene.numbers()), np.empty(len(y)), np.zeros((len(y), len(y)))
-    for address, out in ((functions.rhs, slopes), (functions.jacobian, matrix)):
-        C_FUNCTION(address)(out.ctypes.data, getattr(x, "t", 0.0), y.ctypes.data, data.ctypes.data)
-    return slopes, matrix.T, data[:2].tolist()
-
-
 @by_name([*ALL_SCENES, ANISOTROPIC])
 @pytest.mark.parametrize("fields", ["all", "none"])
 def test_c_functions_are_the_scene(scene, fields):
@@ -44,13 +33,14 @@ def test_c_functions_are_the_scene(scene, fields):
     carry = scene.carry(None if fields == "all" else ())
     for seed in range(3):
         x = random_state(scene, seed, carry)
-        slopes, matrix, calls = called(scene, x, carry)
+        slopes, jacobian, data = c_functions(scene, carry)
+        t, y = getattr(x, "t", 0.0), scene.without_clock(scene.pack(x))
         expected = np.array(scene.without_clock(scene.pack(scene.rhs(x))))
-        np.testing.assert_allclose(slopes, expected, rtol=1e-13, atol=1e-14 * np.abs(expected).max())
+        np.testing.assert_allclose(slopes(t, y), expected, rtol=1e-13, atol=1e-14 * np.abs(expected).max())
         rows = derivative(scene, x, carry)
         rows = np.array([scene.without_clock(row) for row in scene.without_clock(rows)])
-        np.testing.assert_allclose(matrix, rows, rtol=1e-13, atol=1e-14 * np.abs(rows).max())
-        assert calls == [1.0, 1.0]
+        np.testing.assert_allclose(jacobian(t, y), rows, rtol=1e-13, atol=1e-14 * np.abs(rows).max())
+        assert data[:2].tolist() == [1.0, 1.0]  # calls
 
 
 def test_other_numbers_take_the_same_machine_code():
@@ -58,7 +48,8 @@ def test_other_numbers_take_the_same_machine_code():
     other = PARTICLE.with_(gamma=0.7, mass=3.0, coupling=-0.2)
     assert compiled.c_functions(other, ("s",)) is first
     x = random_state(other, 1)
-    np.testing.assert_allclose(called(other, x, ("s",))[0], other.pack(other.rhs(x)), rtol=1e-13)
+    slopes = c_functions(other, ("s",))[0](0.0, other.pack(x))
+    np.testing.assert_allclose(slopes, other.pack(other.rhs(x)), rtol=1e-13)
 
 
 # -- runs ------------------------------------------------------------------------------------------

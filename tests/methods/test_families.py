@@ -162,10 +162,6 @@ PRINTED = {
     "quinlan-tremaine8": "12096 17671 -23622 61449 -50516",
     "quinlan-tremaine12": "53222400 90987349 -229596838 812627169 -1628539944 2714971338 -3041896548",
 }
-#: Störmer's formula in backward differences (Hairer, Nørsett, Wanner I, §III.10)
-DIFFERENCES = (
-    "1 0 1/12 1/12 19/240 3/40 863/12096 275/4032 33953/518400 8183/129600 3250433/53222400 4671/78848"
-)
 
 
 @pytest.mark.parametrize("name", PRINTED)
@@ -174,14 +170,6 @@ def test_the_forces_of_symmetric_methods_are_the_printed_ones(name):
     half = [Fraction(c, denominator) for c in half]
     assert cb.METHODS[name].beta == [*half, *half[-2::-1]]
     assert (1, *cb.METHODS[name].alpha) == (1, *cb.METHODS[name].alpha)[::-1]
-
-
-def test_stormers_forces_are_those_of_its_backward_differences():
-    powers, beta = [Fraction(1)], [Fraction(0)] * 12
-    for sigma in map(Fraction, DIFFERENCES.split()):
-        beta = [b + sigma * p for b, p in zip(beta, [*powers, *[Fraction(0)] * 12], strict=False)]
-        powers = [a - b for a, b in zip([*powers, 0], [0, *powers], strict=True)]
-    assert cb.METHODS["stormer12"].beta == beta
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -6,16 +6,17 @@ import numba
 import numpy as np
 import pytest
 
+import cases
 import contactbench as cb
 from chains import BOUNDARIES, SMALL, bodies, chain, masses
 from contactbench.methods import many
-from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import total
 from contactbench.peers.base import Peer
 from contactbench.scene import many as many_scene
+from contactbench.xla import jax, jnp
 
-FIXED = [m.name for m in cb.METHODS.values() if isinstance(m, FixedStep)]
+FIXED = [method.name for method in cases.FIXED]
 PEERS = [m.name for m in cb.METHODS.values() if isinstance(m, Peer)]
 #: merges, stages in a loop, processing, no merging: one of each way to be recorded
 SHAPES = ("contact-strang", "contact-rkn6", "contact-abc", "herglotz2", "rk4")
@@ -54,12 +55,12 @@ def test_numba_agrees_with_arrays_whatever_the_length(n, boundary):
                 assert gap(mine, plain) < ROUND_OFF, (method, held, carry)
 
 
-@pytest.mark.parametrize("scene", SMALL.values(), ids=SMALL)
-@pytest.mark.parametrize("method", FIXED)
-def test_numba_agrees_with_arrays_and_components_for_every_method(method, scene):
+@pytest.mark.parametrize(
+    ("name", "method"), [(name, method) for name, scene in SMALL.items() for method in runs_on(FIXED, scene)]
+)
+def test_numba_agrees_with_arrays_and_components_for_every_method(method, name):
     """Components: the same scene as a `Mechanical` of so many coordinates, by the engine of such scenes."""
-    if method not in runs_on(FIXED, scene):
-        pytest.skip("refused")
+    scene = SMALL[name]
     mine = states(scene, method)
     assert gap(states(scene, method, "python"), mine) < ROUND_OFF
     assert gap(states(scene.unrolled(), method), mine) < ROUND_OFF
@@ -92,14 +93,6 @@ def test_a_force_may_be_constant(boundary, onsite):
     assert gap(states(scene.unrolled(), "contact-strang"), states(scene, "contact-strang")) < ROUND_OFF
 
 
-@pytest.fixture
-def threads():
-    """Set how many threads numba uses."""
-    before = numba.get_num_threads()
-    yield numba.set_num_threads
-    numba.set_num_threads(before)
-
-
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
 @pytest.mark.parametrize("boundary", BOUNDARIES)
 def test_two_threads_give_the_same_bits(boundary, threads):
@@ -113,16 +106,16 @@ def test_two_threads_give_the_same_bits(boundary, threads):
 
 
 # -- peers ---------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", ["ring held", "free masses", "bodies 2D"])
-@pytest.mark.parametrize("method", PEERS)
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [(n, m) for n in ("ring held", "free masses", "bodies 2D") for m in runs_on(PEERS, SMALL[n])],
+)
 @pytest.mark.quick(name="ring held")
 @pytest.mark.quick(
     method=tuple(m for m in PEERS if m not in ("diffrax-kvaerno5", "diffrax-dopri8"))
 )  # XLA compiles long
 def test_peers_agree_with_components_to_their_tolerance(method, name):
     scene = SMALL[name]
-    if method not in runs_on(PEERS, scene):
-        pytest.skip("refused")
     one, other = (cb.solve(each, method, rtol=1e-8, save_at=[0.5, 1.0]) for each in (scene, scene.unrolled()))
     assert [one.status, other.status] == [cb.Status.ok] * 2, (one.message, other.message)
     assert gap(one.y, other.y) < 1e-6
@@ -167,6 +160,7 @@ def test_random_tangents_show_a_contact_map_however_many_sites(method):
 
 
 @pytest.mark.parametrize("name", [*SMALL])
+@pytest.mark.quick(name=("ring held", "free masses", "bodies 2D"))
 def test_random_tangents_measure_what_all_of_them_do(name, monkeypatch):
     """4 tangents: a ratio of two chi-distributed lengths, within 6 of the whole but once in 100; the seed is fixed."""
     drifts = {}
@@ -188,6 +182,8 @@ def spread(scene, n):
 
 @pytest.mark.parametrize("engine", ["numba", "jax"])
 @pytest.mark.parametrize("name", ["ring held", "free masses", "bodies 2D"])
+@pytest.mark.quick(engine="numba")
+@pytest.mark.quick(name="free masses")
 def test_an_ensemble_is_its_trajectories(name, engine):
     scene, n = SMALL[name], 5
     start, gammas = spread(scene, n), np.linspace(0.0, 0.4, n)
@@ -216,8 +212,6 @@ def test_an_ensemble_notices_what_diverges_and_takes_one_start_for_all():
 
 @pytest.mark.parametrize("name", ["free masses", "bodies 3D"])
 def test_a_step_map_takes_and_gives_an_array(name):
-    from contactbench.xla import jax, jnp
-
     scene = SMALL[name]
     step = cb.step_map(scene, "contact-rkn4")
     run = cb.solve(scene, "contact-rkn4", step=0.1, save_at=[0.1]).y[0]

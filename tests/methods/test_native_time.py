@@ -30,17 +30,13 @@ class WithoutJacobian(Mechanical):
         return None
 
 
-def V(q, t=None):
-    return -cb.math.cos(q[0])
-
-
-def dV(q, t=None):
-    return (cb.math.sin(q[0]),)
-
-
+FORCE = {
+    "potential": lambda q, t=None: -cb.math.cos(q[0]),
+    "gradient": lambda q, t=None: (cb.math.sin(q[0]),),
+}
 #: one and the same motion, without and with the time in its state
-WITHOUT = WithoutJacobian(name="pendulum", potential=V, gradient=dV, **STILL)
-WITH = Driven(name="timed", potential=V, gradient=dV, t=0.5, **STILL)
+WITHOUT = WithoutJacobian(name="pendulum", **FORCE, **STILL)
+WITH = Driven(name="timed", **FORCE, t=0.5, **STILL)
 
 
 @every

@@ -1,5 +1,6 @@
 """Steps: prescribed ones, those chosen for a tolerance, and one alone as a pure function."""
 
+import numba
 import numpy as np
 import pytest
 
@@ -7,6 +8,7 @@ import contactbench as cb
 from cases import pairs
 from chains import chain
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.xla import jax, jnp
 
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step]
 SCENES = [cb.SCENES[name] for name in ("particle", "lane_emden_5", "rigid_body")]
@@ -205,8 +207,6 @@ def test_parameters_by_name_and_as_a_tuple():
 
 
 def test_numba_calls_it_in_a_compiled_loop():
-    import numba
-
     step = cb.step_map("rigid_body", "contact-strang")
 
     @numba.njit
@@ -222,8 +222,6 @@ def test_numba_calls_it_in_a_compiled_loop():
 
 
 def test_jax_compiles_vectorises_and_differentiates_it():
-    from contactbench.xla import jax, jnp
-
     step = cb.step_map("particle", "contact-rkn6")
     np.testing.assert_allclose(jax.jit(step)(step.start, STEP), step(step.start, STEP), rtol=1e-14)
     rates = jnp.array([0.0, 0.1, 0.5])

@@ -39,7 +39,6 @@ def starts(thread):
 @pytest.mark.quick(method=("heyoka-taylor", "cvode-bdf"), engine=("llvm", "c"), times="end")
 @pytest.mark.quick(method="contact-rkn6", engine="numba", times="end")
 def test_threads_do_not_disturb_each_other(method, engine, shared, times):
-    """Four threads, and one run for all or one for each."""
     calls = 2000 if (method.name, engine) in STATEFUL else 60  # 10⁴ of all pairs
     run = prepared(method, engine, times)
     alone = [run(**starts(thread)).y.copy() for thread in range(THREADS)]

@@ -4,7 +4,6 @@ Tolerances, budget, final time and kind of solver are taken down where they are 
 they are not seen on the way: there the same library is called in another way, with what was asked, for the same bits.
 """
 
-import ctypes
 from types import SimpleNamespace
 
 import diffrax
@@ -16,7 +15,7 @@ from CyRK import pysolve_ivp
 
 import bench_ensemble
 import contactbench as cb
-from contactbench.peers import compiled
+from cases import c_functions
 from contactbench.solution import Status
 from contactbench.xla import jnp
 
@@ -65,7 +64,6 @@ def prepared(name, engine, times):
 
 
 def calls(run):
-    """Every way through a solver."""
     solution = run()
     assert solution.ok
     run.bare(run.start)
@@ -120,35 +118,13 @@ def test_heyoka(times, monkeypatch):
 
 
 # -- set up from Python, run in C ------------------------------------------------------------------
-C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)
-
-
-def from_python(request):
-    """A scene's C functions, callable as Python's: ``(t, y) -> slopes`` and ``(t, y) -> Jacobian``."""
-    functions = compiled.c_functions(request.scene, request.carry)
-    data = functions.data(request.scene.numbers())
-
-    def called(address, shape):
-        function = C_FUNCTION(address)
-
-        def f(t, y):
-            y, out = np.array(y), np.zeros(shape)  # as CVODE's matrix, of which zeros are left out
-            function(out.ctypes.data, t, y.ctypes.data, data.ctypes.data)
-            return out.T
-
-        return f
-
-    size = len(request.scene.labels(request.carry))
-    return called(functions.rhs, size), called(functions.jacobian, (size, size))
-
-
 @of("cyrk")
 @saved
 def test_cyrk_by_its_call_from_python(name, engine, times):
     """The run's own functions, called back, and what was asked: every bit, and as many steps."""
     run = prepared(name, engine, times)
     for each in (run, run.variational()):
-        rhs, _ = from_python(each.request)
+        rhs, *_ = c_functions(each.request.scene, each.request.carry)
         found = pysolve_ivp(rhs, (0.0, END), each.start.copy(), method=KINDS[name, engine], **ASKED)
         out = each.integrate(each.start)
         np.testing.assert_array_equal(out.y[-1], found.y[:, -1])
@@ -161,7 +137,8 @@ def test_cyrk_by_its_call_from_python(name, engine, times):
 @saved
 def test_cvode_by_scikit_sundae(name, engine, times):
     run = prepared(name, engine, times)
-    rhs, jacobian = from_python(run.request) if engine == "c" else (run.rhs, run.jacobian)
+    compiled = engine == "c"
+    rhs, jacobian, *_ = c_functions(SCENE, run.request.carry) if compiled else (run.rhs, run.jacobian)
 
     def f(t, y, yp):
         yp[:] = rhs(t, y)

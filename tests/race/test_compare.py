@@ -34,15 +34,6 @@ def double_well():
     )
 
 
-def pull(q, omega):
-    """A force as tables give it: of floats only."""
-    return (omega * omega * float(q[0]),)
-
-
-def pull_potential(q, omega):
-    return omega * omega * float(q[0]) ** 2 / 2
-
-
 @pytest.fixture(scope="module")
 def frame():
     return cb.compare(double_well(), RACED, ERRORS, budget=120.0)  # it needs a tenth of it
@@ -148,7 +139,11 @@ def test_a_reference_that_would_take_too_long_is_refused():
 
 def test_what_cannot_be_had_in_high_precision_has_a_reference_that_two_solvers_agree_on(monkeypatch):
     """By a function of floats, and where there is no time for more digits: a linear force, known in closed form."""
-    scene = cb.SCENES["oscillator"].with_(name="table", potential=pull_potential, gradient=pull, exact=None)
+    of_tables = {
+        "potential": lambda q, omega: omega * omega * float(q[0]) ** 2 / 2,
+        "gradient": lambda q, omega: (omega * omega * float(q[0]),),
+    }
+    scene = cb.SCENES["oscillator"].with_(name="table", exact=None, **of_tables)
     t = np.array([4.95, 2.03])  # times of no frozen state
     known = cb.reference(cb.SCENES["oscillator"], t).y
 
@@ -199,9 +194,6 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
     found = cb.compare("particle", ["cvode-bdf"], (1e-2,), budget=5.0)
     assert list(found["status"]) == ["failed"]
     assert "no compiler found" in found["reason"][0]
-
-
-# -- input -----------------------------------------------------------------------------------------
 
 
 # -- verdicts --------------------------------------------------------------------------------------

@@ -34,7 +34,6 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def results(whole, tmp_path):
-    """A copy to be changed."""
     return shutil.copytree(whole.parent, tmp_path / "project") / "results"
 
 

@@ -44,7 +44,6 @@ ORDERS = {name: own.order for name, own in METHODS.items() if own.order and name
 
 
 def worked():
-    """Every method at five settings, evaluations and times."""
     for k, (name, own) in enumerate(METHODS.items()):
         for step in STEPS:
             spent = round((10 + k) / step)

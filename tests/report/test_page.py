@@ -8,7 +8,9 @@ import shutil
 from html.parser import HTMLParser
 
 import pytest
+from selenium import webdriver
 from selenium.webdriver import ActionChains
+from selenium.webdriver.chrome.service import Service
 
 from contactbench.report import page
 from contactbench.report.chapters import Chapter, Contents, Section, Text, summary
@@ -141,9 +143,6 @@ def chrome(text, tmp_path_factory):
         if os.environ.get("CI"):  # continuous integration installs them: to skip there would go unnoticed
             pytest.fail(missing)
         pytest.skip(missing)
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(text, encoding="utf-8")
     options = webdriver.ChromeOptions()
@@ -158,7 +157,6 @@ def chrome(text, tmp_path_factory):
 
 
 def opened(chrome, size=WIDE, scheme="light"):
-    """Open a fresh view of the page."""
     screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": size[0] < 600}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     features = [{"name": "prefers-color-scheme", "value": scheme}]

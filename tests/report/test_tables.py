@@ -69,7 +69,6 @@ def test_clamped_uncertain_and_kept_entries_are_told_apart():
 
 # -- cost ------------------------------------------------------------------------------------------
 def cost(method, factor=1.0, **more):
-    """Two settings of a method."""
     return [
         row("s", method, error, solution_error=error, time_min_s=factor * time, time_median_s=time, **more)
         for error, time in ((1e-2, 1e-6), (1e-13, 1e-5))

@@ -22,7 +22,6 @@ def ladder(method, factor=1.0, scene="s", engine="jax", finest=1e-13, **more):
 
 
 def found(*ladders, kind=COMPILED):
-    """The costs of some ladders."""
     return costs(contest.contestants(table("work_precision", [r for rows in ladders for r in rows])), kind)
 
 
@@ -144,7 +143,6 @@ def test_a_cell_too_noisy_to_judge_is_undecided_and_still_beats_what_is_far_off(
 
 # -- Which runs keep a law, as the columns of the tables say ---------------------------------------
 def run(value=1e-15, method="contact-a", scene="central", limit=1e-12, undecided=False, **more):
-    """A run with a judged contact drift."""
     claimed, kept = method.startswith("contact"), value <= limit
     columns = {"claimed": claimed, "kept": kept, "undecided": undecided, "bound": limit}
     judgement = {f"contact_drift_{name}": column for name, column in columns.items()}

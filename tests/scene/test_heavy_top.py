@@ -21,7 +21,6 @@ GENERAL = TOP.with_(
 SATELLITE = GENERAL.with_(
     potential=lambda u: 0.6 * sum(i * c * c for i, c in zip((1.0, 1.7, 0.6), u, strict=True))
 )
-BOTH = pytest.mark.parametrize("scene", [TOP, SATELLITE], ids=["Lagrange", "general"])
 CONTACT = [name for name, method in cb.METHODS.items() if method.contact and method.refuses(TOP) is None]
 
 
@@ -50,7 +49,7 @@ def test_the_solution_is_that_of_matrices(scene, gradient):
     assert np.allclose([*x.M, *np.ravel(rotation_matrix(x.R)), x.s], own, rtol=0, atol=1e-9)
 
 
-@BOTH
+@pytest.mark.parametrize("scene", [TOP, SATELLITE], ids=["Lagrange", "general"])
 @pytest.mark.parametrize("method", CONTACT)
 def test_contact_methods_keep_the_vertical_momentum_and_the_form(method, scene):
     laws = cb.solve(scene.with_(t_end=5.0), method, step=0.25).laws()["deviation"]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import refusal
 from chains import SMALL, bodies, chain, masses
 from contactbench.cli import main
 from contactbench.methods import base
 from contactbench.testing import check_method, check_scene
-from test_bad_input import refusal
 
 FPUT = cb.SCENES["fput"]
 
@@ -151,13 +151,10 @@ def test_saved_times_take_no_gigabytes(setting, monkeypatch):
 
 
 # -- the contract --------------------------------------------------------------------------------------
-@pytest.mark.parametrize("scene", SMALL.values(), ids=SMALL)
-def test_it_keeps_the_rules_of_scenes(scene):
-    check_scene(scene)
-
-
 @pytest.mark.parametrize("scene", [SMALL["free masses"], SMALL["bodies 2D"]])
 @pytest.mark.parametrize("method", ["contact-strang", "scipy-dop853"])
+@pytest.mark.quick(method="contact-strang", scene="chain")
+@pytest.mark.quick(method="scipy-dop853", scene="bodies")
 def test_methods_keep_their_rules_on_it(method, scene):
     check_method(cb.METHODS[method], engines=cb.METHODS[method].engines[:1], scenes=[scene.with_(t_end=4.0)])
 

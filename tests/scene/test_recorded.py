@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from contactbench.peers.compiled import functions
 from contactbench.scene import Mechanical
 from contactbench.trace.formula import formula
+from contactbench.xla import jax
 
 
 def from_a_closure():
@@ -214,8 +216,6 @@ FUNCTIONS = {
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_derivatives_of_formulas_against_jax(name):
-    from contactbench.xla import jax
-
     recorded = formula(FUNCTIONS[name], (2,), ())
     derived, places = recorded.gradient(), np.random.default_rng(3).uniform(0.3, 1.4, (10, 2))
 
@@ -252,8 +252,6 @@ def test_many_components_compile(n):
 
 @pytest.mark.parametrize("method", ["cvode-adams", "cvode-bdf", "cyrk-dop853"])
 def test_programs_of_peers_grow_with_the_couplings_not_with_their_square(method):
-    from contactbench.peers.compiled import functions
-
     sizes = [
         sum(len(function.body) for function in functions(chain(n).recorded(), ())[1].values())
         for n in (8, 16, 32, 64)

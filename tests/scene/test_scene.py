@@ -9,6 +9,7 @@ import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, TILTED, USER, by_name, random_state
+from chains import SMALL
 from contactbench.peers.heyoka import taylor_system
 from contactbench.scene import State, rotation_matrix, verify
 from contactbench.scene.definition import verify_along, verify_at
@@ -52,13 +53,6 @@ def test_ctrl_c_in_a_force_is_no_bad_input():
         springs(interrupt)
 
 
-def test_with_changes_any_parameter_and_nothing_else():
-    scene = cb.SCENES["particle"].with_(gamma=0.3, coupling=0.2, q=(1.0, 0.5), t_end=5.0)
-    assert (scene.gamma, scene.parameters["coupling"], scene.t_end) == (0.3, 0.2, 5.0)
-    assert cb.SCENES["particle"].gamma == 0.1
-    assert scene.structure == cb.SCENES["particle"].structure  # no recompilation
-
-
 def test_carry_decides_what_is_integrated():
     assert cb.SCENES["particle"].carry(None) == ("s",)
     assert cb.SCENES["rigid_body"].carry(("s", "R")) == ("R", "s")
@@ -87,7 +81,15 @@ def test_same_right_hand_side_on_jax_and_heyoka(scene):
 
 
 # -- the contract ---------------------------------------------------------------------------------
-@by_name([*cb.SCENES.values(), USER, TILTED, cb.SCENES["oscillator"].with_(name="moving", p=(0.7,))])
+@by_name(
+    [
+        *cb.SCENES.values(),
+        *SMALL.values(),
+        USER,
+        TILTED,
+        cb.SCENES["oscillator"].with_(name="moving", p=(0.7,)),
+    ]
+)
 def test_a_scene_keeps_its_contract(scene):
     check_scene(scene)
 

@@ -169,18 +169,6 @@ def test_order_of_the_others(name):
     assert math.log2(coarse / fine) == pytest.approx(cb.METHODS[name].order, abs=0.25)
 
 
-@pairs([cb.METHODS[name] for name in ("contact-abc", "contact-rkn4", "rk4", "herglotz2")], DRIVEN)
-@pytest.mark.quick(method="contact-rkn4", scene=("forced_pulsating", "duffing"))
-@pytest.mark.quick(method="herglotz2", scene="lane_emden_0")
-def test_engines_agree(method, scene):
-    numba, jax, python = (
-        cb.solve(scene, method.name, step=0.1, engine=engine, save_at=[1.0, 2.0]).y
-        for engine in ("numba", "jax", "python")
-    )
-    np.testing.assert_allclose(numba, python, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(numba, jax, rtol=0, atol=1e-13)
-
-
 @pytest.mark.parametrize("scene", [FORCED_OSCILLATOR, LANE_EMDEN[1]], ids=lambda s: s.name)
 @pytest.mark.parametrize(
     "name", ["scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-dop853", "heyoka-taylor"]

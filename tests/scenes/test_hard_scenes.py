@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
+import bench_stability
 import contactbench as cb
+from bench_stability import TOLERANCES, rows_of, settings
 from cases import saved
 from contactbench.measure.laws import laws_of
 from contactbench.scenes import scenes_of
@@ -77,8 +79,6 @@ def test_blow_up_time_against_an_integral():
 # -- what is run is decided by counts ----------------------------------------------------------------
 def test_the_clock_decides_nothing(monkeypatch):
     """A clock that says every call took minutes changes the time in the row and nothing else."""
-    import bench_stability
-
     method = cb.METHODS["contact-adaptive"]  # its derivative is taken here, at the cost of many runs
     asked = ("critical", method.name, method.engines[0], "rtol", 1e-6, 10_000)
     row = bench_stability.stability_row(*asked)
@@ -93,8 +93,6 @@ def test_the_clock_decides_nothing(monkeypatch):
 
 @pytest.mark.parametrize("name", [name for name, m in cb.METHODS.items() if m.adaptive])
 def test_every_adaptive_method_gets_its_full_range(name):
-    from bench_stability import TOLERANCES, settings
-
     method = cb.METHODS[name]
     tolerances = [value for kind, value in settings(cb.SCENES["critical"], method) if kind == "rtol"]
     assert tolerances[-1] == method.rtol_range[0] <= TOLERANCES[-1]
@@ -103,8 +101,6 @@ def test_every_adaptive_method_gets_its_full_range(name):
 
 
 def test_after_a_spent_budget_no_tighter_tolerance_is_run():
-    from bench_stability import rows_of
-
     class Worker:
         ran = ()
 

@@ -61,7 +61,6 @@ def test_counts_are_the_rotations_really_computed(composition, scene, carry, kin
 
 @pytest.mark.parametrize("composition", [PRINTED, ABC, STRANG], ids=lambda c: c.name)
 def test_without_damping_each_is_velocity_verlet_bit_for_bit(composition):
-    """Plain velocity Verlet, written out independently, on floats."""
     scene, h = PARTICLE.with_(gamma=0.0), 0.1
     x, q, p, c = scene.initial(()), np.array(scene.q), np.array(scene.p), scene.parameters["coupling"]
 
@@ -76,9 +75,6 @@ def test_without_damping_each_is_velocity_verlet_bit_for_bit(composition):
         assert (*x.q, *x.p) == (*q, *p)
 
 
-# -- subflows --------------------------------------------------------------------------------------
-
-
 # -- kinetic energy and Γ = γs + ½κs² together -----------------------------------------------------
 #: how often rounding errors of one unit occur in the flow, at most: each is amplified by the condition below
 UNITS = 12
@@ -90,7 +86,6 @@ def merged_flow(scene, y, h, xp):
 
 
 def line(**numbers):
-    """A free particle on a line."""
     given = {"q": (0.3,), "p": (0.5,), "t_end": 1.0} | numbers
     return cb.Mechanical(name="line", potential=lambda q: 0 * q[0], gradient=lambda q: (0 * q[0],), **given)
 

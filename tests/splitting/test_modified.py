@@ -11,6 +11,7 @@ from cases import USER, random_state
 from contactbench.splitting import modified
 from contactbench.splitting.modified import bracket, has_modified_hamiltonian, modified_hamiltonian, weights
 from contactbench.splitting.tables import COMPOSITIONS
+from contactbench.xla import jax, jnp
 
 LAW = cb.LAWS["modified_hamiltonian"]
 PARTICLE, CENTRAL = cb.SCENES["particle"], cb.SCENES["central"]
@@ -32,8 +33,6 @@ def test_the_series_of_strang_is_the_one_that_is_printed_everywhere():
 @pytest.mark.quick(letters=("A", "BA"))
 def test_brackets_are_jacobis_on_the_whole_of_contact_space(letters):
     """By automatic differentiation of the full bracket in q, p and s."""
-    from contactbench.xla import jax, jnp
-
     scene, x = CENTRAL.with_(gamma=0.3, mass=1.5), random_state(CENTRAL, 8)
     A, B = (lambda y: scene.kinetic(tuple(y[2:4])) + scene.gamma * y[4]), (lambda y: scene.V(tuple(y[:2])))
 
