@@ -169,6 +169,8 @@ class Solution:
     #: of fixed steps: the step asked for or chosen from rtol, and the longest taken; nan for other methods
     step_chosen: float = float("nan")
     step: float = float("nan")
+    #: the `Reference` at its times, where it is known already; else the laws ask for it
+    truth: Any = None
 
     @property
     def setting(self) -> str:

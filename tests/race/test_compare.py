@@ -1,6 +1,7 @@
 """A comparison on one scene: what it claims is so, what it cannot do it says, and it ends when told."""
 
 import math
+import re
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -132,9 +133,19 @@ def test_the_reference_is_checked_and_nothing_below_its_error_is_claimed(frame, 
     assert "known to 1.0e-04 only" in second.reason
 
 
-def test_a_reference_that_would_take_too_long_is_refused():
-    with pytest.raises(OutOfTime, match=r"--budget [\d.]+s \(budget=[\d.]+\), t_end=\d+"):
-        cb.compare(double_well().with_(t_end=1e5), ["rk4"], ERRORS, budget=0.5)
+def test_a_reference_that_would_take_too_long_is_refused_and_what_is_advised_instead_is_done():
+    """In its time, the laws of the run included: nearly undamped, it takes the reference of s longer than the rest."""
+    scene = double_well().with_(t_end=3e3, gamma=1e-4)
+    with pytest.raises(OutOfTime) as refused:
+        cb.compare(scene, ["rk4"], [1e-2], budget=0.5)
+    more, t_end = re.search(r"--budget ([\d.]+)s \(budget=\1\), t_end=([\d.]+)", str(refused.value)).groups()
+    assert float(more) > 5.0
+    found = cb.compare(scene.with_(t_end=float(t_end)), ["rk4"], [1e-2], budget=0.5)
+    assert found.attrs["seconds"] < 2 * comparison.LEAST_REFERENCE
+
+
+def test_copies_of_a_frame_share_the_rows_of_every_setting(frame):
+    assert frame.copy().attrs["runs"] is frame.attrs["runs"]
 
 
 def test_what_cannot_be_had_in_high_precision_has_a_reference_that_two_solvers_agree_on(monkeypatch):

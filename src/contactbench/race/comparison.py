@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
 from time import perf_counter
@@ -53,9 +54,6 @@ BUDGET = 60.0
 REFERENCE, CHECK, SCOUTING, LAWS = 0.4, 0.42, 0.6, 0.8
 #: seconds for the reference at least, which it takes to compile it on a loaded machine: without one there is no race
 LEAST_REFERENCE = 5.0
-#: how many times the time that one of two solvers was seen to need makes a budget enough: there is another, and
-#: high precision is tried before
-SPARE = 5.0
 #: calls of a run in the shortest race: to warm up, and a round of each visit
 FEWEST_CALLS = 1 + VISITS
 KINDS = ("compiled", "callbacks")
@@ -169,10 +167,10 @@ def reference_within(scene: Scene, budget: float, seconds: float) -> Reference:
     try:
         return reference(scene, ends(scene), carry_of(scene), seconds)
     except OutOfTime as why:
-        factor = max(SPARE * why.needed / seconds, 2.0)
         ways = "a larger budget, an earlier t_end"
-        if math.isfinite(factor):
-            more, sooner = (float(f"{x:.2g}") for x in (factor * budget, scene.t_end / factor))
+        if math.isfinite(why.needed):
+            more = float(f"{max(why.needed / REFERENCE, 2 * budget):.2g}")
+            sooner = float(f"{scene.t_end * min(seconds / why.needed, 0.5):.1g}")
             ways = f"--budget {more:g}s (budget={more:g}), t_end={sooner:g}"
         what = f"no reference for scene {scene.name!r} in its part of the budget, {seconds:.2g} s"
         raise OutOfTime(f"{what}: give {ways}, or reference=, your own", why.needed) from why
@@ -391,6 +389,13 @@ class Scout:
 
 
 # -- all of them -----------------------------------------------------------------------------------
+class Runs(tuple[dict[str, Any], ...]):
+    """Rows of every setting tried; pandas copies ``attrs`` deeply at every turn, which would take it seconds."""
+
+    def __deepcopy__(self, memo: Any) -> Runs:
+        return self
+
+
 class Comparison:
     """The state of one comparison; `frame` runs it to its end."""
 
@@ -418,6 +423,7 @@ class Comparison:
         self.times: dict[int, dict[str, Any]] = {}
         self.unrefined: list[str] = []
         self.laws: dict[int, dict[str, Any]] = {}
+        self.truths: dict[tuple[tuple[str, ...], bytes], Reference | None] = {}
         #: how many times longer than foreseen the derivative of a map has taken
         self.slower = 1.0
         self.columns = {
@@ -447,7 +453,7 @@ class Comparison:
         frame = judge_times(frame).reindex(columns=columns).astype(COLUMNS)
         known = {"source": truth.source, "digits": truth.digits, "confirmed": self.confirmed}
         frame.attrs = {
-            "runs": tuple(run for each in self.scouts for run in each.runs()),
+            "runs": Runs(run for each in self.scouts for run in each.runs()),
             "reference": known | {"error": self.floor},
             "of_floats": question.scene.functions_of_floats,
             "unrefined": self.unrefined,
@@ -513,11 +519,26 @@ class Comparison:
         options = setting_to(scene.t_end, scene, each.control, attempt.value) | {"engine": each.engine}
         times = ends(scene) if each.control != GROWING else None
         solution = prepare(scene, each.method.name, save_at=times, **options)()
+        if (truth := self.truth_of(solution)) is None:
+            return {}
+        solution = replace(solution, truth=truth)
         late = "" if self.slower * differentiation_time(each, attempt) <= left else "no time was left"
         try:
             return row(solution, late)
         except UserError:  # a function of floats, and laws are taken of arrays
             return {}
+
+    def truth_of(self, solution: Solution) -> Reference | None:
+        """Return the truth of a run with every field, None where it takes longer than there is."""
+        t, carry, known = solution.t, solution.carry, self.question.truth
+        if carry == known.carry and np.array_equal(t, known.t):
+            return known
+        if (carry, t.tobytes()) not in self.truths:
+            found = None
+            with suppress(OutOfTime):
+                found = reference(solution.scene, t, carry, self.left(LAWS))
+            self.truths[carry, t.tobytes()] = found
+        return self.truths[carry, t.tobytes()]
 
     def time(self) -> None:
         """Time each kind of engine by itself, the compiled first; the slowest are left out where time is short."""

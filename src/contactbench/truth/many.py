@@ -9,18 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.engines import Stopwatch, extrapolate
+from contactbench.truth.engines import OutOfTime, Stopwatch, extrapolate
 
 #: numbers of a state up to which its components are solved to 30 digits
 FEW = 128
 #: of the two solvers in double precision
 TIGHTEST, COLUMNS = 1e-13, 12
+#: how many they are, and how much longer than foreseen one may take: it is seen at the beginning of the other only
+SOLVERS, UNEVEN = 2, 1.5
 
 Slope = Callable[[np.ndarray], np.ndarray]
 
@@ -31,10 +34,14 @@ def doubles(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float
     def slope(y: np.ndarray) -> np.ndarray:
         return np.asarray(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry))))
 
-    start, found = np.array(scene.pack(scene.initial(carry))), list[Any]()
+    start, found, begun = np.array(scene.pack(scene.initial(carry))), list[Any](), perf_counter()
     for solver in (by_dop853, partial(extrapolate, most=COLUMNS, tolerance=TIGHTEST)):
-        with np.errstate(all="ignore"):
-            rows = solver(slope, start, t.tolist(), watch=Stopwatch(scene, float(t[-1]), deadline))
+        spent, left = perf_counter() - begun, SOLVERS - len(found)
+        try:
+            with np.errstate(all="ignore"):
+                rows = solver(slope, start, t.tolist(), watch=Stopwatch(scene, float(t[-1]), deadline))
+        except OutOfTime as why:
+            raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
         if not np.isfinite(rows[-1]).all():
             raise BadInput(f"no reference for scene {scene.name!r}: it cannot be followed to t = {t[-1]:g}")
         found.append(np.array(rows))

@@ -142,7 +142,10 @@ def reference(
     except (OutOfTime, DoublesOnly):
         if isinstance(scene, Many):
             raise
+    try:
         return by_two_solvers(scene, t, carry, begun + seconds - perf_counter())
+    except OutOfTime as why:
+        raise OutOfTime(str(why), why.needed / (1 - HIGH)) from why
 
 
 def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
