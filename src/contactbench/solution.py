@@ -214,21 +214,23 @@ class Solution:
         from matplotlib import pyplot
 
         figure, axes = pyplot.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+        marker = "o" if len(self.t) == 1 else None
         motion, momenta = (self.q, self.p) if self.q is not None else (self.M, None)
         letter = "M" if self.q is None else "q"
         if motion is not None:
             for i, column in enumerate(motion.T[:DRAWN]):
-                axes[0].plot(self.t, column, label=f"{letter}{i + 1}")
+                axes[0].plot(self.t, column, marker=marker, label=f"{letter}{i + 1}")
                 other = motion.T[(i + 1) % len(motion.T)] if momenta is None else momenta.T[i]
-                axes[1].plot(column, other, label=f"{letter}{i + 1}")
+                axes[1].plot(column, other, marker=marker, label=f"{letter}{i + 1}")
         axes[0].set(xlabel="t", ylabel=letter)
         axes[1].set(xlabel=letter, ylabel="the next M" if momenta is None else "p", title="phase portrait")
         for label, values, style in self.energies():
-            axes[2].plot(self.t, values, style, label=label)
+            axes[2].plot(self.t, values, style, marker=marker, label=label)
         axes[2].set(xlabel="t", title="energies")
         for each in axes:
             each.legend(fontsize="small")
-        figure.suptitle(f"{self.scene.name}: {self.method}, {self.setting}")
+        ended = "" if self.ok else f"\n{self.status}: {self.message}"
+        figure.suptitle(f"{self.scene.name}: {self.method}, {self.setting}{ended}")
         return figure
 
     def energies(self) -> list[tuple[str, np.ndarray, str]]:

@@ -65,8 +65,8 @@ def test_the_spin_of_lagranges_top_decays_alone():
 
 
 def test_it_refuses_what_it_has_no_law_for():
-    with pytest.raises(cb.BadInput, match="its potential cannot be recorded"):
+    with pytest.raises(cb.BadInput, match="its potential cannot be differentiated: .*float"):
         TOP.with_(potential=lambda u: float(u[0]) ** 2)
-    with pytest.raises(cb.BadInput, match="heavy top has isotropic damping"):
+    with pytest.raises(cb.BadInput, match="of a heavy top it is isotropic"):
         TOP.with_(damping=(0.1, 0.2, 0.3))
     assert "isotropic damping" in cb.METHODS["contact-exact"].refuses(TOP)

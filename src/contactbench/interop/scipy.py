@@ -169,7 +169,11 @@ class ContactSolver(OdeSolver):
 
     def _require_equations(self, t0: float) -> None:
         """Raise `BadInput` where `fun` is not the scene's right-hand side, which is what the steps solve."""
-        given, own = self.fun_single(t0, self.y), self.rhs(t0, self.y)
+        try:
+            given, own = self.fun_single(t0, self.y), self.rhs(t0, self.y)
+        except NO_NUMBER as error:
+            begins = getattr(self.step_map.scene, "t", 0.0)
+            raise BadInput(f"fun({t0:g}, y0): {error}; the scene's own start is at t = {begins:g}") from error
         if given.shape == own.shape and np.abs(given - own).max() <= SAME * np.abs(own).max():
             return
         scene = self.step_map.scene.name

@@ -6,9 +6,10 @@ on, are the numbered rules of `Method`; `contactbench.testing.check_method` test
 
 from __future__ import annotations
 
+import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -374,6 +375,10 @@ def engines_of(method: Method) -> tuple[str, ...]:
     return method.engines if COMPILES else tuple(sorted(method.engines, key=lambda e: e not in CALLBACKS))
 
 
+#: the keywords of `prepare`
+OPTIONS = inspect.signature(prepare).parameters.keys() - {"scene", "method"}
+
+
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     """Solve a scene once, by the keywords of `prepare`.
 
@@ -382,10 +387,14 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     BadInput
         As `prepare` does, and where a gradient is not that of the potential at a saved state.
     """
-    for name in options.keys() & {"events", "dense_output", "t_eval"}:
-        how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
-        why = f"{name}: solve saves states at save_at; events and dense output are SciPy's, in {how}"
-        raise BadInput(why)
+    for name in options.keys() - OPTIONS:
+        scene, why = scene_of(scene), f"choose from {', '.join(sorted(OPTIONS))}"
+        if name in {"events", "dense_output", "t_eval"}:
+            how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
+            why = f"it saves states at save_at; events and dense output are SciPy's, in {how}"
+        elif name in {f.name for f in fields(scene)} | getattr(scene, "parameters", {}).keys():
+            why = f"it is the scene's: scene.with_({name}=…)"
+        raise BadInput(f"{name}: solve takes none: {why}")
     solution = prepare(scene, method, **options)()
     if solution.scene.has_users_functions and solution.ok:
         verify_at(solution.scene, solution.y)

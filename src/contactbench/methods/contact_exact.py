@@ -113,7 +113,7 @@ class ExactMethod(Method):
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "isotropic body":
             return scene.own_equations
-        return f"{self.name} solves rigid bodies with isotropic damping; scene {scene.name!r} is none"
+        return f"{self.name} solves free rigid bodies with isotropic damping; scene {scene.name!r} is none"
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:
         """Saved times are as many as steps."""

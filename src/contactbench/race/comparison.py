@@ -146,6 +146,8 @@ def compare(
     """
     scene, _ = lookup(scene, next(iter(METHODS)))
     given = items_of("methods", METHODS if methods is None else methods, "a list of names")
+    if not given:
+        raise BadInput("methods = []: must be names, at least one; None for all")
     for name in given:
         METHODS[name]  # an unknown one raises
     asked = items_of("errors", errors, "a list of numbers, as in errors=[1e-3, 1e-6]")

@@ -35,7 +35,7 @@ def answers(frames: Frames) -> pd.DataFrame:
     known = fits(frames["convergence"])
     known = known[known["order"].notna()]
     right = int((~known["off"]).sum())
-    count = f"{right} of {len(known)} pairs of method and scene, within {AGREES:g}"
+    count = f"{right} of {len(known)} pairs of method and scene, within {AGREES:g} or the spread"
     return summary((QUESTION, how_often(right, len(known)), count))
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.measure.statistics import COUNTED
+from contactbench.measure.statistics import COUNTED, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
-from contactbench.report.numbers import duration, power, scientific, times
+from contactbench.report.numbers import duration, names, power, scientific, times
 from contactbench.report.views import Mark, Show, View, as_cell, frame_of, pick
 
 #: modes that are none in reverse: what is timed without a derivative, and six tangents
@@ -25,16 +25,15 @@ def reaching(frame: pd.DataFrame) -> pd.DataFrame:
 def answers(frames: Frames) -> pd.DataFrame:
     rows, lines = reaching(frames["gradients"]), []
     for (scene, end, asked), own in rows[rows["mode"] != ALONE].groupby(CASE):
-        if asked > rows["error_asked"].min():
-            continue
         for how, part in own.groupby(own["mode"].ne(FORWARD).map({False: "forward", True: "in reverse"})):
-            first, *rest = part.to_dict("records")
-            least = first["time_min_s"]
-            beside = [f"{r['method']}, {r['mode']} {times(r['time_min_s'] / least)}" for r in rest]
+            least = float(part["time_min_s"].iloc[0])
+            who = part["method"] + ("" if how == FORWARD else ", " + part["mode"])
+            first = ties(part["time_min_s"], least, COUNTED)
+            others = zip(who[~first], part["time_min_s"][~first], strict=True)
+            beside = [f"{name} {times(seconds / least)}" for name, seconds in others]
             case = f"`{scene}`, T = {end:g}, {power(asked)}"
             question = f"Who has a derivative {how} in the least time, {case}?"
-            who = first["method"] if how == FORWARD else f"{first['method']}, {first['mode']}"
-            lines.append((question, who, "; ".join([duration(least), *beside])))
+            lines.append((question, names(list(who[first])), "; ".join([duration(least), *beside])))
     return summary(*lines)
 
 
@@ -45,8 +44,8 @@ def costs_view(frame: pd.DataFrame) -> View:
         scene, end, asked = case = tuple(row[name] for name in CASE)
         best = row["mode"] != ALONE and row["time_min_s"] <= COUNTED * least[case]
         time = as_cell(row["time_min_s"], duration, Mark.best if best else None)
-        names = f"{scene}, T = {end:g}, {power(asked)}", row["method"], row["mode"], row["setting"]
-        lines.append([*names, row["gradient_error"], time, row["ratio"], row["memory_kB"]])
+        which = f"{scene}, T = {end:g}, {power(asked)}", row["method"], row["mode"], row["setting"]
+        lines.append([*which, row["gradient_error"], time, row["ratio"], row["memory_kB"]])
     labels = ["case", "method", "mode", "setting", "error", "time", "ratio", "memory, kB"]
     legend = (
         "A derivative in six parameters at the coarsest setting tried that has the error; least round. Ratio: to "

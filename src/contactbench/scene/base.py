@@ -93,6 +93,10 @@ def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
 INSTEAD = {
     "kinetic": "it is ‖p‖²/2m, of a mass for every component: mass=(1., 2., 5.); of one that depends on q, solve_ivp",
     "hamiltonian": "it is ‖p‖²/2m + V(q): potential=lambda q: …, mass=(1., 2., 5.); of any other, SciPy's solve_ivp",
+    "potential": "of a body in a potential cb.HeavyTop(potential=lambda u: …) has it; a lattice has onsite=, bond=, "
+    "particles pair=",
+    "force": "forces are those of a potential: potential=lambda q: …; SciPy's solve_ivp takes any right-hand side",
+    "constraint": "q are free coordinates, as many as degrees of freedom; SciPy's solve_ivp takes any equations",
     "magnetic": "no force may depend on p but for damping; SciPy's solve_ivp takes any right-hand side",
     "torque": "of a weight cb.HeavyTop(weight=…, axis=…), of a potential of the vertical cb.HeavyTop(potential=lambda "
     "u: …) has it; one without a potential SciPy's solve_ivp",
@@ -103,6 +107,7 @@ INSTEAD = {
     "depends on q, SciPy's solve_ivp",
 }
 INSTEAD |= {"metric": INSTEAD["kinetic"], "B": INSTEAD["magnetic"], "mu": INSTEAD["friction"]}
+INSTEAD |= {"lagrangian": INSTEAD["hamiltonian"], "drag": INSTEAD["damping"]}
 
 
 @dataclass(frozen=True, kw_only=True)

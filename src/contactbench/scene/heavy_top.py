@@ -11,8 +11,8 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import BodyState, Vector, cross, dot, rotate
 from contactbench.scene.base import Check, optional
 from contactbench.scene.mechanical import derived_gradient
-from contactbench.scene.rigid_body import RigidBody
-from contactbench.trace.formula import Formula
+from contactbench.scene.rigid_body import RigidBody, one_rate
+from contactbench.trace.formula import Formula, formula
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ class HeavyTop(RigidBody):
     required: ClassVar[tuple[str, ...]] = ("R",)
     checks: ClassVar[dict[str, Check]] = {
         **RigidBody.checks,
-        "gamma": finite,
+        "gamma": one_rate,
         "weight": finite,
         "axis": lambda name, value: vector(name, value, 3),
         "potential": optional(function),
@@ -68,7 +68,9 @@ class HeavyTop(RigidBody):
 
     def __post_init__(self) -> None:
         if self.damping is not None:
-            raise BadInput("damping: a heavy top has isotropic damping; give gamma")
+            raise BadInput(
+                "damping: of a heavy top it is isotropic: give gamma; SciPy's solve_ivp takes any other"
+            )
         super().__post_init__()
         if self.potential is not None:
             require_number("potential", self._value("potential"))
@@ -84,10 +86,11 @@ class HeavyTop(RigidBody):
         scene = super().recorded()
         if scene.potential is None or scene.slope is not None:
             return scene
-        if not isinstance(scene.potential, Formula):
-            raise BadInput(f"scene {self.name!r}: its potential cannot be recorded, nor differentiated")
         try:
-            return scene._replaced(slope=derived_gradient(scene.potential))
+            potential = scene.potential
+            if not isinstance(potential, Formula):
+                potential = formula(potential, (3,), ())
+            return scene._replaced(slope=derived_gradient(potential))
         except CannotRecord as why:
             raise BadInput(f"scene {self.name!r}: its potential cannot be differentiated: {why}") from why
 
@@ -132,7 +135,7 @@ class HeavyTop(RigidBody):
 
     @property
     def may_gain_energy(self) -> bool:  # type: ignore[override]
-        return self.gamma < 0
+        return self.gamma <= 0
 
     def hamiltonian_terms(self, x: BodyState) -> Any:
         return self.kinetic(x) + abs(self.potential_at(x)) + abs(self.gamma * x.s)

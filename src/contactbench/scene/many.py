@@ -14,13 +14,13 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, excerpt, finite, function, their_code, whole
+from contactbench.errors import BadInput, array, excerpt, function, their_code, whole
 from contactbench.numbers.functions import namespace
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total
 from contactbench.scene.algebra import State, Vector, cross, dot, scaled
 from contactbench.scene.base import Check, Scene, named_numbers, optional
-from contactbench.scene.mechanical import Canonical, Mechanical
+from contactbench.scene.mechanical import Canonical, Mechanical, damping_rate
 from contactbench.trace.formula import Formula, formula
 from contactbench.trace.recording import reason_of
 
@@ -53,7 +53,7 @@ class Many(Canonical):
 
     kind: ClassVar[str] = "many"
     state: ClassVar[Any] = State
-    checks: ClassVar[dict[str, Check]] = {**Scene.checks, "gamma": finite, "parameters": named_numbers}
+    checks: ClassVar[dict[str, Check]] = {**Scene.checks, "gamma": damping_rate, "parameters": named_numbers}
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     #: what is beyond the ends
     boundary: ClassVar[str] = "fixed"

@@ -50,6 +50,9 @@ def damping_rate(name: str, value: Any) -> float:
     if callable(value):
         how = "one of time is cb.Driven(rate=lambda t: …), one of s cb.GeneralDamping(damping=…); of q solve_ivp"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
+    if np.ndim(value):
+        how = "a rate for each momentum cb.diffrax.Contact takes, a matrix SciPy's solve_ivp"
+        raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
     return finite(name, value)
 
 
@@ -202,7 +205,7 @@ class Mechanical(Canonical):
         super().__post_init__()
         self._fix("kappa_sign", int(self.kappa > 0) - int(self.kappa < 0))
         if isinstance(self.mass, tuple) and len(self.mass) != len(self.q):
-            raise BadInput(f"mass = {excerpt(self.mass)}: must be one number > 0, or {len(self.q)}")
+            raise BadInput(f"mass = {excerpt(self.mass)}: must be one number > 0, or {len(self.q)} of them")
         if len(self.q) != len(self.p):
             raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
         with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
@@ -236,6 +239,9 @@ class Mechanical(Canonical):
                 scene = scene._replaced(gradient=derived_gradient(potential))
             except CannotRecord as why:
                 missing = "its gradient is missing, and the potential cannot be differentiated"
+                if isinstance(why.__cause__, TypeError) and "positional argument" in str(why):
+                    takes = ", ".join(self.functions["potential"][:-1])
+                    missing += f" (it is called with {takes}; cb.Driven has the time, lambda q, t: …)"
                 raise BadInput(f"scene {self.name!r}: {missing}: {why}") from why
         if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
             return scene

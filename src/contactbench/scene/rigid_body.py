@@ -26,10 +26,21 @@ UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def moments(name: str, value: Any) -> Vector:
+    if np.ndim(value) == 2:
+        why = "must be the three principal moments, those of the matrix: turn the body to its eigenvectors"
+        raise BadInput(f"{name} = {excerpt(value)}: {why}")
     given = vector(name, value, 3)
     if min(given) <= 0:
         raise BadInput(f"{name} = {excerpt(given)}: all three moments must be > 0")
     return given
+
+
+def one_rate(name: str, value: Any) -> float:
+    """Return a finite number; raise `BadInput` for anything else, which says who takes it."""
+    if callable(value) or np.ndim(value):
+        how = "of RigidBody one for each axis is damping=(0.1, 0.2, 0.3); SciPy's solve_ivp takes any other"
+        raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
+    return finite(name, value)
 
 
 def damping_matrix(name: str, value: Any) -> tuple[Vector, ...]:
@@ -88,7 +99,7 @@ class RigidBody(Scene):
         "inertia": moments,
         "M": lambda name, value: vector(name, value, 3),
         "R": lambda name, value: quaternion_of(value),
-        "gamma": optional(finite),
+        "gamma": optional(one_rate),
         "damping": optional(damping_matrix),
     }
 
