@@ -1,7 +1,5 @@
 """Is it true?  One cell: a claim of the paper, or the data of one of its figures."""
 
-from __future__ import annotations
-
 from cells import cells
 from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES, rows

@@ -4,8 +4,6 @@ Up to order 4 in double precision over the whole scene; above it at 50 digits ov
 because round-off would hide the slope.
 """
 
-from __future__ import annotations
-
 import math
 
 import contactbench as cb

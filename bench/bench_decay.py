@@ -6,8 +6,6 @@ a step, tolerances from a bisection.  The cost is that of a run to the end; the 
 largest at five times, which are step boundaries of every step taken.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 import contactbench as cb

@@ -1,7 +1,5 @@
 """What was run?  One cell: a scene or a method, with the digest of its definition."""
 
-from __future__ import annotations
-
 import contactbench as cb
 from cells import cells
 from contactbench.measure.definition import row

@@ -6,8 +6,6 @@ and on the number of cores.  What is timed is the whole call, from initial to fi
 More than one core takes a process of its own, because this one is bound to one.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from time import perf_counter
 

@@ -5,8 +5,6 @@ p.  The truth is the variational equations, extrapolated in extended precision. 
 the others do, so that what differs is the method and the adjoint.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

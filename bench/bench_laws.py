@@ -1,7 +1,5 @@
 """Who keeps the laws?  One cell: a method on a scene at three steps or four tolerances."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import contactbench as cb

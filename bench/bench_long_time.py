@@ -6,8 +6,6 @@ since it would not carry tangents for that, and its exponents from the variation
 orthonormalisation: which is why a multistep solver is asked for the energy alone.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

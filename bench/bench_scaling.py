@@ -5,8 +5,6 @@ length, and what grows is the cost.  Every method has the setting that reaches t
 cost, found as `compare` finds it.  Where so many fixed steps would take long on the ring of a cell they are coarser.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

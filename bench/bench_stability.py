@@ -6,8 +6,6 @@ on time is many times longer and there for a solver that hangs, so that no row d
 busy the machine is.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from time import perf_counter

@@ -5,8 +5,6 @@ mass's, and the rate at which it goes.  The truth is a run of a contact method a
 method beside it: as far as the two differ, chaos decides, and no method can be told from another.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

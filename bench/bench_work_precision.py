@@ -8,8 +8,6 @@ its own or, of slow fixed steps, a step boundary: interpolation between steps, o
 for Radau and Kvaerno5, plays no part in it.
 """
 
-from __future__ import annotations
-
 from time import perf_counter
 
 import pytest

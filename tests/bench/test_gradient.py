@@ -1,7 +1,5 @@
 """Rows of the cost of a derivative: its truth, the setting that reaches an error, and what a run taken back is off."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

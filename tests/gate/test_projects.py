@@ -1,7 +1,5 @@
 """A project of a user: its benchmark, its tables and its gate, in a repository that has no contactbench in it."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

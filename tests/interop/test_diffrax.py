@@ -1,7 +1,5 @@
 """`cb.diffrax.Contact` inside diffrax's own `diffeqsolve`."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import diffrax

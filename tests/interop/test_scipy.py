@@ -1,7 +1,5 @@
 """`cb.scipy.Contact` inside SciPy's own `solve_ivp`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

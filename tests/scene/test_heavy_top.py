@@ -65,7 +65,7 @@ def test_the_spin_of_lagranges_top_decays_alone():
 
 
 def test_it_refuses_what_it_has_no_law_for():
-    with pytest.raises(cb.BadInput, match="its potential cannot be differentiated: .*float"):
+    with pytest.raises(cb.BadInput, match=r"its potential cannot be differentiated: .*float"):
         TOP.with_(potential=lambda u: float(u[0]) ** 2)
     with pytest.raises(cb.BadInput, match="of a heavy top it is isotropic"):
         TOP.with_(damping=(0.1, 0.2, 0.3))

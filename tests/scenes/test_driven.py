@@ -1,7 +1,5 @@
 """Scenes with time: closed forms, orders, the contact form under γ(t), chaos; every method on all of them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
