@@ -15,7 +15,7 @@ import contactbench as cb
 from cells import cells, key
 from contactbench.measure.clock import Call
 from contactbench.numbers.dual import Dual
-from contactbench.results.tables import GRADIENTS, REVERSIBILITY
+from contactbench.results.tables import GRADIENTS
 from contactbench.truth.engines import NEVER, Stopwatch, extrapolate
 
 PARTICLE, FORCED = "particle", "forced_oscillator"
@@ -38,8 +38,6 @@ WAYS = {
 #: the coarsest step and tolerance, how many settings a factor of two and of ten have, and how many are tried
 COARSEST, LOOSEST, FINER, MOST = 1.6, 1e-3, 8, 100
 MOST_STEPS = 2**14
-#: the method of runs taken back; γ and step, of an oscillation and an overdamped motion; the force on either; γT
-BACK, RATES, FORCES, SPANS = "contact-strang", ((0.1, 1 / 8), (4.0, 1 / 16)), (0.0, 0.3), (1, 5, 10, 20, 30)
 
 
 def ladder(profile):
@@ -143,35 +141,6 @@ def reached(cell):
     row = key(name, method, "jax", cb.METHODS[method].control, setting) | {"mode": how, "t_end": end}
     row |= {"error_asked": asked, "gradient_error": error, "steps": steps, "status": "ok", "message": ""}
     return row | {"memory_kB": run.memory_analysis().temp_size_in_bytes / 1e3}, Call(lambda: run(*given))
-
-
-@cache
-def steps_of(method):
-    """The compiled ``(n, h, y, γ, force) -> y``: n steps of size h, which may be negative."""
-    from contactbench.xla import jax
-
-    def steps(n, h, y, gamma, force):
-        return jax.lax.fori_loop(0, n, lambda _, y: step(y, h, gamma=gamma, force=force), y)
-
-    step = cb.step_map(FORCED, method, carry=())
-    return jax.jit(steps)
-
-
-def taken_back(gamma, h, force, span):
-    """The row of a run that is taken back: how far its start is off, and the derivative."""
-    end, changed, y = span / gamma, {"gamma": gamma, "force": force}, (start := (1.0, 0.0, 0.0))
-    for size in (h, -h):
-        y = steps_of(BACK)(round(end / h), size, y, gamma, force)
-    given = arguments(FORCED, end, h, **changed)
-    back, kept = (np.array(program(FORCED, BACK, how)(*given)[0]) for how in (REVERSIBLE, FORWARD))
-    row = key(FORCED, BACK, "jax", "step", h) | changed | {"t_end": end, "status": "ok", "message": ""}
-    row |= {"growth": math.exp(span), "start_error": math.dist(y, start)}
-    return row | {"gradient_error": distance(back, kept)}
-
-
-@cells(lambda p: [(*rate, f, s) for rate in RATES for f in FORCES for s in SPANS if WAYS[p.name]])
-def test_reversibility(cell, record):
-    record(REVERSIBILITY, taken_back(*cell))
 
 
 @pytest.mark.timed

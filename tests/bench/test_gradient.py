@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import bench_gradient as bench
+import bench_reversibility
 import contactbench as cb
 from contactbench.results.tables import GRADIENTS, REVERSIBILITY
 
@@ -34,7 +35,7 @@ def test_a_row_has_the_coarsest_setting_with_the_error_asked_for(monkeypatch):
 @pytest.mark.quick(rate=1)
 def test_round_off_of_a_run_taken_back_grows_as_its_motion_does(rate, force, least, most):
     """γT = 20: about e^{γT/2} ε = 5e-12 where a force keeps an oscillation up, e^{γT} ε = 1e-7 at most overdamped."""
-    row = bench.taken_back(*bench.RATES[rate], force, 20)
+    row = bench_reversibility.taken_back(*bench_reversibility.RATES[rate], force, 20)
     assert set(row) <= {*REVERSIBILITY.columns}
     assert least < row["start_error"] < most
     assert row["gradient_error"] < row["start_error"]

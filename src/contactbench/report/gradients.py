@@ -24,7 +24,7 @@ def reaching(frame: pd.DataFrame) -> pd.DataFrame:
 
 def answers(frames: Frames) -> pd.DataFrame:
     rows, lines = reaching(frames["gradients"]), []
-    for (scene, end, asked), own in rows[rows["mode"] != ALONE].groupby(CASE):
+    for (scene, end, asked), own in rows[rows["mode"] != ALONE].groupby(CASE, sort=False):
         for how, part in own.groupby(own["mode"].ne(FORWARD).map({False: "forward", True: "in reverse"})):
             least = float(part["time_min_s"].iloc[0])
             who = part["method"] + ("" if how == FORWARD else ", " + part["mode"])
