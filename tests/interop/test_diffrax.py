@@ -91,6 +91,23 @@ def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum(
         assert float(last) == pytest.approx(start * np.exp(-1.5 * rate) * wave, abs=1e-12)
 
 
+@pytest.mark.parametrize("scene", ["particle", "forced_pulsating"])
+def test_back_in_time_it_takes_its_steps_back(scene):
+    """To the start, for the steps are palindromic; between them, its cubics are those of the way there."""
+    times = jnp.array([1.75, 0.5])
+    t0 = getattr(cb.SCENES[scene], "t", 0.0)
+    there = solve(scene, "contact-rkn6", saveat=diffrax.SaveAt(ts=t0 + times[::-1], t1=True)).ys
+    constant = {
+        "stepsize_controller": diffrax.ConstantStepSize(),
+        "saveat": diffrax.SaveAt(ts=t0 + times, t1=True),
+    }
+    given = t0 + 2.0, t0, -0.1, tuple(part[-1] for part in there)
+    back = diffrax.diffeqsolve(terms_of(scene), cb.diffrax.Contact("contact-rkn6"), *given, **constant).ys
+    for found, on_the_way, start in zip(back, there, (cb.SCENES[scene].q, cb.SCENES[scene].p), strict=True):
+        np.testing.assert_allclose(found[-1], start, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(found[:-1], on_the_way[1::-1], rtol=0, atol=1e-13)
+
+
 def test_between_steps_it_interpolates_by_cubics():
     times = np.linspace(0, 2, 41)
     truth = cb.solve("particle", "contact-rkn8", step=0.05, save_at=times, carry=()).q
@@ -170,8 +187,6 @@ def test_what_cannot_be_taken_back_is_no_derivative(t_end, dt0):
 
 
 def test_a_derivative_in_parameters_alone_is_watched_too():
-    from contactbench.xla import jax
-
     def last(gamma):
         adjoint = cb.diffrax.ReversibleAdjoint()
         return solve("oscillator", "contact-strang", 12.0, args={"gamma": gamma}, adjoint=adjoint).ys[0][
@@ -197,10 +212,6 @@ FULL = np.array([[0.2, 0.15], [0.15, 0.2]])
     ids=["a full matrix", "quadratic damping", "a velocity that is not linear"],
 )
 def test_terms_that_it_does_not_solve_are_refused(velocity, damping):
-    import diffrax
-
-    from contactbench.xla import jnp
-
     def term(function):
         return diffrax.ODETerm(lambda t, x, args: function(x))
 
@@ -209,6 +220,26 @@ def test_terms_that_it_does_not_solve_are_refused(velocity, damping):
         diffrax.diffeqsolve(
             terms, cb.diffrax.Contact("contact-strang"), 0, 1, 0.1, (jnp.ones(2), jnp.zeros(2))
         )
+
+
+def test_terms_of_leaves_that_damp_each_other_are_refused():
+    terms = (lambda t, p, args: p), (lambda t, q, args: q), (lambda t, p, args: {"a": -p["b"], "b": -p["a"]})
+    velocity, *others = map(diffrax.ODETerm, terms)
+    y0 = {"a": 1.0, "b": 2.0}
+    with pytest.raises(Exception, match="damping must be"):
+        diffrax.diffeqsolve(
+            (velocity, diffrax.MultiTerm(*others)), cb.diffrax.Contact("contact-abc"), 0, 1, 0.1, (y0, y0)
+        )
+
+
+def test_a_forced_run_from_rest_is_taken_back():
+    def last(force, adjoint):
+        rest = {"y0": (jnp.zeros(1), jnp.zeros(1)), "args": {"force": force}, "adjoint": adjoint}
+        return solve("forced_oscillator", "contact-rkn6", 4.0, **rest).ys[0][-1, 0]
+
+    found = jax.grad(last)(0.3, cb.diffrax.ReversibleAdjoint())
+    expected = jax.jacfwd(last)(0.3, diffrax.ForwardMode())
+    assert float(found) == pytest.approx(float(expected), rel=1e-11)
 
 
 def test_what_is_no_contact_run_to_its_end_is_not_taken_back():

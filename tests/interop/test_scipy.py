@@ -112,6 +112,13 @@ def test_a_run_that_leaves_the_scale_fails():
     assert "left the scene's scale" in found.message
 
 
+def test_an_action_of_another_scale_than_the_motion_is_no_divergence():
+    """q of 10⁷ and s of 10¹⁴."""
+    scene = cb.SCENES["oscillator"].with_(q=(1e7,))
+    found = run(cb.scipy.Contact("rk4", scene), max_step=0.1)
+    assert found.success, found.message
+
+
 def test_refusals():
     solver = cb.scipy.Contact("contact-rkn6", "particle")
     with pytest.raises(cb.BadInput, match="max_step is missing"):

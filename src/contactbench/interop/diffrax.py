@@ -37,6 +37,8 @@ from jax.flatten_util import ravel_pytree  # noqa: E402
 
 #: relative differences of steps that are round-off of the times: the run goes on as it is
 EQUAL = 1e-9
+#: relative differences up to which terms are linear: more than single precision has
+LINEAR = 1e-6
 #: kicks and drifts in turn are a loop of so many flows: written out, a long step takes half a minute to compile
 PAIR = 2
 XP = XlaNumbers()
@@ -64,26 +66,26 @@ class Flows:
     def __init__(self, terms: Any, t: Any, y: Any, args: Any) -> None:
         self.velocity, self.force, self.damping = parts(terms)
         self.args, ones = args, jax.tree.map(jnp.ones_like, y[1])
+        #: −1 where diffrax goes back in time: the times it gives ascend, and the control of a term has the sign
+        self.sign = self.velocity.contr(t, t + 1.0)
 
         def rates(t: Any) -> Any:
             """Return the rate of damping of each momentum: what it does to a momentum of ones."""
-            return jax.tree.map(lambda slope: -slope, self.damping.vf(t, ones, args))
+            return jax.tree.map(lambda slope: -self.sign * slope, self.damping.vf(t, ones, args))
 
         self.rates, self.changes = rates, depends_on_time(rates, jnp.asarray(t, dtype=float))
 
     def are_others(self, t: Any, p: Any) -> Any:
         """Return whether, on two momenta, the damping is not −rate p or the velocity not linear."""
-        one, two = (
-            jax.tree.map(lambda x, k=k: k + jnp.arange(1.0, x.size + 1).reshape(x.shape) ** k, p)
-            for k in (1, 2)
-        )
+        flat, tree = ravel_pytree(p)
+        one, two = (tree((k + jnp.arange(1.0, flat.size + 1) ** k).astype(flat.dtype)) for k in (1, 2))
         velocities = [self.velocity.vf(t, each, self.args) for each in (one, two, moved(one, two))]
-        damped = jax.tree.map(lambda rate, p: -rate * p, self.rates(t), two)
+        damped = jax.tree.map(lambda rate, p: -self.sign * rate * p, self.rates(t), two)
         pairs = (self.damping.vf(t, two, self.args), damped), (moved(*velocities[:2]), velocities[2])
 
         def differ(a: Any, b: Any) -> Any:
             a, b = ravel_pytree(a)[0], ravel_pytree(b)[0]
-            return jnp.linalg.norm(a - b) > EQUAL * jnp.linalg.norm(b)
+            return jnp.linalg.norm(a - b) > LINEAR * jnp.linalg.norm(b)
 
         return differ(*pairs[0]) | differ(*pairs[1])
 
@@ -104,11 +106,11 @@ class Flows:
 
     def kick(self, t: Any, y: Any, h: Any) -> Any:
         q, p = y
-        return q, moved(p, self.force.vf(t, q, self.args), h)
+        return q, moved(p, self.force.vf(t, q, self.args), self.sign * h)
 
     def drift(self, t: Any, y: Any, h: Any) -> Any:
         q, p = y
-        return moved(q, self.velocity.vf(t, p, self.args), h), p
+        return moved(q, self.velocity.vf(t, p, self.args), self.sign * h), p
 
     def damp(self, t: Any, y: Any, h: Any) -> Any:
         q, p = y
@@ -120,7 +122,7 @@ class Flows:
         q, p = y
         total, phi = self.spent(t, h)
         worth = jax.tree.map(lambda phi, p: phi * p, phi, p)
-        q = moved(q, self.velocity.vf(t, worth, self.args))
+        q = moved(q, self.velocity.vf(t, worth, self.args), self.sign)
         return q, jax.tree.map(lambda p, G: p + jnp.expm1(-G) * p, p, total)
 
     def apply(self, flow: str, t: Any, y: Any, h: Any) -> Any:
@@ -196,7 +198,7 @@ class ContactSolver(diffrax.AbstractSolver):
         _, y1 = flows.run(plan.closing, t, y, h)
         ends = {"y0": y0, "y1": y1}
         for name, time, end in (("k0", t0, y0), ("k1", t1, y1)):
-            ends[name] = jax.tree.map(lambda slope: h * slope, self.func(terms, time, end, args))
+            ends[name] = jax.tree.map(lambda slope: flows.sign * h * slope, self.func(terms, time, end, args))
         return y1, None, ends, (flows.run(plan.joint, t, y, h)[1], h), diffrax.RESULTS.successful
 
     def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
@@ -257,8 +259,8 @@ def take_back(ys: Any, slopes: Any, perturbed: Any, inputs: Any, _: Any, run: An
     _, y = back(plan.closing, t1, (y1, slope, jax.tree.map(jnp.zeros_like, flows.parameters)))
     y = jax.lax.fori_loop(0, n - 1, lambda k, y: back(plan.joint, *before(k, y))[1], y)
     _, (start, slope, total) = back(plan.opening, *before(n - 1, y))
-    off, size = (jnp.linalg.norm(ravel_pytree(y)[0]) for y in (moved(start, y0, -1.0), y0))
-    wrong = ~(off <= tolerance * size) | (jnp.abs(h - dt0) > EQUAL * jnp.abs(h))
+    off, first, last = (jnp.linalg.norm(ravel_pytree(y)[0]) for y in (moved(start, y0, -1.0), y0, y1))
+    wrong = ~(off <= tolerance * jnp.maximum(first, last)) | (jnp.abs(h - dt0) > EQUAL * jnp.abs(h))
     return eqx.error_if((slope, *total), wrong, LOST)
 
 
@@ -273,8 +275,9 @@ class ReversibleAdjoint(diffrax.AbstractAdjoint):
 
     The steps are taken back from the end, each flow by itself, at the cost of about one run more; the derivative is
     that of the numerical map.  A run taken back grows where it was damped, and round-off with it, by up to e^{∫γ}: the
-    start is found again and compared.  tolerance : how far off it may be, relative to y0; beyond, the run fails, and
-    so it does where dt0 does not divide the span.  For first derivatives in y0, args and terms.
+    start is found again and compared.  tolerance : how far off it may be, relative to y0, or the end where that is
+    larger; beyond, the run fails, and so it does where dt0 does not divide the span.  For first derivatives in y0,
+    args and terms.
 
     Raises `BadInput` for another solver than `Contact`, steps that are not constant, an event, and where more than the
     end is saved.
