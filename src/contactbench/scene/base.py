@@ -380,9 +380,9 @@ class Scene(System):
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
         for name in given.keys() - cls.__dataclass_fields__.keys():
-            taken = list(inspect.signature(cls.__init__).parameters)[1:]
-            if name not in taken:
-                near = INSTEAD.get(name, f"choose from {', '.join(taken)}")
+            taken = inspect.signature(cls.__init__).parameters  # a class of a user's may have its own
+            if name not in taken and not any(p.kind is p.VAR_KEYWORD for p in taken.values()):
+                near = INSTEAD.get(name, f"choose from {', '.join([*taken][1:])}")
                 raise BadInput(f"{name}: {cls.__name__} takes none: {near}")
         return super().__new__(cls)
 
