@@ -80,9 +80,9 @@ def compiled(step: OneStep, h: float, which: int) -> Callable[[np.ndarray], np.n
     run, rows = loop.run, loop.rows(np.array(scene.numbers()), np.array([h]), np.array([1]))
 
     def apply(y: np.ndarray) -> np.ndarray:
-        after = np.empty((1, d))
+        after = np.empty(d)
         run(y, *rows, after)
-        return after[0]
+        return after
 
     return apply
 

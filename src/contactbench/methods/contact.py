@@ -27,6 +27,10 @@ from contactbench.splitting.modified import has_modified_hamiltonian, modified_h
 from contactbench.splitting.tables import COMPOSITIONS
 
 
+#: evaluations of a first step and of each one more, by method, kind of scene, and whether R is carried
+_costs: dict[tuple[ContactMethod, str, bool], tuple[int, int]] = {}
+
+
 @dataclass(frozen=True)
 class ContactMethod(FixedStep):
     """A composition of exact contact flows, hence an exact conformal contact map at every step size."""
@@ -56,9 +60,15 @@ class ContactMethod(FixedStep):
         return modified_hamiltonian(scene, self.composition, x, h)
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        kind = self.kind_on(scene)
-        kinds = (kind, *(["attitude"] if kind == "rotation" and "R" in scene.carry(carry) else []))
-        return plan(self.composition, scene).count(flows_of(scene), kinds, n)
+        key = self, scene.kind, "R" in scene.carry(carry)
+        if key not in _costs:
+            kind = self.kind_on(scene)
+            kinds = (kind, *(["attitude"] if kind == "rotation" and key[-1] else []))
+            steps, flows = plan(self.composition, scene), flows_of(scene)
+            once, twice = (steps.count(flows, kinds, k) for k in (1, 2))
+            _costs[key] = once, twice - once
+        first, each = _costs[key]
+        return first + (n - 1) * each
 
     def kind_on(self, scene: Scene) -> str:
         return "gradient" if "kick" in flows_of(scene) else "rotation"

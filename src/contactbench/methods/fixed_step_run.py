@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,10 +18,10 @@ from contactbench.methods.prescribed import EQUAL, GRID_ULPS, plateaus
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Cache, Scene, key
-from contactbench.solution import DIVERGENCE, Counts, Status
+from contactbench.solution import DIVERGENCE, Counts, Solution, Status
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import execute
-from contactbench.trace.program import Program, record
+from contactbench.trace.program import Program, Watch, record
 
 #: more steps than any budget allows are counted as this many
 UNCOUNTED = 2**50
@@ -29,6 +29,8 @@ UNCOUNTED = 2**50
 AHEAD = 2**22
 #: as many numbers take Python milliseconds, and `setup` takes a tenth of a second to compile
 FEW = 2**13
+#: divisions into steps whose rows a loop keeps, where they are few
+KEPT = 32
 
 
 @np.errstate(over="ignore")
@@ -58,9 +60,23 @@ def program_of(
         end = scene.pack(method.advance(twin, start, h, n, xp, repeat))
         return [*map(value, end), *map(slope, end)] if tangent else end
 
-    return record(advance, len(scene.numbers()), d * (1 + tangent) + counted, scene.motion, DIVERGENCE)
+    def twin_at(numbers: Any, y: Any) -> tuple[Any, Any]:
+        twin = scene.with_numbers(numbers)
+        return twin, twin.unpack(y[:d], carry)
+
+    def slope_at(numbers: Any, y: Any) -> list[Any]:
+        twin, x = twin_at(numbers, y)
+        return twin.pack(twin.rhs(x))
+
+    def energy_at(numbers: Any, y: Any) -> tuple[Any, Any]:
+        twin, x = twin_at(numbers, y)
+        return twin.energy(x), twin.energy_terms(x)
+
+    watch = None if tangent else Watch(slope_at, energy_at if scene.bounds_energy else None)
+    return record(advance, len(scene.numbers()), d * (1 + tangent) + counted, scene.motion, DIVERGENCE, watch)
 
 
+@cache
 def is_fixed(method: Any) -> bool:
     """Whether a step map is one of this package, which computes the same tomorrow."""
     return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
@@ -85,6 +101,7 @@ class Loop:
         self.program = program
         #: spent on recording and compiling
         self.seconds = seconds
+        self._rows: Cache[tuple[np.ndarray, np.ndarray]] = Cache(KEPT)
 
     @cached_property
     def run(self) -> Any:
@@ -106,11 +123,14 @@ class Loop:
 
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
-        spans = np.column_stack([h, n])
-        which = np.zeros(1, dtype=np.int64)
-        if len(n) > 1:
-            spans, which = np.unique(spans, axis=0, return_inverse=True)
-        return self.table(numbers, spans), np.concatenate([self.program.shape, which])
+        given = numbers.tobytes(), h.tobytes(), n.tobytes()
+        if (known := self._rows.items.get(given)) is not None:
+            return known
+        row_of: dict[tuple[float, int], int] = {}
+        which = [row_of.setdefault(span, len(row_of)) for span in zip(h.tolist(), n.tolist(), strict=True)]
+        w = self.table(numbers, np.array(list(row_of), dtype=float))
+        rows = w, np.concatenate([self.program.shape, which])
+        return self._rows.get(given if w.size + len(n) <= FEW else None, lambda: rows)
 
     def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
         """The rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
@@ -130,7 +150,7 @@ class Loop:
         together = max(1, AHEAD // self.program.width)
         for first in range(0, len(n), together):
             part = slice(first, first + together)
-            self.run(y0, *self.rows(numbers, h[part], n[part]), y[part])
+            self.run(y0, *self.rows(numbers, h[part], n[part]), y[part].reshape(-1))  # a view
             y0 = y[part][-1]
         return y
 
@@ -304,8 +324,25 @@ class Division(FixedStepRun):
         raise NotImplementedError
 
 
+def last_state(
+    run: Callable[..., int], w: np.ndarray, shape: np.ndarray, d: int, size: int
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the function of the initial state that gives the last one; a closure is called a tenth faster."""
+    empty = np.empty
+
+    def last(y0: np.ndarray) -> np.ndarray:
+        after = empty(size)
+        run(y0, w, shape, after)
+        return after if size == d else after[-d:]
+
+    return last
+
+
 class NumbaLoop(FixedStepRun):
     sensitivity_source = "forward-mode AD through the numerical map"
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return self.intervals(y0, self.h, self.n)[-1]
 
     def __post_init__(self) -> None:
         r = self.request
@@ -316,36 +353,47 @@ class NumbaLoop(FixedStepRun):
 
     def divide(self, step: float) -> None:
         super().divide(step)
-        self.size = len(self.n), len(self.start) + self.counted
+        self.size = len(self.n) * (len(self.start) + self.counted)
         #: arguments of the loop that depend on the steps only, unless there are too many to be kept
         self.ahead = None
-        if len(self.n) * self.loop.program.width <= AHEAD:
-            self.ahead = self.loop.rows(self.numbers, self.h, self.n)
+        for name in ("bare", "at_once"):
+            vars(self).pop(name, None)
+        if len(self.n) * self.loop.program.width > AHEAD:
+            return
+        self.ahead = self.loop.rows(self.numbers, self.h, self.n)
+        if not self.counted:
+            self.bare = last_state(self.run, *self.ahead, len(self.start), self.size)  # type: ignore[method-assign]
+            if self.request.steps is None and self.loop.program.watched and self.needed <= self.request.max_steps:
+                self.at_once = self.watched(*self.ahead)  # type: ignore[method-assign]
 
     def divides_often(self) -> None:
         self.loop.setup  # noqa: B018, compiled now
         self.compile_s = self.loop.seconds
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        if self.ahead is None:
-            return self.intervals(y0, self.h, self.n)[-1]
-        after = np.empty(self.size)
-        self.run(y0, *self.ahead, after)
-        return after[-1]
+    def watched(self, w: np.ndarray, shape: np.ndarray) -> Callable[[np.ndarray], Solution | None]:
+        """Return `at_once` of one call of the loop, which gives all saved states and sees what is wrong with them."""
+        run, empty, of, date = self.run, np.empty, Solution.of, self._dated
+        ended = self.ending(Status.ok, "", self.totals, self._end, self.steps_taken)
+        saves, d, starts, dated = self._saves, len(self.start), self.saves_start, self._clock is not None
+        size = saves * d
 
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        if not self.saves_start and self.ahead is not None and self.needed <= self.request.max_steps:
-            after = np.empty(self.size)
-            if self.run(y0, *self.ahead, after) < 0:  # nothing to look for
-                return Outcome(after[self.saved], self.totals, Status.ok, "", self._end, True)
-        return super().integrate(y0)
+        def at_once(y0: np.ndarray) -> Solution | None:
+            after = y = empty(size)
+            if starts:
+                y[:d], after = y0, y[d:]
+            if run(y0, w, shape, after) >= 0:
+                return None
+            y = y.reshape(saves, d)
+            return of(ended, date(y0, y) if dated else y, y0)
+
+        return at_once
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         if n is not self.n or self.ahead is None:
             return self.loop.states(self.numbers, y0, h, n)
         after = np.empty(self.size)
         self.run(y0, *self.ahead, after)
-        return after
+        return after.reshape(len(n), -1)
 
 
 class PythonLoop(FixedStepRun):
@@ -381,9 +429,9 @@ class PythonLoop(FixedStepRun):
             if span != last:
                 self.setup(numbers, [span], data, shape, w)
                 last = span
-            after = [[0.0] * len(y)]
+            after = [0.0] * len(y)
             self.run(y, w, [*shape, 0], after)
-            rows.append(y := after[0])
+            rows.append(y := after)
         return rows
 
     def as_written(self, y: list[float], spans: list[tuple[float, int]]) -> list[list[float]]:

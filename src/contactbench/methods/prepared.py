@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, Registry, blame, excerpt
+from contactbench.errors import BadInput, Registry, blame, excerpt, finite, is_ours, vector
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, norm
 from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
@@ -117,24 +118,67 @@ class Prepared(ABC):
         self.later = r.save_at[1:] if self.saves_start else r.save_at
 
     def __call__(self, **data: Any) -> Solution:
-        r, y0 = self.request, self.start
+        y0 = self.packed(data) if data else self.start
+        if (solution := self.at_once(y0)) is not None:
+            return solution
         if data:
-            start = r.scene.initial(r.carry, **r.scene.checked(data))
-            require_slope(r.scene, start)
-            y0 = np.array(r.scene.pack(start), dtype=float)
+            require_slope(self.request.scene, self.request.scene.unpack(y0.tolist(), self.request.carry))
         try:
             out = self.integrate(y0)
         except BaseException as error:
-            raise blame(f"{self.method} on scene {r.scene.name!r}", error) from error.__cause__
+            raise blame(f"{self.method} on scene {self.request.scene.name!r}", error) from error.__cause__
         out = self.audit(y0, out)
-        if self._clock is not None:
-            out.y = self.at_saved_times(y0, out.y)
-        return Solution(
-            *(r.scene, self.method, r.engine, r.carry, r.save_at, out.y, y0),
-            *(out.status, out.message, out.counts, out.end_time),
-            *(self, r.control, r.value),
-            *(out.steps or self.steps_taken),
-        )
+        steps = out.steps or self.steps_taken
+        ended = self.ending(out.status, out.message, out.counts, out.end_time, steps)
+        return Solution.of(ended, self._dated(y0, out.y), y0)
+
+    def ending(
+        self, status: Status, message: str, counts: Counts, end: float, steps: tuple[float, float]
+    ) -> dict[str, Any]:
+        """Return all of a `Solution` but its states."""
+        r, (chosen, longest) = self.request, steps
+        return {
+            **dict(scene=r.scene, method=self.method, engine=r.engine, carry=r.carry, t=r.save_at, run=self),
+            **dict(status=status, message=message, counts=counts, end_time=end),
+            **dict(control=r.control, value=r.value, step_chosen=chosen, step=longest),
+        }
+
+    def at_once(self, y0: np.ndarray) -> Solution | None:
+        """Return a run that is known to be `ok`; None: it is to be looked at."""
+        return None
+
+    def packed(self, data: Mapping[str, Any]) -> np.ndarray:
+        """Return the initial state with other initial data, packed; raises `BadInput`."""
+        y0, places = self.start.copy(), self.places
+        for name, value in data.items():
+            if name not in places:
+                start = self.request.scene.initial(self.request.carry, **self.request.scene.checked(data))
+                return np.array(self.request.scene.pack(start), dtype=float)
+            where, length = places[name]
+            if length is None:
+                y0[where] = finite(name, value)
+                continue
+            if type(value) is np.ndarray and value.dtype == float:
+                value = value.tolist()
+            plain = type(value) in (tuple, list) and len(value) == length and set(map(type, value)) == {float}
+            if not (plain and math.isfinite(sum(value))):
+                value = vector(name, value, length)
+            y0[where] = value
+        return y0
+
+    @cached_property
+    def places(self) -> dict[str, tuple[int | slice, int | None]]:
+        """Where initial data are in a packed state, and how many numbers; those with no more to be checked."""
+        scene, carry = self.request.scene, self.request.carry
+        found: dict[str, tuple[int | slice, int | None]] = {}
+        at = 0
+        for name in scene.fields_in(carry) if is_ours(type(scene)) else ():
+            value, check = getattr(scene, name), scene.checks.get(name)
+            length = len(value) if isinstance(value, tuple) else None
+            if check is (finite if length is None else vector):
+                found[name] = (at, None) if length is None else (slice(at, at + length), length)
+            at += length or 1
+        return found
 
     @abstractmethod
     def integrate(self, y0: np.ndarray) -> Outcome:
@@ -166,9 +210,11 @@ class Prepared(ABC):
         packed[..., clock] = start + times
         return packed
 
-    def at_saved_times(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def _dated(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return saved states whose time is the saved one, not the sum of many steps; NaN where not reached."""
-        y, clock = y.copy(), self._clock
+        if (clock := self._clock) is None:
+            return y
+        y = y.copy()
         y[:, clock] = np.where(np.isnan(y[:, clock]), math.nan, y0[clock] + self.request.save_at)
         return y
 

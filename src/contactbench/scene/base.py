@@ -10,6 +10,7 @@ import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -204,14 +205,14 @@ class System(ABC):
     def structure(self) -> tuple[Any, ...]:
         """Everything but the numbers."""
 
-    @property
+    @cached_property
     def identity(self) -> Hashable | None:
         """What compiled code depends on besides the numbers, functions by their operations; None: nobody can tell."""
         given = (getattr(self, name) for name in self.functions)
         known = is_ours(type(self)) and all(f is None or isinstance(f, Formula) or is_ours(f) for f in given)
         return self.structure if known else None
 
-    @property
+    @cached_property
     def has_users_functions(self) -> bool:
         """Whether any of its functions, or of their derivatives, is not of this package."""
         given = (getattr(self, name) for name in self.functions)
@@ -235,6 +236,8 @@ class System(ABC):
 
     def recorded(self) -> Self:
         """Return the scene with its functions as formulas, where they can be; `BadInput` where the two differ."""
+        if not self.has_users_functions:
+            return self
         found = {name: made for name in self.functions if (made := self._formula(name)) is not None}
         return self._replaced(**found) if found else self
 
@@ -288,6 +291,8 @@ class System(ABC):
     def _replaced(self, **attributes: Any) -> Self:
         twin = object.__new__(type(self))
         twin.__dict__.update(self.__dict__ | attributes)
+        for derived in ("identity", "has_users_functions"):
+            twin.__dict__.pop(derived, None)
         return twin
 
     def __deepcopy__(self, memo: object = None) -> Self:

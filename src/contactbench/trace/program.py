@@ -3,7 +3,7 @@
 `record` runs a function of (numbers, h, n, state) on recorded numbers and makes of it
 
     setup(numbers, spans, data, shape, w)   row u of w: everything that depends on (h, n) = spans[u] only
-    run(start, w, shape, after)             after[j]: the state after the j-th interval, of row which[j] of w
+    run(start, w, shape, after)             the states after all intervals in one row, the j-th by row which[j] of w
     many(starts, w, shape, ends, part)      the same for many states of one scene side by side
 
 `setup` is called once per choice of steps, `run` at every call.  Vectors made by ``xp.asarray``, such as
@@ -13,8 +13,10 @@ lengths of loops: compositions that are the same loop over flows have the same f
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import reduce
 from operator import and_
 from typing import Any, NamedTuple
@@ -36,6 +38,19 @@ class Program(NamedTuple):
     data: np.ndarray
     shape: np.ndarray
     width: int
+    #: whether `run` watches all that it is asked to
+    watched: bool = False
+
+
+class Watch(NamedTuple):
+    """What `run` watches besides the size of the state, each a function of (numbers, state).
+
+    slope : numbers that must be finite at the start.  energy : an energy and the most that it may rise above its
+    start; None where it may.
+    """
+
+    slope: Callable[[Any, Any], list[Any]]
+    energy: Callable[[Any, Any], tuple[Any, Any]] | None
 
 
 class Column(Block):
@@ -169,11 +184,19 @@ class RecordedArrays(RecordedNumbers):
         return Vector(tape, column.element, column)
 
 
-def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int, factor: float) -> Program:
+def record(
+    advance: Callable[..., list[Any]],
+    numbers: int,
+    d: int,
+    bounded: int,
+    factor: float,
+    watch: Watch | None = None,
+) -> Program:
     """The program of ``advance(numbers, h, n, y, xp, repeat) -> y``, on packed states of d components.
 
     `run` returns the first interval at whose end a number is not finite, or one of the first `bounded` larger than
-    `factor` times their norm at the start (1 where that is less); −1 if none.  Raises `CannotRecord`.
+    `factor` times their norm at the start (1 where that is less), or the energy watched has risen; 0 where the slope
+    watched is not finite; −1 if none.  Raises `CannotRecord`.
     """
     tape = ProgramTape()
     given, h, n = tape.given(numbers)
@@ -183,12 +206,18 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
     if len(end) != d:
         raise CannotRecord(f"a step from {d} components to {len(end)}")
     ends = tuple(tape.read(value, tape.main) for value in end)
+    head, last, watched = [], [], False
+    if watch is not None:
+        with suppress(CannotRecord):  # a function that runs on plain numbers alone
+            head, last = looks(tape, given, d, bounded, factor, watch)
+            watched = True
+    if not watched:
+        head, last = looks(tape, given, d, bounded, factor, None)
     once = setup(tape)  # adds to the shape
-    head, last = watch(tape, d, bounded, factor)
     body, beside = steps(tape, "start", ends, "after", head, last), steps(tape, "starts", ends, "ends")
     run = Function("run", ("start", "w", "shape", "after"), body, "bad")
     many = Function("many", ("starts", "w", "shape", "ends", "part"), beside)
-    return Program(once, run, many, *tape.constants)
+    return Program(once, run, many, *tape.constants, watched)
 
 
 def setup(tape: ProgramTape) -> Function:
@@ -207,18 +236,24 @@ def setup(tape: ProgramTape) -> Function:
     return Function("setup", arguments, (*tape.whole.statements, rows, Loop("u", "rows", tuple(body))))
 
 
-def watch(tape: ProgramTape, d: int, bounded: int, factor: float) -> tuple[list[Any], list[Any]]:
+def looks(
+    tape: ProgramTape, numbers: list[Any], d: int, bounded: int, factor: float, watch: Watch | None
+) -> tuple[list[Any], list[Any]]:
     """What `run` does before its loop and at the end of each interval, to find the first bad one."""
-    xp, head, last = RecordedNumbers(tape), Block(tape.root), Block(tape.main)
-    square: Any = 0.0
-    for i in range(bounded):
-        component = Recorded(tape, f"x{i}", "f", head)
-        square = component * component + square
-    size = xp.sqrt(square)
-    bound = Recorded(tape, (factor * xp.where(size > 1.0, size, 1.0)).name, "f", tape.whole)
-    state = [Recorded(tape, f"x{i}", "f", last) for i in range(d)]
+    xp, head, last = RecordedNumbers(tape), Block(tape.main), Block(tape.main)
+    start, state = ([Recorded(tape, f"x{i}", "f", block) for i in range(d)] for block in (head, last))
+    size = xp.sqrt(sum((c * c for c in start[1:bounded]), start[0] * start[0]))
+    bound = factor * xp.where(size > 1.0, size, 1.0)
+    if watch is not None:
+        slope = attempt(lambda: sum(map(abs, watch.slope(numbers, start))))
+        bound = xp.where(slope <= sys.float_info.max, bound, math.nan)
+    bound = Recorded(tape, bound.name, "f", tape.whole)  # known from the head on
     most = [bound if i < bounded else sys.float_info.max for i in range(d)]
     healthy = reduce(and_, (abs(x) <= end for x, end in zip(state, most, strict=True)))
+    if watch is not None and watch.energy is not None:
+        energy, room = attempt(lambda: watch.energy(numbers, start))  # type: ignore[misc]
+        highest = Recorded(tape, (energy + room).name, "f", tape.whole)
+        healthy = healthy & (attempt(lambda: watch.energy(numbers, state))[0] <= highest)  # type: ignore[misc]
     first = ~healthy & (Recorded(tape, "bad", "i", last) < 0)
     mark = Assign("first", Operation("where", (first.name, "j", "bad")))
     return [*head.statements, Update(("bad",), (-1,))], [*last.statements, mark, Update(("bad",), ("first",))]
@@ -236,8 +271,13 @@ def steps(
     state, known = tuple(f"x{i}" for i in range(len(ends))), len(tape.shape)
     first = tuple(f"start{i}" for i in range(len(ends)))
     given = [Assign(name, Element(start, (i,))) for i, name in enumerate(first)]
-    row = Assign("u", Element("shape", (known,), "j", "i"))
-    stores = [Store(Element(after, ("j", i)), x) for i, x in enumerate(state)]
-    body = row, *tape.loads, *tape.main.statements, Update(state, ends), *stores, *last
+    first_row, row = (Assign("u", Element("shape", (known,), j, "i")) for j in (0, "j"))
+    if after == "after":  # a call costs less that way
+        at = [Assign("at", Operation("mul", ("j", len(ends))))]
+        stores = [Store(Element(after, ("at",), i), x) for i, x in enumerate(state)]
+    else:
+        at, stores = [], [Store(Element(after, ("j", i)), x) for i, x in enumerate(state)]
+    body = row, *tape.loads, *tape.main.statements, Update(state, ends), *at, *stores, *last
     count = Assign("all", Operation("len", ("shape",))), Assign("intervals", Operation("sub", ("all", known)))
-    return *tape.whole.statements, *given, Update(state, first), *head, *count, Loop("j", "intervals", body)
+    before = *given, Update(state, first), *((first_row, *tape.loads, *head) if head else ())
+    return *tape.whole.statements, *before, *count, Loop("j", "intervals", body)
