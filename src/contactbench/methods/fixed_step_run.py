@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import suppress
@@ -20,7 +21,7 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Cache, Scene, key
 from contactbench.solution import DIVERGENCE, Counts, Solution, Status
 from contactbench.trace.compiled import compile_function
-from contactbench.trace.form import execute
+from contactbench.trace.form import execute, lines
 from contactbench.trace.program import Program, Watch, record
 
 #: more steps than any budget allows are counted as this many
@@ -29,6 +30,8 @@ UNCOUNTED = 2**50
 AHEAD = 2**22
 #: as many numbers take Python milliseconds, and `setup` takes a tenth of a second to compile
 FEW = 2**13
+#: steps times statements that take more than about a hundredth of a second, and seconds between two looks at signals
+LONG, LOOK = 3e7, 0.1
 #: divisions into steps whose rows a loop keeps, where they are few
 KEPT = 32
 
@@ -121,6 +124,30 @@ class Loop:
     def setup_in_python(self) -> Any:
         return execute(self.program.setup)
 
+    @cached_property
+    def size(self) -> int:
+        return sum(1 for _ in lines(self.program.run.body))
+
+    def is_long(self, steps: int) -> bool:
+        return steps * self.size > LONG
+
+    def execute(self, y0: np.ndarray, w: np.ndarray, shape: np.ndarray, after: np.ndarray, steps: int) -> int:
+        """Call `run`; where that takes long in a thread of its own, which ends with what comes over this one."""
+        if threading.current_thread() is not threading.main_thread() or not self.is_long(steps):
+            return int(self.run(y0, w, shape, after))
+        found: list[int] = []
+        shape = shape.copy()
+        worker = threading.Thread(target=lambda: found.append(self.run(y0, w, shape, after)), daemon=True)
+        worker.start()
+        try:
+            while worker.is_alive():
+                worker.join(LOOK)
+        except BaseException:  # Ctrl-C, a time limit
+            shape[0] = 1
+            worker.join()
+            raise
+        return found[0]
+
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
         given = numbers.tobytes(), h.tobytes(), n.tobytes()
@@ -150,7 +177,8 @@ class Loop:
         together = max(1, AHEAD // self.program.width)
         for first in range(0, len(n), together):
             part = slice(first, first + together)
-            self.run(y0, *self.rows(numbers, h[part], n[part]), y[part].reshape(-1))  # a view
+            w, shape = self.rows(numbers, h[part], n[part])
+            self.execute(y0, w, shape, y[part].reshape(-1), total(n[part]))  # a view
             y0 = y[part][-1]
         return y
 
@@ -363,7 +391,8 @@ class NumbaLoop(FixedStepRun):
         self.ahead = self.loop.rows(self.numbers, self.h, self.n)
         if not self.counted:
             self.bare = last_state(self.run, *self.ahead, len(self.start), self.size)  # type: ignore[method-assign]
-            if self.request.steps is None and self.loop.program.watched and self.needed <= self.request.max_steps:
+            affordable = self.needed <= self.request.max_steps and not self.loop.is_long(self.needed)
+            if self.request.steps is None and self.loop.program.watched and affordable:
                 self.at_once = self.watched(*self.ahead)  # type: ignore[method-assign]
 
     def divides_often(self) -> None:
@@ -373,7 +402,7 @@ class NumbaLoop(FixedStepRun):
     def watched(self, w: np.ndarray, shape: np.ndarray) -> Callable[[np.ndarray], Solution | None]:
         """Return `at_once` of one call of the loop, which gives all saved states and sees what is wrong with them."""
         run, empty, of, date = self.run, np.empty, Solution.of, self._dated
-        ended = self.ending(Status.ok, "", self.totals, self._end, self.steps_taken)
+        ended = self.attributes(Status.ok, "", self.totals, self._end, self.steps_taken)
         saves, d, starts, dated = self._saves, len(self.start), self.saves_start, self._clock is not None
         size = saves * d
 
@@ -392,7 +421,7 @@ class NumbaLoop(FixedStepRun):
         if n is not self.n or self.ahead is None:
             return self.loop.states(self.numbers, y0, h, n)
         after = np.empty(self.size)
-        self.run(y0, *self.ahead, after)
+        self.loop.execute(y0, *self.ahead, after, self.needed)
         return after.reshape(len(n), -1)
 
 

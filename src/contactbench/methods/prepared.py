@@ -129,10 +129,10 @@ class Prepared(ABC):
             raise blame(f"{self.method} on scene {self.request.scene.name!r}", error) from error.__cause__
         out = self.audit(y0, out)
         steps = out.steps or self.steps_taken
-        ended = self.ending(out.status, out.message, out.counts, out.end_time, steps)
+        ended = self.attributes(out.status, out.message, out.counts, out.end_time, steps)
         return Solution.of(ended, self._dated(y0, out.y), y0)
 
-    def ending(
+    def attributes(
         self, status: Status, message: str, counts: Counts, end: float, steps: tuple[float, float]
     ) -> dict[str, Any]:
         """Return all of a `Solution` but its states."""

@@ -154,6 +154,8 @@ class Lowering:
         return self.builder.bitcast(pointer, self.wide.as_pointer()) if tiled else pointer
 
     def load(self, element: form.Element) -> Any:
+        if element.kind == "stop":
+            return self.builder.load_atomic(self.place(element), "monotonic", align=8)
         value = self.builder.load(self.place(element), align=8)
         if element.kind == "b":
             return self.builder.fcmp_unordered("!=", value, self.double(0.0))

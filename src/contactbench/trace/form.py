@@ -35,7 +35,10 @@ class Operation(NamedTuple):
 
 
 class Element(NamedTuple):
-    """An array's element, `shift` beyond its last index; kind : of number, as in `Recorded`."""
+    """An array's element, `shift` beyond its last index; kind : of number, as in `Recorded`, or "stop".
+
+    A "stop" is a whole number that another thread may change: it is read anew every time.
+    """
 
     array: str
     indices: tuple[Operand, ...]
@@ -153,7 +156,7 @@ FORMS = {
 }
 #: the names that printed functions use
 SCOPE = {name: getattr(math, name) for name in (*FUNCTIONS, "atan2", "hypot", "inf", "nan")}
-READ = {"f": "{}", "i": "int({})", "b": "{} != 0.0"}
+READ = {"f": "{}", "i": "int({})", "stop": "int({})", "b": "{} != 0.0"}
 
 
 def execute(

@@ -25,7 +25,7 @@ import numpy as np
 
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.protocol import Abilities, CannotRecord
-from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update
+from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update, While
 from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, attempt
 
 
@@ -51,6 +51,10 @@ class Watch(NamedTuple):
 
     slope: Callable[[Any, Any], list[Any]]
     energy: Callable[[Any, Any], tuple[Any, Any]] | None
+
+
+#: what another thread sets to end a run early, with nothing reached, and the steps between two looks at it
+STOP, TURN = Element("shape", (0,), kind="stop"), 2**12
 
 
 class Column(Block):
@@ -103,7 +107,7 @@ class ProgramTape(Tape):
         super().__init__()
         #: whole numbers both functions are called with: known when everything is recorded
         self.whole = Block()
-        self.shape: list[Callable[[], int]] = []
+        self.shape: list[Callable[[], int]] = [lambda: 0]  # the first is STOP
         self.root = Block(self.whole)
         self.main = self.block = Block(self.root)
         self.columns: list[Column] = []
@@ -277,7 +281,34 @@ def steps(
         stores = [Store(Element(after, ("at",), i), x) for i, x in enumerate(state)]
     else:
         at, stores = [], [Store(Element(after, ("j", i)), x) for i, x in enumerate(state)]
-    body = row, *tape.loads, *tape.main.statements, Update(state, ends), *at, *stores, *last
+    steps = (part for statement in tape.main.statements for part in interruptible(statement))
+    body = row, *tape.loads, *steps, Update(state, ends), *at, *stores, *last
     count = Assign("all", Operation("len", ("shape",))), Assign("intervals", Operation("sub", ("all", known)))
     before = *given, Update(state, first), *((first_row, *tape.loads, *head) if head else ())
     return *tape.whole.statements, *before, *count, Loop("j", "intervals", body)
+
+
+def interruptible(statement: Any) -> tuple[Any, ...]:
+    """Return a loop over steps, whose number is known when it runs, in turns, and anything else as it is."""
+    if not (isinstance(statement, Loop) and isinstance(statement.times, str)) or statement.times[:2] == "i0":
+        return (statement,)
+    done, left, more, go, size, after = (f"{name}{statement.times}" for name in TURNS)
+    test = (
+        Assign(left, Operation("sub", (statement.times, done))),
+        Assign(f"{left}0", Operation("gt", (left, 0))),
+        Assign(f"{go}0", STOP),
+        Assign(go, Operation("eq", (f"{go}0", 0))),
+        Assign(more, Operation("and", (f"{left}0", go))),
+    )
+    turn = (
+        Assign(f"{size}0", Operation("lt", (left, TURN))),
+        Assign(size, Operation("where", (f"{size}0", left, TURN))),
+        statement._replace(times=size),
+        Assign(after, Operation("add", (done, size))),
+        Update((done,), (after,)),
+    )
+    return Update((done,), (0,)), While(test, more, turn)
+
+
+#: names of what such a loop needs
+TURNS = ("done", "left", "more", "go", "turn", "next")
