@@ -26,7 +26,6 @@ from contactbench.splitting.flows import flows_of
 from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS
 
-
 #: evaluations of a first step and of each one more, by method, kind of scene, and whether R is carried
 _costs: dict[tuple[ContactMethod, str, bool], tuple[int, int]] = {}
 

@@ -378,22 +378,24 @@ class NumbaLoop(FixedStepRun):
         self.run = self.loop.run
         self.compile_s = self.loop.seconds
         super().__post_init__()
+        self.shorten()
 
     def divide(self, step: float) -> None:
         super().divide(step)
         self.size = len(self.n) * (len(self.start) + self.counted)
         #: arguments of the loop that depend on the steps only, unless there are too many to be kept
         self.ahead = None
-        for name in ("bare", "at_once"):
-            vars(self).pop(name, None)
-        if len(self.n) * self.loop.program.width > AHEAD:
+        if len(self.n) * self.loop.program.width <= AHEAD:
+            self.ahead = self.loop.rows(self.numbers, self.h, self.n)
+
+    def shorten(self) -> None:
+        """Make of the calls for these steps, where nothing else is to be done, closures of all they need."""
+        if self.ahead is None or self.counted:
             return
-        self.ahead = self.loop.rows(self.numbers, self.h, self.n)
-        if not self.counted:
-            self.bare = last_state(self.run, *self.ahead, len(self.start), self.size)  # type: ignore[method-assign]
-            affordable = self.needed <= self.request.max_steps and not self.loop.is_long(self.needed)
-            if self.request.steps is None and self.loop.program.watched and affordable:
-                self.at_once = self.watched(*self.ahead)  # type: ignore[method-assign]
+        self.bare = last_state(self.run, *self.ahead, len(self.start), self.size)  # type: ignore
+        affordable = self.needed <= self.request.max_steps and not self.loop.is_long(self.needed)
+        if self.request.steps is None and self.loop.program.watched and affordable:
+            self.at_once = self.watched(*self.ahead)  # type: ignore
 
     def divides_often(self) -> None:
         self.loop.setup  # noqa: B018, compiled now
@@ -412,8 +414,8 @@ class NumbaLoop(FixedStepRun):
                 y[:d], after = y0, y[d:]
             if run(y0, w, shape, after) >= 0:
                 return None
-            y = y.reshape(saves, d)
-            return of(ended, date(y0, y) if dated else y, y0)
+            states = y.reshape(saves, d)
+            return of(ended, date(y0, states) if dated else states, y0)
 
         return at_once
 

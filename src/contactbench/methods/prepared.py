@@ -137,11 +137,10 @@ class Prepared(ABC):
     ) -> dict[str, Any]:
         """Return all of a `Solution` but its states."""
         r, (chosen, longest) = self.request, steps
-        return {
-            **dict(scene=r.scene, method=self.method, engine=r.engine, carry=r.carry, t=r.save_at, run=self),
-            **dict(status=status, message=message, counts=counts, end_time=end),
-            **dict(control=r.control, value=r.value, step_chosen=chosen, step=longest),
-        }
+        settings = {"control": r.control, "value": r.value, "step_chosen": chosen, "step": longest}
+        ended = {"status": status, "message": message, "counts": counts, "end_time": end}
+        run = {"scene": r.scene, "method": self.method, "engine": r.engine, "carry": r.carry, "t": r.save_at}
+        return {**run, "run": self, **ended, **settings}
 
     def at_once(self, y0: np.ndarray) -> Solution | None:
         """Return a run that is known to be `ok`; None: it is to be looked at."""

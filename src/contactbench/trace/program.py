@@ -210,13 +210,12 @@ def record(
     if len(end) != d:
         raise CannotRecord(f"a step from {d} components to {len(end)}")
     ends = tuple(tape.read(value, tape.main) for value in end)
-    head, last, watched = [], [], False
+    head, last = looks(tape, given, d, bounded, factor, None)
+    watched = False
     if watch is not None:
         with suppress(CannotRecord):  # a function that runs on plain numbers alone
             head, last = looks(tape, given, d, bounded, factor, watch)
             watched = True
-    if not watched:
-        head, last = looks(tape, given, d, bounded, factor, None)
     once = setup(tape)  # adds to the shape
     body, beside = steps(tape, "start", ends, "after", head, last), steps(tape, "starts", ends, "ends")
     run = Function("run", ("start", "w", "shape", "after"), body, "bad")

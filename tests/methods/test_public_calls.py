@@ -1,0 +1,116 @@
+"""What a call of a prepared run costs beside the loop, and that the short way gives what the long one does."""
+
+import os
+import signal
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import ALL_SCENES
+from contactbench.methods.fixed_step_run import LONG
+from contactbench.methods.prepared import Prepared
+
+PARTICLE = cb.SCENES["particle"]
+SHORT = {"step": PARTICLE.t_end / 12, "carry": (), "save_at": [PARTICLE.t_end]}
+
+
+def calls(function):
+    """How many functions of Python's a call passes through; bare times would be those of the machine."""
+    names = set()
+    sys.setprofile(lambda frame, event, _: names.add(frame.f_code) if event == "call" else None)
+    try:
+        function()
+    finally:
+        sys.setprofile(None)
+    return len(names)
+
+
+def test_public_calls_are_short():
+    run = cb.prepare(PARTICLE, "contact-rkn6", **SHORT)
+    cb.solve(PARTICLE, "contact-rkn6", step=0.1)
+    run(q=(1.0, 0.4))
+    most = {"run()": 5, "run(q=…)": 8, "bare": 2, "solve": 110}
+    found = {
+        "run()": calls(run),
+        "run(q=…)": calls(lambda: run(q=(1.0, 0.45), p=[0.1, 0.2])),
+        "bare": calls(lambda: run.bare(run.start)),
+        "solve": calls(lambda: cb.solve(PARTICLE, "contact-rkn6", step=0.1)),
+    }
+    assert {name: n for name, n in found.items() if n > most[name]} == {}
+
+
+@pytest.mark.parametrize("times", [None, [1.0], [0.0, 0.5, 1.0]], ids=str)
+@pytest.mark.parametrize("scene", [s for s in ALL_SCENES if s.kind != "many"], ids=lambda scene: scene.name)
+def test_the_short_way_gives_what_the_long_one_does(scene, times):
+    run = cb.prepare(scene.with_(t_end=1.0), "contact-bm4", step=0.05, save_at=times)
+    name = "M" if hasattr(scene, "M") else "q"
+    moved = {name: tuple(1.01 * c for c in getattr(scene, name))}
+    for data in ({}, moved):
+        short = run(**data)
+        vars(run)["at_once"], kept = (lambda y0: None), vars(run).get("at_once")
+        long = run(**data)
+        vars(run)["at_once"] = kept or (lambda y0: None)
+        np.testing.assert_array_equal(short.y, long.y)
+        np.testing.assert_array_equal(short.y0, long.y0)
+        assert (repr(short), short.step, short.end_time) == (repr(long), long.step, long.end_time)
+
+
+def test_the_loop_sees_a_start_without_a_slope_and_energy_that_rises():
+    """A singular force, and a step far beyond the stability limit: neither is `ok`."""
+    kepler = cb.SCENES["kepler_drag"]
+    run = cb.prepare(kepler, "contact-rkn6", step=0.01, save_at=[1.0])
+    with pytest.raises(cb.BadInput, match="not finite"):
+        run(q=(0.0, 0.0))
+    spring = cb.Mechanical(
+        name="spring", potential=lambda q: q[0] ** 2 / 2, gamma=1e-3, q=(1.0,), p=(0.0,), t_end=8.2
+    )
+    rising = cb.solve(spring, "contact-strang", step=2.05, save_at=[8.2])
+    assert rising.status == "diverged"
+    assert "H0 rose" in rising.message
+    assert (
+        cb.prepare(spring, "contact-strang", step=1.0, save_at=[8.2]).at_once(np.array([1.0, 0.0, 0.0]))
+        is not None
+    )
+
+
+@pytest.mark.parametrize(
+    "value", [(1.0,), (1.0, np.inf), ("1", "2"), 1.0, np.array([[1.0, 2.0]]), None], ids=str
+)
+def test_initial_data_are_checked_one_by_one(value):
+    run = cb.prepare(PARTICLE, "contact-rkn6", **SHORT)
+    with pytest.raises(cb.BadInput, match=r"^q"):
+        run(q=value)
+    for same in ((1.0, 0.5), [1, 0.5], np.array([1.0, 0.5]), np.array([1.0, 0.5], dtype=np.float32)):
+        np.testing.assert_array_equal(run(q=same).y, run().y)
+
+
+def long_run(save_at):
+    run = cb.prepare(
+        PARTICLE.with_(t_end=1e9), "contact-strang", step=1e-3, carry=(), save_at=save_at, max_steps=10**13
+    )
+    assert run.loop.is_long(run.needed)
+    return run
+
+
+def test_a_long_run_hears_a_signal():
+    """One interval of some 10¹² steps: a signal ends it within its turn, and nothing goes on behind."""
+    before, run = threading.active_count(), long_run([1e9])
+    timer = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    timer.join()
+    assert threading.active_count() == before
+
+
+def test_a_run_in_a_thread_of_its_own_has_the_same_bits():
+    end = 3 * LONG / 100 * 1e-3
+    run = long_run([end / 2, end])
+    with ThreadPoolExecutor(1) as pool:  # no main thread there: it runs as it is
+        beside = pool.submit(run).result()
+    assert isinstance(run, Prepared)
+    np.testing.assert_array_equal(run().y, beside.y)
