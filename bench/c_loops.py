@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from contactbench.scene import Mechanical
 from contactbench.splitting.composition import number
-from contactbench.splitting.flows import MECHANICAL
 from contactbench.splitting.tables import RKN6, STRANG
 
 KERNELS = {"contact-strang": ("strang", STRANG), "contact-rkn6": ("rkn6", RKN6)}
@@ -41,7 +41,7 @@ def constants(method: str, scene, step: float) -> tuple[str, int, list[np.ndarra
     n = round(scene.t_end / step)
     h = scene.t_end / n
     kicks = np.array([number(c, math) * h for f, c in composition.stages if f == "kick"])
-    flow, parts = MECHANICAL["drift_damp"], [c for f, c in composition.stages if f == "drift_damp"]
+    flow, parts = Mechanical.flows["drift_damp"], [c for f, c in composition.stages if f == "drift_damp"]
     drifts = [flow.constants(scene, number(c, math) * h, math) for c in parts]
     phi, _, keep, lose = (np.array(column) for column in zip(*drifts, strict=True))
     return name, n, [kicks, phi, keep, lose]

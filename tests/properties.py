@@ -13,8 +13,7 @@ import contactbench as cb
 from cases import TILTED, in_mp, random_state
 from contactbench.measure.order import local_order, order_at
 from contactbench.numbers.protocol import Numbers, abilities
-from contactbench.scene import cross, dot, quaternion_product
-from contactbench.splitting import flows, free_body
+from contactbench.scene import cross, dot, free_body, quaternion_product
 from contactbench.splitting.composition import merge
 from decimals import contact_defect, momentum_defect
 
@@ -57,7 +56,7 @@ def contact_field(scene, hamiltonian, x):
 
 
 def flowed(scene, name, x, h, xp=mp):
-    flow = flows.flows_of(scene)[name]
+    flow = scene.flows[name]
     return scene.pack(flow.apply(scene, x, flow.constants(scene, h, xp), xp))
 
 
@@ -223,13 +222,13 @@ def flows_know_their_factors():
             return flowed(exact, name, x._replace(s=s), h)
 
         end, pushed = (exact.unpack(y, scene.carry()) for y in (of_s(x.s), slope(of_s, x.s)))
-        c = mp.exp(flows.flows_of(exact)[name].log_factor(exact, x, h, mp))
+        c = mp.exp(exact.flows[name].log_factor(exact, x, h, mp))
         return close([exact.contact_form(end, pushed) / c], [1], DIFFERENCED)
 
     return all(
         knows(scene, name, h)
         for scene in (HEAVY, BOTH_DAMPINGS, NEGATIVE, BODY)
-        for name in flows.flows_of(scene)
+        for name in scene.flows
         for h in map(mp.mpf, ("0.37", "4.1"))
     )
 
@@ -271,7 +270,7 @@ def general_damping_is_right():
     """By quadrature on doubles, against the closed form and its slope ∂s(h)/∂s, which p decays by; at rest too."""
 
     def is_right(s, h):
-        x, damp = GENERAL.initial(("s",))._replace(s=s), flows.GENERAL["damp"]
+        x, damp = GENERAL.initial(("s",))._replace(s=s), GENERAL.flows["damp"]
         mine = damp.apply(GENERAL, x, damp.constants(GENERAL, h, math), math)
         with mp.workdps(40):
             flow = partial(cubic_flow, h=mp.mpf(h), xp=mp)
@@ -295,7 +294,7 @@ def flows_agree_on_arrays():
         return np.allclose(mine, truth[:, None], rtol=1e-13, atol=1e-13)
 
     scenes = (HEAVY, BOTH_DAMPINGS, NEGATIVE, BODY)
-    return all(agrees(scene, name) for scene in scenes for name in flows.flows_of(scene))
+    return all(agrees(scene, name) for scene in scenes for name in scene.flows)
 
 
 def run(composition, n):

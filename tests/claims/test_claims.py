@@ -20,7 +20,6 @@ from contactbench.results.schema import BEYOND
 from contactbench.results.store import merge
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.scene import Mechanical, RigidBody
-from contactbench.splitting import flows
 from contactbench.splitting.tables import COMPOSITIONS
 
 IDS = [f"C{n:02d}" for n in range(1, 43)]
@@ -206,9 +205,9 @@ def half_way(new, old):
     ],
 )
 def test_wrong_flow(name, change, refuted, monkeypatch, fresh):
-    flow = flows.MECHANICAL[name]
+    flow = Mechanical.flows[name]
     apply = lambda scene, x, constants, xp: change(flow.apply(scene, x, constants, xp), x)  # noqa: E731
-    monkeypatch.setitem(flows.MECHANICAL, name, flow._replace(apply=apply))
+    monkeypatch.setitem(Mechanical.flows, name, flow._replace(apply=apply))
     assert {CLAIMS[claim].row().get("verdict") for claim in refuted} == {"refuted"}
 
 

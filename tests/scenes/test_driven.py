@@ -19,7 +19,6 @@ from contactbench.scenes.driven import (
     LANE_EMDEN,
     spherical_span,
 )
-from contactbench.splitting.flows import flows_of
 from contactbench.truth import decimal_context
 
 STEPPED = [method for method in cb.METHODS.values() if method.control == "step"]
@@ -239,7 +238,7 @@ def test_a_clock_that_lags_loses_the_order(monkeypatch):
     def lagging(scene, x, h, xp):
         return right(scene, x, h, xp)._replace(t=x.t + h[0] * (1 - 1e-3))
 
-    table = flows_of(FORCED_OSCILLATOR)
+    table = FORCED_OSCILLATOR.flows
     right = table["drift_damp"].apply
     monkeypatch.setitem(table, "drift_damp", table["drift_damp"]._replace(apply=lagging))
     coarse, fine = (error_at(cb.METHODS["contact-rkn4"], FORCED_OSCILLATOR, 2.0, n) for n in (32, 64))

@@ -9,10 +9,9 @@ import pytest
 
 import contactbench as cb
 from contactbench.measure.pullback import growth
-from contactbench.scene import BodyState, rotate, rotation_matrix
-from contactbench.splitting import free_body
-from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, rotation
-from contactbench.splitting.free_body import carlson, free, jacobi
+from contactbench.scene import BodyState, free_body, rotate, rotation_matrix
+from contactbench.scene.free_body import carlson, free, jacobi
+from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST, rotation
 from contactbench.truth import decimal_context
 from properties import MOTIONS, Fixed
 

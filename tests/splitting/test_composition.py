@@ -10,9 +10,9 @@ from mpmath import mp
 import contactbench as cb
 import contactbench.splitting.composition
 from cases import in_mp, pairs, random_state
-from contactbench.splitting import flows
+from contactbench.scene import rigid_body
+from contactbench.scene.flow import damped_time
 from contactbench.splitting.composition import advance, plan, refusal
-from contactbench.splitting.flows import damped_time, flows_of
 from contactbench.splitting.tables import ABC, COMPOSITIONS, PRINTED, STRANG
 from contactbench.xla import jax, jnp
 from properties import flowed
@@ -41,22 +41,22 @@ def test_merging_joints_changes_nothing(composition, scene, mp50):
 @on_scenes(BODIES)
 @pytest.mark.parametrize(("carry", "kinds"), [(None, ("rotation", "attitude")), ((), ("rotation",))])
 def test_counts_are_the_rotations_really_computed(composition, scene, carry, kinds, monkeypatch):
-    calls, turned = [], flows.rotation
+    calls, turned = [], rigid_body.rotation
 
     def rotation(*arguments):
         calls.append(1)
         return turned(*arguments)
 
     def free(scene, x, *arguments):
-        calls.append(flows.MOMENTUM_COST if x.R is None else flows.FREE_COST)
-        return flows.free(scene, x, *arguments)
+        calls.append(rigid_body.MOMENTUM_COST if x.R is None else rigid_body.FREE_COST)
+        return rigid_body.free(scene, x, *arguments)
 
-    for module in (flows, contactbench.splitting.composition):
+    for module in (rigid_body, contactbench.splitting.composition):
         monkeypatch.setattr(module, "rotation", rotation)
-    for table in (flows.BODY, flows.ISOTROPIC):
+    for table in (rigid_body.BODY, rigid_body.ISOTROPIC):
         monkeypatch.setitem(table, "free", table["free"]._replace(apply=free))
     advance(composition, scene, random_state(scene, carry=carry), 0.1, 7, math)
-    assert plan(composition, scene).count(flows_of(scene), kinds, 7) == sum(calls)
+    assert plan(composition, scene).count(scene.flows, kinds, 7) == sum(calls)
 
 
 @pytest.mark.parametrize("composition", [PRINTED, ABC, STRANG], ids=lambda c: c.name)

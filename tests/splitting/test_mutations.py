@@ -17,22 +17,27 @@ import contactbench as cb
 import properties
 from contactbench.methods import herglotz
 from contactbench.methods.contact import contact_method
-from contactbench.splitting import flows, free_body
+from contactbench.scene import flow as flow_module
+from contactbench.scene import free_body, general_damping, mechanical, rigid_body
 from contactbench.splitting.tables import COMPOSITIONS
 from planted_faults import faulty
 from properties import BODY, CENTRAL, PARTICLE
 
 #: functions by the module that has them and what they compute
 MUTATED = {
-    "mechanical flows": (flows, "kick drift damp drift_damp body_damp damped_time damping"),
-    "body flows": (flows, "rotation spin turn_rate top_rate turn top"),
-    "constants": (flows, "_damp_constants _drift_damp_constants _body_damp_constants _over_D _pinney"),
-    "factors": (flows, "damp_log_factor linear_log_factor drift_damp_log_factor free_damp"),
+    "shared by flows": (flow_module, "damped_time damping linear_log_factor"),
+    "mechanical flows": (mechanical, "kick drift damp drift_damp"),
+    "body flows": (
+        rigid_body,
+        "rotation spin turn_rate top_rate turn top body_damp free_damp _body_damp_constants",
+    ),
+    "constants": (mechanical, "_damp_constants _drift_damp_constants _over_D _pinney"),
+    "factors": (mechanical, "damp_log_factor drift_damp_log_factor"),
     "elliptic functions": (free_body, "jacobi carlson arc bent_part"),
     "free body": (free_body, "course free polar momentum precession phase sense attitude frame"),
     "handedness": (free_body, "handedness components"),
-    "quadrature": (flows, "by_quadrature survival"),
-    "general damping": (flows, "damp_generally general_log_factor"),
+    "quadrature": (general_damping, "by_quadrature survival"),
+    "general damping": (general_damping, "damp_generally general_log_factor"),
     "herglotz": (herglotz, "explicit_kick implicit_kick"),
 }
 STRUCTURED = [cb.METHODS[name] for name in ("contact-strang", "herglotz1", "herglotz2")]
@@ -108,8 +113,8 @@ def flipped(function):
 
 
 #: where the functions are used: modules, and tables of flows
-USERS = (free_body, flows, herglotz)
-FLOWS = (flows.MECHANICAL, flows.GENERAL, flows.BODY, flows.ISOTROPIC)
+USERS = (flow_module, free_body, general_damping, herglotz, mechanical, rigid_body)
+FLOWS = (cb.Mechanical.flows, cb.GeneralDamping.flows, rigid_body.BODY, rigid_body.ISOTROPIC)
 
 
 def install(patch, original, mutant):

@@ -12,8 +12,8 @@ import decimals
 from cases import in_mp
 from contactbench.measure import order as precision
 from contactbench.measure.laws import decay_rate
+from contactbench.scene.general_damping import decay
 from contactbench.splitting import composition
-from contactbench.splitting.flows import decay
 from contactbench.testing import check_scene
 from contactbench.truth import decimal_context, with_decimals
 from properties import GENERAL, cubic_flow

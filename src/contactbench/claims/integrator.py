@@ -32,7 +32,6 @@ from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS, solve
 from contactbench.methods.fixed_step_run import trajectory
 from contactbench.scenes import SCENES
-from contactbench.splitting.flows import MECHANICAL
 from contactbench.splitting.modified import modified_hamiltonian
 from contactbench.truth import decimal_context, distance, reference, with_decimals
 from contactbench.xla import jax, jnp
@@ -132,7 +131,7 @@ def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evide
     }
 
     def part_defect(name, scene):
-        part, flow = hamiltonians[name], MECHANICAL[name]
+        part, flow = hamiltonians[name], scene.flows[name]
         map_ = lambda h, y: pack(flow.apply(scene, canonical(y), flow.constants(scene, h, jnp), jnp))  # noqa: E731
         return flow_defect(map_, lambda y: part(scene, canonical(y)), seed)
 

@@ -81,7 +81,7 @@ class Task:
 
         devices = jax.local_devices()
         why = "" if devices[0].platform == "cpu" else f"it runs on a CPU, not on {devices[0].platform}"
-        many = run.request.scene.kind == "many"
+        many = run.request.scene.by_sites
         why = why or ("parameters differ from one trajectory to the next" if own and not many else "")
         if self.engine != "jax" and not why:
             try:
@@ -124,7 +124,7 @@ def on_cores(
     scene: Any = run.request.scene
     numbers, own = np.array(scene.numbers()), own or {}
     work: Any
-    if scene.kind == "many":
+    if scene.by_sites:
         chunk = min(chunk, max(1, AT_ONCE // (len(run.n) * len(y0))))
         cores = cores if scene.sites < SHARED else 1
         work, share = partial(one_by_one, run, loop, names), equal_share(y0.shape[1], cores, chunk, 1)
@@ -250,7 +250,7 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
     base, carry, motion, xp = run.request.scene, run.request.carry, run._motion, XlaNumbers()
 
     def packed(scene: Any, x: Any) -> Any:
-        return jnp.stack(list(scene.pack(x))) if scene.kind != "many" else scene.pack(x)
+        return jnp.stack(list(scene.pack(x))) if not scene.by_sites else scene.pack(x)
 
     def one_tile(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
         values = list(numbers)

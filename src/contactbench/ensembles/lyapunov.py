@@ -201,7 +201,7 @@ def orthonormal(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def side_by_side(run: FixedStepRun) -> TangentMap:
     """Return the map by dual numbers through the compiled steps: a trajectory for every tangent of every member."""
     r = run.request
-    sites = r.scene.kind == "many"
+    sites = r.scene.by_sites
     try:
         loop: Any = (many_loop if sites else loop_of)(run.method_, r.scene, r.carry, tangent=True)
     except CannotRecord as error:

@@ -23,8 +23,8 @@ from contactbench.numbers import quadrature
 from contactbench.numbers.control import XlaNumbers
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
+from contactbench.scene.flow import damped_time
 from contactbench.splitting.composition import Composition, Plan, Stage, arrange
-from contactbench.splitting.flows import damped_time
 from contactbench.xla import configure
 
 configure()

@@ -160,7 +160,7 @@ class Adaptive(Method):
 
 def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
     """Why a method that takes components one by one refuses a scene, or None."""
-    if scene.kind == "many":
+    if scene.by_sites:
         return f"{method.name} has no loop over sites; scene {scene.name!r} has many"
     if not fits:
         return f"{method.name} needs {needs}, which scene {scene.name!r} does not have"

@@ -22,7 +22,6 @@ from contactbench.splitting.composition import (
     refusal,
     run_stages,
 )
-from contactbench.splitting.flows import flows_of
 from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -63,14 +62,14 @@ class ContactMethod(FixedStep):
         if key not in _costs:
             kind = self.kind_on(scene)
             kinds = (kind, *(["attitude"] if kind == "rotation" and key[-1] else []))
-            steps, flows = plan(self.composition, scene), flows_of(scene)
+            steps, flows = plan(self.composition, scene), scene.flows
             once, twice = (steps.count(flows, kinds, k) for k in (1, 2))
             _costs[key] = once, twice - once
         first, each = _costs[key]
         return first + (n - 1) * each
 
     def kind_on(self, scene: Scene) -> str:
-        return "gradient" if "kick" in flows_of(scene) else "rotation"
+        return "gradient" if "kick" in scene.flows else "rotation"
 
 
 def contact_method(composition: Composition) -> ContactMethod:

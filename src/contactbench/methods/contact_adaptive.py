@@ -39,7 +39,6 @@ from contactbench.scene import Cache, Mechanical, Scene, Vector, key, scaled
 from contactbench.scene.mechanical import derived_hessian
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status
 from contactbench.splitting.composition import advance, plan
-from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Element, Function, Operation, Store, execute
@@ -201,7 +200,7 @@ class AdaptiveContactRun(Prepared):
         super().__post_init__()
         r = self.request
         assert r.rtol is not None
-        self.per_step = plan(RKN6, r.scene).count(flows_of(r.scene), ("gradient",), 1)
+        self.per_step = plan(RKN6, r.scene).count(r.scene.flows, ("gradient",), 1)
         scene: Any = r.scene
         #: gradients that the curvature of a state costs where the scene has no Hessian
         self.by_gradients = len(scene.q) if scene.hessian is None else 0

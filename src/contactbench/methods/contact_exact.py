@@ -19,13 +19,13 @@ from contactbench.methods.jax_engine import CompiledRun
 from contactbench.methods.prepared import Outcome, Prepared, Request
 from contactbench.numbers.control import Repeat, XlaNumbers
 from contactbench.scene import Scene
+from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
 from contactbench.solution import Counts, Status
-from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of
 from contactbench.xla import jax, jnp
 
 
 def evolve(scene: Any, x: Any, t: Any, xp: Any) -> Any:
-    flow = flows_of(scene)["free_damp"]
+    flow = scene.flows["free_damp"]
     return flow.apply(scene, x, flow.constants(scene, t, xp), xp)
 
 
@@ -111,7 +111,7 @@ class ExactMethod(Method):
     tolerance: str = "nothing: the result has the digits that round-off of the phase leaves"
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.kind == "isotropic body":
+        if "free_damp" in scene.flows:
             return scene.own_equations
         return f"{self.name} solves free rigid bodies with isotropic damping; scene {scene.name!r} is none"
 

@@ -74,7 +74,7 @@ class FixedStep(Method):
         return ChosenStep(self.name, request, self, run)
 
     def runs_on(self, scene: Scene) -> dict[str, type[FixedStepRun]]:
-        return MANY_RUNS if scene.kind == "many" else RUNS
+        return MANY_RUNS if scene.by_sites else RUNS
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         """n ≥ 1 steps of size h."""

@@ -22,8 +22,7 @@ from typing import Any
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Mechanical, Scene, State
-from contactbench.splitting import flows
+from contactbench.scene import Mechanical, Scene, State, mechanical
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def pull(scene: Mechanical, x: State) -> tuple[Any, Any]:
 
 
 def drift(scene: Mechanical, x: Any, h: Any, xp: Any) -> Any:
-    x = flows.drift(scene, x, h, xp)
+    x = mechanical.drift(scene, x, h, xp)
     return x if scene.clock is None else x._replace(t=x.t + h)
 
 

@@ -18,7 +18,6 @@ from contactbench.methods.fixed_step_run import CountedNumbaLoop, CountedPythonL
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.scene import Mechanical, Scene, State, dot, shifted
-from contactbench.splitting.flows import flows_of
 
 RUNS: dict[str, type[FixedStepRun]] = {"numba": CountedNumbaLoop, "python": CountedPythonLoop}
 #: iterations that may differ by more than the one before
@@ -154,7 +153,7 @@ def discrete_gradient(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
 
     Gonzalez, J. Nonlinear Sci. 6, 449 (1996), doi:10.1007/BF02440162, eq. (3.5).
     """
-    damp = flows_of(scene)["damp"]
+    damp = scene.flows["damp"]
     constants = damp.constants(scene, h / 2, xp)
     x = damp.apply(scene, x, constants, xp)
     before = scene.V(x.q)

@@ -64,7 +64,7 @@ class CompiledRun(Prepared):
         return vector[: self._saves * d].reshape(-1, d), rest[:-d], rest[-d:]
 
     def room(self, saves: int) -> int:
-        if self.request.scene.kind == "many":  # its states are large
+        if self.request.scene.by_sites:  # its states are large
             return saves
         return next((size for size in self.capacities if size >= saves), saves)
 

@@ -44,7 +44,7 @@ class OneStep:
 
     @property
     def many(self) -> bool:
-        return self.scene.kind == "many"
+        return self.scene.by_sites
 
     @property
     def labels(self) -> list[str]:

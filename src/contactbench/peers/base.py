@@ -61,7 +61,7 @@ class Peer(Adaptive):
     own_time = True
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.kind == "many" and self.most and scene.motion > self.most:
+        if scene.by_sites and self.most and scene.motion > self.most:
             size = f"scene {scene.name!r} has {scene.motion} components, more than {self.most}"
             return f"{self.name} {self.reason}: {size}"
         if self.package and importlib.util.find_spec(self.package) is None:
@@ -86,7 +86,7 @@ class PeerRun(Prepared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.request.scene.kind == "many":  # by differences
+        if self.request.scene.by_sites:  # by differences
             self.sensitivity_source = ""
 
     def variational(self) -> Self:
@@ -208,7 +208,7 @@ class CallbackPeer(PeerRun):
     def __post_init__(self) -> None:
         super().__post_init__()
         scene, carry = self.request.scene, self.request.carry
-        recorded = None if scene.kind == "many" else record_function(scene, "rhs", carry)
+        recorded = None if scene.by_sites else record_function(scene, "rhs", carry)
         self.rhs = recorded or (lambda t, y: scene.slopes(t, y, carry))
         self.jacobian: Callable[[float, Any], Any] | None = None
         if self.method_.implicit and scene.has_jacobian:

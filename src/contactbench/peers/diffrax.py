@@ -96,7 +96,7 @@ class DiffraxRun(CompiledRun):
         )
 
         def packed(y: Any, t: Any) -> Any:
-            if r.scene.kind == "many":
+            if r.scene.by_sites:
                 return y
             components = list(y.T) if as_array else list(y)
             return jnp.stack(scene.with_clock(components, start + t), axis=-1)

@@ -23,7 +23,7 @@ from contactbench.measure.statistics import (
     process_spread,
     verdict,
 )
-from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
+from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)

@@ -27,6 +27,8 @@ from contactbench.scene.algebra import (
 from contactbench.scene.base import Cache, Scene, System, key
 from contactbench.scene.definition import verify
 from contactbench.scene.driven import Driven, DrivenState
+from contactbench.scene.flow import Flow
+from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.heavy_top import HeavyTop
-from contactbench.scene.mechanical import GeneralDamping, Mechanical
+from contactbench.scene.mechanical import Mechanical
 from contactbench.scene.rigid_body import RigidBody

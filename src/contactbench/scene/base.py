@@ -33,6 +33,7 @@ from contactbench.errors import (
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
+from contactbench.scene.flow import Flow
 from contactbench.trace.formula import Formula, formula
 
 #: by how much a function of floats may differ from its formula: powers are products there
@@ -370,6 +371,13 @@ class Scene(System):
         "t_end": positive,
         "s": finite,
     }
+    #: its exact subflows by name, and those that a composition of two parts is read as, in their order
+    flows: ClassVar[Mapping[str, Flow]] = {}
+    parts: ClassVar[tuple[str, ...]] = ()
+    #: its flows for the paper's A, B and C, where they are not `drift`, `kick` and `damp`
+    paper_flows: ClassVar[Mapping[str, str]] = {}
+    #: a component of its state is an array, of one number a site
+    by_sites: ClassVar[bool] = False
     #: its state has coordinates q and p of the same number, and η = ds − p dq
     canonical: ClassVar[bool] = False
     #: what its equations or flows choose by, computed once of the numbers it was made with

@@ -17,7 +17,8 @@ import numpy as np
 
 from contactbench.errors import BadInput, excerpt, is_number, their_code
 from contactbench.scene.base import Cache, Scene, key
-from contactbench.scene.mechanical import GeneralDamping, Mechanical
+from contactbench.scene.general_damping import GeneralDamping
+from contactbench.scene.mechanical import Mechanical
 from contactbench.trace.formula import Formula
 
 #: points near the initial one, and how far from it, in parts of the size of each component

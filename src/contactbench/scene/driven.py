@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import signature
 from typing import Any, ClassVar, NamedTuple
 
 from contactbench.errors import BadInput, excerpt, finite, function, is_number, require_number
 from contactbench.numbers import quadrature
-from contactbench.scene.algebra import Vector, scaled
+from contactbench.scene.algebra import Vector, scaled, times
 from contactbench.scene.base import Check, optional
-from contactbench.scene.mechanical import Mechanical
+from contactbench.scene.flow import Flow, plain
+from contactbench.scene.mechanical import Mechanical, _drift_damp_constants, drift_damp
 
 
 class DrivenState(NamedTuple):
@@ -21,6 +22,34 @@ class DrivenState(NamedTuple):
     p: Vector
     t: Any
     s: Any = None
+
+
+# A is T, B is V(q, t) at a fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact
+# however they alternate.  Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the
+# clock depend on neither p nor s: Nyström tables keep their order.
+def driven_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
+    return -(scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0])
+
+
+def driven_damp(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
+    """C: p *= e^{−G}, s *= e^{−G}, t += h."""
+    decay = xp.exp(driven_log_factor(scene, x, h, xp))
+    s = None if x.s is None else decay * x.s
+    return DrivenState(x.q, tuple(decay * p for p in x.p), x.t + h, s)
+
+
+def _driven_constants(scene: Driven, h: Any, xp: Any) -> Any:
+    """Return h, and the constants of `drift_damp` where γ is constant."""
+    return (h,) if scene.rate_changes else (h, *_drift_damp_constants(scene, h, xp))
+
+
+def driven_drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) -> DrivenState:
+    """AC over (t, t + h), with φ and ∫γ of that time."""
+    h, *constant = constants
+    if not constant:
+        total, phi = scene.spent(x.t, h, xp)
+        constant = times(scene.inverse_mass, phi), phi, 1.0, -xp.expm1(-total)
+    return drift_damp(scene, x, constant, xp)._replace(t=x.t + h)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +100,11 @@ class Driven(Mechanical):
         "span": ("t", "h", "xp", "**"),
     }
     state: ClassVar[Any] = DrivenState
+    flows: ClassVar[Mapping[str, Flow]] = {
+        **Mechanical.flows,
+        "damp": Flow(plain, driven_damp, {}, driven_log_factor),
+        "drift_damp": Flow(_driven_constants, driven_drift_damp, {}, driven_log_factor),
+    }
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "t", "s")
     checks: ClassVar[dict[str, Check]] = {
         "t": finite,

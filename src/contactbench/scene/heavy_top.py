@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
@@ -10,9 +10,16 @@ from contactbench.errors import BadInput, finite, function, require_number, vect
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import BodyState, Vector, cross, dot, rotate
 from contactbench.scene.base import Check, optional
+from contactbench.scene.flow import Flow, plain
 from contactbench.scene.mechanical import derived_gradient
-from contactbench.scene.rigid_body import RigidBody, one_rate
+from contactbench.scene.rigid_body import BODY, RigidBody, one_rate
 from contactbench.trace.formula import Formula, formula
+
+
+def top_kick(scene: HeavyTop, x: BodyState, h: Any, xp: Any) -> BodyState:
+    """B: M += h w u × χ, s −= h w u·χ; R does not change."""
+    M = tuple(m + h * c for m, c in zip(x.M, scene.torque(x), strict=True))
+    return BodyState(M, x.R, None if x.s is None else x.s - h * scene.potential_at(x))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +61,8 @@ class HeavyTop(RigidBody):
     slope: Any = field(init=False, repr=False, default=None)
 
     kind: ClassVar[str] = "heavy top"  # type: ignore[misc]
+    flows: ClassVar[Mapping[str, Flow]] = {**BODY, "kick": Flow(plain, top_kick, {"gradient": 1})}  # type: ignore[misc]
+    parts: ClassVar[tuple[str, ...]] = ("kick", "turn", "damp", "top")  # type: ignore[misc]
     functions: ClassVar[dict[str, tuple[str, ...]]] = {"potential": ("u",)}
     required: ClassVar[tuple[str, ...]] = ("R",)
     checks: ClassVar[dict[str, Check]] = {

@@ -20,7 +20,15 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total
 from contactbench.scene.algebra import State, Vector, cross, dot, scaled
 from contactbench.scene.base import Check, Scene, named_numbers, optional
-from contactbench.scene.mechanical import Canonical, Mechanical, damping_rate
+from contactbench.scene.flow import Flow, plain, time_and_damping
+from contactbench.scene.mechanical import (
+    Canonical,
+    Mechanical,
+    damping_rate,
+    drift,
+    drift_damp,
+    drift_damp_log_factor,
+)
 from contactbench.trace.formula import Formula, formula
 from contactbench.trace.recording import reason_of
 
@@ -39,6 +47,17 @@ def derivative(potential: Formula) -> Formula:
         raise BadInput(f"a potential cannot be differentiated: {why}") from why
 
 
+def many_drift(scene: Any, x: State, h: Any, xp: Any) -> State:
+    """A on many sites, whose masses may differ."""
+    return drift(scene._replaced(inverse_mass=like(scene.inverse_mass, x.p[0])), x, h, xp)
+
+
+def many_drift_damp(scene: Any, x: State, constants: Any, xp: Any) -> State:
+    """AC on many sites, whose masses may differ."""
+    phi, keep, lose = constants
+    return drift_damp(scene, x, (phi * like(scene.inverse_mass, x.p[0]), phi, keep, lose), xp)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Many(Canonical):
     """What `Lattice` and `Particles` share: H = Σ ‖p_i‖²/2m_i + V(q) + γ s."""
@@ -52,6 +71,13 @@ class Many(Canonical):
     uniform: bool = field(init=False, repr=False, default=True)
 
     kind: ClassVar[str] = "many"
+    by_sites: ClassVar[bool] = True
+    flows: ClassVar[Mapping[str, Flow]] = {
+        **Mechanical.flows,
+        "drift": Flow(plain, many_drift, {}),
+        "drift_damp": Flow(time_and_damping, many_drift_damp, {}, drift_damp_log_factor),
+    }
+    parts: ClassVar[tuple[str, ...]] = ("kick", "drift_damp")
     state: ClassVar[Any] = State
     checks: ClassVar[dict[str, Check]] = {**Scene.checks, "gamma": damping_rate, "parameters": named_numbers}
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
+from operator import add
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -17,14 +18,15 @@ from contactbench.errors import (
     function,
     is_ours,
     positive,
-    require_number,
     switch,
     their_code,
     vector,
 )
+from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled
+from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled, times
 from contactbench.scene.base import Check, Scene, named_numbers, optional
+from contactbench.scene.flow import Flow, damped_time, damping, linear_log_factor, plain
 from contactbench.trace.formula import Formula, formula
 
 #: components up to which a Hessian is derived
@@ -133,6 +135,113 @@ class Canonical(Scene):
         return None if self.nonlinear_damping else self.gamma
 
 
+# -- flows -----------------------------------------------------------------------------------------
+# -- mechanical scenes ---------------------------------------------------------------------------
+def kick(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+    """B: p −= h ∇V(q), s −= h V(q)."""
+    p = tuple(p - h * g for p, g in zip(x.p, scene.gradient_at(x), strict=True))
+    return x._replace(p=p, s=None if x.s is None else x.s - h * scene.potential_at(x))
+
+
+def drift(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+    """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
+    q = tuple(map(add, x.q, scaled(times(scene.inverse_mass, h), x.p)))
+    return x._replace(q=q, s=None if x.s is None else x.s + h * scene.kinetic(x.p))
+
+
+def _damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
+    half_kappa = scene.kappa * damped_time(scene.gamma, h, xp) / 2 if scene.nonlinear_damping else None
+    return *damping(scene.gamma, h, xp), half_kappa
+
+
+def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
+    """C: p *= e^{−γh}, s *= e^{−γh}; with κ: divided by D² and D, D = 1 + ½ κ s φ(h).
+
+    The Bernoulli equation s' = −γ s − ½ κ s² has s(h) = e^{−γh} s/D, and ∫Γ'(s) = γh + 2 log D.
+    D ≤ 0 is blow-up in finite time: the state leaves through infinity, not by a wrong number.
+    """
+    keep, lose, half_kappa = constants
+    p, s = tuple(keep * p - lose * p for p in x.p), None if x.s is None else keep * x.s - lose * x.s
+    if half_kappa is None:
+        return State(x.q, p, s)
+    over_D = _over_D(x, half_kappa, xp)
+    return settle(State(x.q, tuple(over_D * over_D * p for p in p), over_D * s), xp)
+
+
+def _over_D(x: State, half_kappa: Any, xp: Any) -> Any:
+    D = 1 + half_kappa * x.s
+    return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
+
+
+def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
+    if not scene.nonlinear_damping:
+        return -scene.gamma * h
+    return -scene.gamma * h - 2 * xp.log1p(scene.kappa * x.s * damped_time(scene.gamma, h, xp) / 2)
+
+
+def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
+    phi = damped_time(scene.gamma, h, xp)
+    half_kappa = (scene.kappa * phi / 2,) if scene.nonlinear_damping else ()
+    return times(scene.inverse_mass, phi), phi, *damping(scene.gamma, h, xp), *half_kappa
+
+
+def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
+    """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p.
+
+    With ½κs² added, and k = ½κφ, a = 1 + ks, b² = kφT(p):
+
+        p → e^{−γh} p/y,   s → e^{−γh} (as + φT(p))/y,   q += (φ/m) p·atan2(b, a)/b,   y = a² + b².
+
+    (In the time φ, s = w'/(kw) up to a constant turns the Riccati equation s' = T − ½κs² into Pinney's
+    w'' = const/w³; y = w².)  κ < 0 makes b imaginary.  The conformal factor is that of p, e^{−γh}/y.
+    """
+    if not scene.nonlinear_damping:
+        phi_over_m, phi, keep, lose = constants
+        q = tuple(map(add, x.q, scaled(phi_over_m, x.p)))
+        s = None if x.s is None else x.s + phi * scene.kinetic(x.p)
+        s = None if s is None else keep * s - lose * s
+        return x._replace(q=q, p=tuple(keep * p - lose * p for p in x.p), s=s)
+    phi_over_m, phi, keep, lose, _ = constants
+    a, over_y, path = _pinney(scene, x, constants, xp)
+    q = tuple(map(add, x.q, scaled(times(phi_over_m, path), x.p)))
+    s = a * x.s + phi * scene.kinetic(x.p)
+    p = tuple((keep * p - lose * p) * over_y for p in x.p)
+    return settle(State(q, p, (keep * s - lose * s) * over_y), xp)
+
+
+def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, Any, Any]:
+    """Return a, 1/y and atan2(b, a)/b of `drift_damp`; 1/y is infinite from the time of blow-up on.
+
+    For κ < 0 with b² = −kφT: y = a² − b², factored because both factors are positive until s reaches
+    infinity, and log((a + b)/(a − b))/2b.  For κ > 0 only p = 0 blows up, any other goes round.
+    """
+    _, phi, _, _, half_kappa = constants
+    a, square = 1 + half_kappa * x.s, scene.kappa_sign * half_kappa * phi * scene.kinetic(x.p)
+    straight = square == 0
+    b = xp.sqrt(choose(straight, 1.0, square, xp))  # 1: no derivative of √0 is taken
+    if scene.kappa_sign > 0:
+        y = choose(straight, choose(a > 0, a * a, 0.0, xp), a * a + square, xp)
+    else:
+        edge = choose(straight, 0.0, b, xp)
+        y = choose(a > edge, (a - edge) * (a + edge), 0.0, xp)
+    alive = y > 0
+    y, run, rise = choose(alive, y, 1.0, xp), choose(alive, a, 2.0, xp), choose(alive, b, 1.0, xp)
+    if scene.kappa_sign > 0:
+        bent = xp.atan2(rise, run) / rise
+    else:
+        bent = xp.log1p(2 * rise / choose(straight, 1.0, run - rise, xp)) / (2 * rise)
+    path = choose(straight, 1 / choose(straight, run, 1.0, xp), bent, xp)
+    return a, choose(alive, 1 / y, xp.inf, xp), path
+
+
+def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
+    linear = linear_log_factor(scene, x, h, xp)
+    if not scene.nonlinear_damping:
+        return linear
+    _, over_y, _ = _pinney(scene, x, _drift_damp_constants(scene, h, xp), xp)
+    return linear + xp.log(over_y)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Mechanical(Canonical):
     """H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
@@ -200,6 +309,13 @@ class Mechanical(Canonical):
         "parameters": named_numbers,
     }
     canonical: ClassVar[bool] = True
+    flows: ClassVar[Mapping[str, Flow]] = {
+        "kick": Flow(plain, kick, {"gradient": 1}),
+        "drift": Flow(plain, drift, {}),
+        "damp": Flow(_damp_constants, damp, {}, damp_log_factor),
+        "drift_damp": Flow(_drift_damp_constants, drift_damp, {}, drift_damp_log_factor),
+    }
+    parts: ClassVar[tuple[str, ...]] = ("kick", "drift_damp")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -306,67 +422,3 @@ class Mechanical(Canonical):
 
     def momentum_terms(self, x: State) -> Any:
         return norm(x.q) * norm(x.p)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GeneralDamping(Mechanical):
-    """H = ‖p‖²/2m + V(q) + Γ(s) for any smooth Γ, on the three-part splitting: kick, drift and damping.
-
-    Nyström tables, Herglotz's recursion and `contact-adaptive` refuse it: their flows need a Γ at most quadratic.
-
-        GeneralDamping(name="cubic", potential=V, gradient=dV, q=(1.0,), p=(0.0,), s=0.5, t_end=10.0,
-                       damping=lambda s: 0.1 * s + s**3, damping_slope=lambda s: 0.1 + 3 * s * s)
-
-    Parameters
-    ----------
-    damping, damping_slope
-        ``Γ(s) -> number`` and ``Γ'(s) -> number``, plain arithmetic like the force.
-    damping_flow
-        ``(s, h, xp) -> s(h)``, the solution of s' = −Γ(s) where it is known in closed form; by default it is found
-        by quadrature (`splitting.dissipation`), many evaluations of Γ a step.
-
-    Raises
-    ------
-    BadInput
-        As `Mechanical` does, and for a gamma or kappa beside Γ.
-    """
-
-    damping: Callable[[Any], Any]
-    damping_slope: Callable[[Any], Any]
-    damping_flow: Callable[[Any, Any, Any], Any] | None = None
-
-    kind: ClassVar[str] = "general damping"
-    functions: ClassVar[dict[str, tuple[str, ...]]] = {
-        **Mechanical.functions,
-        **dict.fromkeys(("damping", "damping_slope"), ("s",)),
-        "damping_flow": ("s", "h", "xp"),
-    }
-
-    coefficients: ClassVar[tuple[str, ...]] = ("mass",)
-    checks: ClassVar[dict[str, Check]] = {
-        **Mechanical.checks,
-        "damping": function,
-        "damping_slope": function,
-        "damping_flow": optional(function),
-    }
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.gamma or self.kappa:
-            raise BadInput(f"gamma = {self.gamma!r}, kappa = {self.kappa!r}: Γ has them in it")
-        for name in ("damping", "damping_slope", "damping_flow"):
-            if getattr(self, name) is not None:
-                require_number(name, self._value(name))
-
-    required = ("s",)
-
-    nonlinear_damping = True
-
-    def dissipation(self, s: Any) -> Any:
-        return self.damping(s)
-
-    def dissipation_rate(self, s: Any) -> Any:
-        return self.damping_slope(s)
-
-    #: Γ'' is not asked for: solvers difference
-    has_jacobian = False

@@ -13,7 +13,7 @@ SIAM J. Sci. Comput. 21, 711 (1999), doi:10.1137/S1064827598332497).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import accumulate, chain, groupby
@@ -23,8 +23,9 @@ from typing import Any
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.control import turns as unrolled
 from contactbench.numbers.protocol import abilities
-from contactbench.scene import BodyState, RigidBody, Scene
-from contactbench.splitting.flows import Flow, damped_time, flows_of, rotation, spin, top_rate, turn_rate
+from contactbench.scene import BodyState, Flow, RigidBody, Scene
+from contactbench.scene.flow import damped_time
+from contactbench.scene.rigid_body import rotation, spin, top_rate, turn_rate
 
 Stage = tuple[str, Fraction]
 HALF, ONE = Fraction(1, 2), Fraction(1)
@@ -97,36 +98,23 @@ def number(coefficient: Fraction, xp: Any) -> Any:
 
 # -- a composition on a scene ----------------------------------------------------------------------
 def refusal(composition: Composition, scene: Scene) -> str | None:
-    if composition.nystrom and "drift_damp" not in flows_of(scene):
+    if composition.nystrom and "drift_damp" not in scene.flows:
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
     return scene.own_equations
 
 
-#: the flows χ is made of, in their order, by kind of scene
-PARTS = {
-    "mechanical": ("kick", "drift_damp"),
-    "driven": ("kick", "drift_damp"),
-    "many": ("kick", "drift_damp"),
-    "general damping": ("kick", "drift", "damp"),
-    "isotropic body": ("turn", "top"),
-    "body": ("turn", "damp", "top"),
-    "heavy top": ("kick", "turn", "damp", "top"),
-}
-#: the paper's A, the flow of the kinetic energy, its B and C on a body; a free one has no B
-ON_BODY = {"drift": "free", "kick": "kick", "damp": "damp"}
-
-
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
-    if {name for name, _ in composition.stages} <= flows_of(scene).keys():
+    if {name for name, _ in composition.stages} <= scene.flows.keys():
         return composition.stages
     if composition.two_part:
-        order = PARTS[scene.kind]
+        order = scene.parts
         stages = []
         for k, alpha in enumerate(composition.alphas()):
             stages += [(name, alpha) for name in (order if k % 2 == 0 else order[::-1])]
         return merge(stages)
-    own = ((ON_BODY[name], coefficient) for name, coefficient in composition.stages if name in ON_BODY)
-    return merge(stage for stage in own if stage[0] in flows_of(scene))
+    names = scene.paper_flows
+    own = ((names[name], coefficient) for name, coefficient in composition.stages if name in names)
+    return merge(stage for stage in own if stage[0] in scene.flows)
 
 
 @dataclass(frozen=True)
@@ -138,7 +126,7 @@ class Plan:
     closing: tuple[Stage, ...]
     joint: tuple[Stage, ...]
 
-    def count(self, flows: dict[str, Flow], kinds: Collection[str], n: int) -> int:
+    def count(self, flows: Mapping[str, Flow], kinds: Collection[str], n: int) -> int:
         def cost(stages: tuple[Stage, ...]) -> int:
             return sum(flows[name].costs.get(kind, 0) for name, _ in stages for kind in kinds)
 
@@ -201,7 +189,7 @@ def runner(
     stages: Iterable[Stage], scene: Any, h: Any, xp: Any, repeat: Repeat
 ) -> Callable[[Sequence[Stage], Any], Any]:
     """Return ``run(some, x)``, which applies some of the stages, whose constants are computed once."""
-    flows, constants, rolled = flows_of(scene), stage_constants(stages, scene, h, xp), repeat.over_stages
+    flows, constants, rolled = scene.flows, stage_constants(stages, scene, h, xp), repeat.over_stages
 
     def run(stages: Sequence[Stage], x: Any) -> Any:
         if rolled and len(stages) % 2 and len(stages) > 1:  # a processor: one stage ahead of the pairs
@@ -225,7 +213,7 @@ def runner(
 
 def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp: Any) -> Any:
     """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
-    flows, steps, total = flows_of(scene), plan(composition, scene), 0.0
+    flows, steps, total = scene.flows, plan(composition, scene), 0.0
     rounds = chain.from_iterable(repeated((*steps.inner, *steps.joint), n - 1))
     for name, coefficient in chain(steps.opening, rounds, steps.inner, steps.closing):
         flow, span = flows[name], number(coefficient, xp) * h
@@ -246,7 +234,7 @@ def stage_constants(
 
     For arrays those of a flow are one vector: one exponential for all.  h may have an entry for each member.
     """
-    flows, distinct = flows_of(scene), list(dict.fromkeys(stages))
+    flows, distinct = scene.flows, list(dict.fromkeys(stages))
     if not abilities(xp).vectors:
         scalars = {(f, c): flows[f].constants(scene, number(c, xp) * h, xp) for f, c in distinct}
         return lambda some: [scalars[stage] for stage in some].__getitem__
@@ -276,7 +264,7 @@ def entry(constants: Any, i: Any) -> Any:
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
     odd = len(composition.stages) % 2 == 1  # its turns end as they begin
-    return composition.two_part and odd and scene.kind == "isotropic body"
+    return composition.two_part and odd and "free_damp" in scene.flows
 
 
 def advance_by_the_clock(

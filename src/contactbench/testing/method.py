@@ -191,7 +191,7 @@ def ends_as_it_says(case: MethodCase) -> None:
 
 def with_counter(scene: Any, kind: str) -> tuple[Any, list[int]]:
     """Return the scene with a function that counts its calls, and the count; it cannot be recorded."""
-    of_force = "gradient_at" if scene.kind == "many" else "gradient"
+    of_force = "gradient_at" if scene.by_sites else "gradient"
     calls, name = [0], of_force if kind == "gradient" else "rhs"
     original = getattr(scene, name)
 

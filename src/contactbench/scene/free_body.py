@@ -24,10 +24,13 @@ traced numbers they have a fixed length instead, enough for double precision.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from contactbench.numbers.control import choose, scan, settle, unwind
-from contactbench.scene import BodyState, RigidBody, Vector, dot, quaternion_product
+from contactbench.scene.algebra import BodyState, Vector, dot, quaternion_product
+
+if TYPE_CHECKING:
+    from contactbench.scene.rigid_body import RigidBody
 
 #: λt beyond which a body exactly on the middle axis is not followed (it stays; its derivative is e^{λt})
 FARTHEST = 300.0

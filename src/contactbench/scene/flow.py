@@ -1,0 +1,71 @@
+"""What an exact subflow is: every contact integrator is composed of those that its scene has.
+
+Each is the time-h flow of one part of the Hamiltonian, and an exact (conformal) contact map.  A flow is split in two so
+that its transcendental coefficients leave the time loop: ``constants(scene, h, xp)`` once per step size,
+``apply(scene, x, constants, xp)`` once per step; `xp` is the namespace of the numbers.
+
+For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  H_A + H_C has a flow of its own
+(`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.  On these Nyström tables keep
+their order: {V, {V, {V, T + Γ}}} = 0, since V lowers the degree in (p, s) by one and T + Γ is of degree two
+(docs/mathematics.md).  A cubic term in Γ would break it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from contactbench.numbers.control import choose
+
+
+def plain(scene: Any, h: Any, xp: Any) -> Any:
+    return h
+
+
+def no_damping(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+    return 0.0
+
+
+class Flow(NamedTuple):
+    """One exact subflow φ_h.
+
+    costs : what one application adds to the counts, by kind ("gradient", "rotation"; "attitude": the rotations
+        that R takes beside the others, where it is carried).
+    log_factor : ``(scene, x, h, xp) -> log c`` with φ_h*η = c η at x.
+    Flows for h1 and h2 compose to the flow for h1 + h2, so that neighbours may be merged.
+    """
+
+    constants: Callable[[Any, Any, Any], Any]
+    apply: Callable[[Any, Any, Any, Any], Any]
+    costs: dict[str, int]
+    log_factor: Callable[[Any, Any, Any, Any], Any] = no_damping
+
+
+def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+    return -scene.gamma * h
+
+
+def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
+    """Return φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
+    undamped = gamma == 0
+    return choose(undamped, h, -xp.expm1(-gamma * h) / choose(undamped, 1.0, gamma, xp), xp)
+
+
+#: above this γh the decay is applied as a factor, below it as a small loss
+STRONG = 1.5
+
+
+def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
+    """Return e^{−γh} as a pair (keep, lose): damped(p) = keep·p − lose·p.
+
+    With keep = 1 and lose = 1 − e^{−γh} the rounding of the coefficient matters only through the
+    small loss, so that 10⁶ steps do not drift by 10⁶ roundings of the factor; and the loss joins the
+    kick in one fused multiply-add.  Where the loss is nearly everything, (e^{−γh}, 0) instead.
+    """
+    strong = gamma * h > STRONG
+    factor, loss = xp.exp(-gamma * h), -xp.expm1(-gamma * h)
+    return choose(strong, factor, 1.0, xp), choose(strong, 0.0, loss, xp)
+
+
+def time_and_damping(scene: Any, h: Any, xp: Any) -> Any:
+    return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)
