@@ -79,14 +79,14 @@ def test_every_operation_is_compiled_to_what_it_is():
     truth = every_operation(numbers, h, n, [np.float64(INSIDE)], Plain(), repeat)
     d = len(truth)
     program = record(every_operation, 1, d, 1, 1e6)
-    w, y = np.empty((1, program.width)), np.empty((1, d))
+    w, y = np.empty((1, program.width)), np.empty(d)
     start, shape = np.full(d, INSIDE), np.append(program.shape, 0)
     for back_end in (compile_function, execute):
         setup, run = back_end(program.setup), back_end(program.run)
         y[:] = math.nan
         setup(np.array(numbers), np.array([[h, n]]), program.data, program.shape, w)
         assert run(start, w, shape, y) == -1
-        np.testing.assert_allclose(y[0], np.array(truth, dtype=float), rtol=4e-16, atol=0)
+        np.testing.assert_allclose(y, np.array(truth, dtype=float), rtol=4e-16, atol=0)
 
 
 def test_every_operation_is_compiled_for_many_states_side_by_side():
@@ -101,10 +101,10 @@ def test_every_operation_is_compiled_for_many_states_side_by_side():
     starts = np.linspace(0.2, 0.4, 3 * lanes)[None]
     ends = np.full((1, *starts.shape), math.nan)
     compile_function(program.many, lanes)(starts, w, shape, ends, np.array([1, 3]))
-    alone = np.empty((1, 1))
+    alone = np.empty(1)
     for k in range(lanes, 3 * lanes):
         run(starts[:, k].copy(), w, shape, alone)
-        assert ends[0, 0, k] == pytest.approx(alone[0, 0], rel=4e-15)
+        assert ends[0, 0, k] == pytest.approx(alone[0], rel=4e-15)
     assert np.isnan(ends[0, 0, :lanes]).all()  # not asked for
 
 

@@ -4,6 +4,8 @@ Mutants are made one at a time, of the source (each + and − and unary minus) a
 coefficient by one part in a thousand), and shown to the properties of properties.py.
 """
 
+import __future__
+
 import ast
 import inspect
 import textwrap
@@ -108,7 +110,10 @@ def flipped(function):
         before = ast.unparse(node)
         node.op = opposite[type(node.op)]()
         namespace = dict(vars(inspect.getmodule(function)))
-        exec(compile(tree, f"<{function.__name__} mutant {k}>", "exec"), namespace)
+        code = compile(
+            tree, f"<{function.__name__} mutant {k}>", "exec", __future__.annotations.compiler_flag
+        )
+        exec(code, namespace)
         yield f"{function.__name__}: {before} → {ast.unparse(node)}", namespace[function.__name__]
 
 

@@ -128,6 +128,8 @@ class System(ABC):
     optional: ClassVar[tuple[str, ...]] = ("s",)
     #: those that the dynamics cannot do without
     required: ClassVar[tuple[str, ...]] = ()
+    #: whether a component of its state is an array, of one number a site
+    by_sites: ClassVar[bool] = False
     #: whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise
     has_jacobian: ClassVar[bool] = True
 
@@ -376,8 +378,6 @@ class Scene(System):
     parts: ClassVar[tuple[str, ...]] = ()
     #: its flows for the paper's A, B and C, where they are not `drift`, `kick` and `damp`
     paper_flows: ClassVar[Mapping[str, str]] = {}
-    #: a component of its state is an array, of one number a site
-    by_sites: ClassVar[bool] = False
     #: its state has coordinates q and p of the same number, and η = ds − p dq
     canonical: ClassVar[bool] = False
     #: what its equations or flows choose by, computed once of the numbers it was made with
