@@ -13,7 +13,7 @@ from cases import in_mp
 from contactbench.measure import order as precision
 from contactbench.measure.laws import decay_rate
 from contactbench.splitting import composition
-from contactbench.splitting.flows import decay
+from contactbench.splitting.flows import decay, flows_of
 from contactbench.testing import check_scene
 from contactbench.truth import decimal_context, with_decimals
 from properties import GENERAL, cubic_flow
@@ -110,6 +110,19 @@ def test_blow_up_in_finite_time_ends_as_diverged_with_the_time(engine, scene, me
     assert np.isfinite(solution.y[0]).all()
     assert np.isnan(solution.y[1]).all()
     assert solution.s[0] == pytest.approx(grown or solution.s[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("kappa", [0.8, -0.8])
+@pytest.mark.parametrize("s", [-40.0, -2.0, 0.0, 2.0, 40.0])
+def test_at_rest_the_merged_drift_is_the_damping(s, kappa):
+    """T = 0: before and beyond s = −2/κφ, where either leaves through infinity."""
+    scene = SCENE.with_(kappa=kappa, gamma=0.3, p=(0.0,) * len(SCENE.p), s=s)
+    ends = []
+    for name in ("damp", "drift_damp"):
+        flow, x = flows_of(scene)[name], scene.initial(("s",))
+        ends.append(scene.pack(flow.apply(scene, x, flow.constants(scene, 0.5, math), math)))
+    np.testing.assert_allclose(*np.abs(ends), rtol=1e-14)
+    assert np.isfinite(ends).all() == (abs(s) < 40 or s * kappa > 0)
 
 
 # -- a damping of one's own: Γ and Γ' are enough, a closed form of s' = −Γ(s) makes it faster -------------
