@@ -114,6 +114,16 @@ def test_chunks_that_do_not_divide_the_number_change_nothing(whole, chunk):
     assert_same(solved(chunk=chunk), whole)
 
 
+@pytest.mark.usefixtures("fresh")
+def test_on_jax_no_size_gets_the_program_of_another():
+    for n in (MANY, TILE, 7, 1, TILE + 1):
+        data = spread(CENTRAL, n)
+        ends = [
+            packed(cb.ensemble(CENTRAL, "contact-strang", data, step=0.5, engine=e)) for e in ("jax", "numba")
+        ]
+        np.testing.assert_allclose(*ends, rtol=0, atol=ROUND_OFF)
+
+
 def test_one_device_does_what_all_do(whole, monkeypatch):
     first = jax.local_devices()[:1]
     monkeypatch.setattr(jax, "local_devices", lambda: first)

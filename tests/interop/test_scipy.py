@@ -58,10 +58,11 @@ def test_carry_and_initial_data_are_the_users_own():
     assert solver.labels == ["q1", "q2", "p1", "p2"]
 
 
-def test_time_runs_backwards():
-    solver = cb.scipy.Contact("contact-rkn8", "particle")
-    there = run(solver).y[:, -1]
-    back = solve_ivp(solver.rhs, (2.0, 0.0), there, method=solver, max_step=0.13)
+@pytest.mark.parametrize("scene", ["particle", "forced_pulsating"])
+def test_time_runs_backwards(scene):
+    solver, t0 = cb.scipy.Contact("contact-rkn8", scene), getattr(cb.SCENES[scene], "t", 0.0)
+    there = run(solver, t0=t0).y[:, -1]
+    back = solve_ivp(solver.rhs, (t0 + 2.0, t0), there, method=solver, max_step=0.13)
     np.testing.assert_allclose(back.y[:, -1], solver.start, rtol=0, atol=1e-14)
 
 

@@ -1,5 +1,6 @@
 """Orders of convergence, compositions let in by their order, and the ladders of settings."""
 
+import itertools
 import math
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 import contactbench as cb
 from contactbench.measure.ladder import carry_of, tolerances, work_ladder
 from contactbench.measure.laws import LAWS
-from contactbench.measure.order import fit_order
+from contactbench.measure.order import ROUND_OFF, fit_order
 from contactbench.race.comparison import Attempt, Question, Scout, ends
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -87,6 +88,22 @@ def test_the_uncertainty_is_three_times_the_spread_and_nine_unchecked(ratio, slo
     fit = fit_order(steps, errors)
     assert fit.order == pytest.approx(2.99, abs=1e-12)
     assert fit.uncertainty == pytest.approx(uncertainty, rel=1e-6)
+
+
+@pytest.mark.parametrize("ratio", [2.0, 1.5])
+def test_the_uncertainty_has_the_worst_that_round_off_of_the_errors_does(ratio):
+    """Of each error by a part of itself, floor/error, in the worst signs; to first order."""
+    h = 0.1 * ratio ** np.arange(4)
+    errors = h**4 * (1 + h**2)
+    floor = errors[0] * 1e-6
+
+    def extrapolated(errors, floor=0.0):
+        return fit_order(h, errors, floor)
+
+    clean, blurred = extrapolated(errors), extrapolated(errors, floor)
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
+    worst = max(abs(extrapolated(errors + ROUND_OFF * floor * s).order - clean.order) for s in signs)
+    assert blurred.uncertainty - clean.uncertainty == pytest.approx(worst, rel=1e-3)
 
 
 # -- A composition from one's own coefficients -----------------------------------------------------

@@ -238,6 +238,17 @@ def test_rejected_steps_are_counted_or_known_not_to_be(name, engine, times):
         assert (counts.rejected > 0) == (name != "heyoka-taylor")
 
 
+@pytest.mark.parametrize("times", [[20.0], None, [1.0, 20.0]], ids=["end", "grid", "between"])
+def test_rejected_steps_are_attempts_that_were_no_steps(times, monkeypatch):
+    """SciPy estimates the error of every attempt once."""
+    attempts, estimate = [], scipy.integrate.DOP853._estimate_error_norm
+    monkeypatch.setattr(
+        scipy.integrate.DOP853, "_estimate_error_norm", lambda *given: attempts.append(1) or estimate(*given)
+    )
+    counts = cb.solve(cb.SCENES["kepler_drag"], "scipy-dop853", rtol=1e-6, save_at=times).counts
+    assert counts.steps + counts.rejected == len(attempts)
+
+
 @pytest.mark.parametrize("engine", cb.METHODS["contact-adaptive"].engines)
 def test_steps_of_contact_adaptive_on_an_oscillator(engine):
     """ω is constant, so are the steps: h = 3 rtol^{1/6} / ω, ω⁴ = 1 + T⁻⁴, and a shortened one to the end."""

@@ -131,6 +131,14 @@ def test_a_pair_takes_the_spread_of_its_noisier_engine():
     assert contests(found(own, jax))["margin"].tolist() == pytest.approx([1.3] * len(TARGETS))
 
 
+@pytest.mark.parametrize("twice", [contest.ENOUGH - 1, contest.ENOUGH])
+def test_an_engine_timed_twice_in_few_cells_has_the_spread_of_all(twice):
+    few = [r | {"time_process_ratio": 1.1 if i < twice else None} for i, r in enumerate(ladder("contact-a"))]
+    many = [r | {"time_process_ratio": 1.3, "engine": "c"} for r in ladder("rk4")]
+    spread = COMPILED.process_spread(table("work_precision", few + many), "jax")
+    assert spread == (1.1 if twice == contest.ENOUGH else 1.3)
+
+
 @pytest.mark.parametrize("halves", [2.0, math.nan])
 def test_a_cell_too_noisy_to_judge_is_undecided_and_still_beats_what_is_far_off(halves):
     noisy = ladder("contact-a", time_halves_ratio=halves)

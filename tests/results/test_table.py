@@ -14,7 +14,7 @@ from cells import controlled
 from contactbench.measure.law import STRUCTURE
 from contactbench.results import provenance, tables
 from contactbench.results.schema import TABLES, Rule
-from contactbench.results.store import OldTable, merge, read, replacing
+from contactbench.results.store import OldTable, keys, merge, read, replacing
 from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 from made_up import ROWS, folder
 
@@ -113,6 +113,15 @@ def test_a_measurement_that_now_times_out_does_not_keep_its_old_result(tmp_path)
     merge(tables.DAMPING_RATES, [weak | {"setting": "", "status": "timeout"}], tmp_path)
     back = read(tables.DAMPING_RATES, tmp_path)[["t_end", "status", "setting"]]
     assert back.values.tolist() == [[1e4, "timeout", ""], [1e5, "ok", "step=0.5"]]
+
+
+def test_a_table_made_as_a_whole_drops_what_its_profiles_no_longer_make(tmp_path):
+    """Its rows of other profiles stay, and those made of any."""
+    profiles = {"rk4": "smoke", "contact-abc": "smoke", "contact-strang": "full"}
+    rows = [row(method, profile=profile) for method, profile in profiles.items()]
+    merge(CONVERGENCE, rows, tmp_path)
+    kept = merge(CONVERGENCE, rows[:1], tmp_path, keys(CONVERGENCE, rows[:1]), ["smoke"])
+    assert set(kept["method"]) == set(read(CONVERGENCE, tmp_path)["method"]) == {"rk4", "contact-strang"}
 
 
 @pytest.mark.parametrize("content", ["a,b\n1,2\n", "", "\x00\x01", '"unclosed'])

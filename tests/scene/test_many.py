@@ -89,6 +89,20 @@ def test_data_are_arrays_or_functions_of_the_index():
     assert rows.q.tolist() == [0, 0, 1, -1, 2, -2]
 
 
+def test_a_function_gets_the_parameters_that_it_names_or_all():
+    def total(r, **numbers):
+        return numbers["k"] * numbers["b"] * r * r
+
+    own = chain(
+        4, onsite=lambda q, k: k * q * q, bond=lambda r, b, k: b * k * r * r, parameters={"k": 2.0, "b": 3.0}
+    )
+    every = own.with_(bond=total)
+    assert [own.named(name).keys() for name in ("onsite", "bond")] == [{"k"}, {"k", "b"}]
+    named, given = (cb.solve(scene, "rk4", step=0.1) for scene in (own, every))
+    assert named.ok
+    np.testing.assert_array_equal(given.y, named.y)
+
+
 def test_functions_of_the_index_follow_the_number_of_sites():
     scene = FPUT.with_(n=16)
     np.testing.assert_allclose(scene.q, np.sin(2 * np.pi * np.arange(16) / 16), atol=1e-15)

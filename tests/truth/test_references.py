@@ -15,7 +15,7 @@ import contactbench as cb
 from cases import refusal
 from contactbench import truth
 from contactbench.errors import BadInput
-from contactbench.scene import Mechanical
+from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD, damped_oscillator
@@ -189,6 +189,52 @@ def test_a_reference_is_confirmed_by_another_engine_than_its_own(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert confirmed(found[0]) >= 19
     assert confirmed(found[1]) is None
+
+
+def turned(phase, rate):
+    """Return a closed form of q'' = −q, so many radians ahead at the start, at so many times its speed."""
+
+    def exact(scene, t, xp):
+        angle = rate * t + phase
+        return State((xp.cos(angle),), (-rate * xp.sin(angle),), None)
+
+    return exact
+
+
+@pytest.mark.parametrize(
+    ("phase", "rate", "source"), [(0.0, 1, "closed form"), (0.5, 1, "live"), (0.0, 2, "live")]
+)
+def test_a_closed_form_of_another_motion_or_of_other_equations_is_not_the_truth(phase, rate, source):
+    scene = mine(lambda q: q[0] * q[0] / 2, lambda q: (q[0],), exact=turned(phase, rate))
+    found = reference(scene, [2.5], ())
+    assert found.source == source
+    assert found.y[0, 0] == pytest.approx(math.cos(2.5), rel=1e-15)
+
+
+def test_digits_are_those_of_the_component_that_knows_fewest():
+    """A pendulum let go next to its top loses what a spring beside it keeps."""
+    spring, top = (mine(lambda q, i=i: (q[0] ** 2 / 2, cb.math.cos(q[0]))[i], q=1e-3) for i in (0, 1))
+    both = Mechanical(
+        name="both",
+        potential=lambda q: q[0] ** 2 / 2 + cb.math.cos(q[1]),
+        q=(1e-3, 1e-3),
+        p=(0.0, 0.0),
+        t_end=40.0,
+    )
+    alone, lost, found = (
+        reference(scene.with_(t_end=40.0), [40.0], ()).digits for scene in (spring, top, both)
+    )
+    assert alone > lost + 5
+    assert abs(found - lost) <= 2
+
+
+@pytest.mark.parametrize("ulps", [4, 5])
+@pytest.mark.parametrize("times", [[1.5], [1.5, 0.2], [0.2, 1.5]], ids=str)
+def test_a_frozen_time_is_one_within_four_units_in_the_last_place(times, ulps):
+    t = np.array(times)
+    t[0] += ulps * np.spacing(t[0])
+    stored = truth.frozen(SCENES["particle"], t, ())
+    assert (stored is None) == (ulps > 4)
 
 
 # -- errors ----------------------------------------------------------------------------------------
