@@ -8,6 +8,8 @@ round-off is that of pairs, and the same whatever the number of threads.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,8 +24,13 @@ from contactbench.trace.form import digest
 PAD = 8
 #: sites of a chunk, and how many are computed at a time
 CHUNK, LANES = 2048, 8
-#: looks at the counter after which a thread that waits lets others run
+#: looks at a word, of about a nanosecond each, after which a thread that waits for the leader lets others run
 PATIENCE = 2000
+#: looks, and more for every site of its part, after which the leader leaves a thread out
+LATE, LATE_PER_SITE = 50_000, 4
+#: words of `sync`: sweeps done by all, whether to stop; then a cache line for every other thread, whose first word is
+#: twice the sweeps it has done, 1 more while it does one, or `OUT`
+DONE, STOP, LINE, OUT = 0, 1, 8, -1
 
 #: doubles of a page, and by how many two rows are apart in it at least: a load waits for a store just before that seems
 #: to go to the same place in it
@@ -61,13 +68,15 @@ class SweepLowering(llvm.Lowering):
         self.sites, stride, rank, self.threads = numbers
         self.chunks = b.sdiv(b.add(self.sites, whole(CHUNK - 1)), whole(CHUNK))
         rows = {"w": whole(width), "fields": stride, "sums": self.chunks}
+        self.rank, self.leader = rank, b.icmp_signed("==", rank, whole(0))
         for name, address in zip(ADDRESSES, addresses, strict=True):
             kind = whole if name in ("shape", "sync") else self.double
             pointer = b.inttoptr(address, kind.as_pointer())
             self.arrays[name] = llvm.Array(pointer, None, rows.get(name))
-        self.mine = [b.sdiv(b.mul(self.chunks, turn), self.threads) for turn in (rank, b.add(rank, whole(1)))]
-        self.met = self.slot(whole)
-        b.store(whole(0), self.met)
+        #: sweeps so far, whether this thread is out or to stop, and whether it does a part
+        self.count, self.over, self.takes = self.slot(whole), self.slot(self.truth), self.slot(self.truth)
+        b.store(whole(0), self.count)
+        b.store(self.truth(0), self.over)
         self.totals = [self.slot(self.double) for _ in range(sums)]
         self.partial = {kind: [self.slot(kind) for _ in range(sums)] for kind in (self.vector, self.double)}
         #: where the rows of a sweep begin, the site and the other one
@@ -84,24 +93,25 @@ class SweepLowering(llvm.Lowering):
 
     def lower(self, function: form.Function) -> None:
         b, (d, with_s, blocks) = self.builder, self.packing
-        begin, end = self.sites_of(*self.mine)
         fields = range(2 * d * blocks)
         last = [b.sub(b.mul(self.length, self.whole(k + 1)), self.whole(1)) for k in range(blocks * with_s)]
-        for j in fields:
-            self.rows = {"row": self.row(self.whole(j))}
-            self.copy(self.y, j, begin, end, True)
-            self.ends(Sites((), (("row", 0.0),), ()), begin, end)
+        with self.part() as (begin, end):
+            for j in fields:
+                self.rows = {"row": self.row(self.whole(j))}
+                self.copy(self.y, j, *self.sites_of(begin, end), True)
+                self.ends(Sites((), (("row", 0.0),), ()), *self.sites_of(begin, end))
         for i, place in enumerate(last):
             self.values[f"x{i}"] = b.load(b.gep(self.y, [place]))
-        self.meet()
         self.run(function.body)
         rows, scalars = function.result
-        for j, row in zip(fields, rows, strict=True):
-            self.rows = {"row": self.row(self.value(row))}
-            self.copy(self.out, j, begin, end, False)
-        for place, value in zip(last, scalars, strict=True):
-            b.store(self.floating(self.value(value)), b.gep(self.out, [place]))
-        b.store(b.fadd(b.load(self.data), self.double(1.0)), self.data)
+        with self.part() as (begin, end):
+            for j, row in zip(fields, rows, strict=True):
+                self.rows = {"row": self.row(self.value(row))}
+                self.copy(self.out, j, *self.sites_of(begin, end), False)
+        with b.if_then(self.leader):
+            for place, value in zip(last, scalars, strict=True):
+                b.store(self.floating(self.value(value)), b.gep(self.out, [place]))
+            b.store(b.fadd(b.load(self.data), self.double(1.0)), self.data)
 
     @property
     def length(self) -> Any:
@@ -131,11 +141,19 @@ class SweepLowering(llvm.Lowering):
         return begin, b.select(b.icmp_signed("<", end, self.sites), end, self.sites)
 
     def run(self, body: Any) -> None:
+        from numba.core.cgutils import for_range
+
         for statement in body:
             if isinstance(statement, Sites):
                 self.sweep(statement)
             elif isinstance(statement, Pairs):
                 self.over_others(statement)
+            elif isinstance(statement, form.Loop) and self.site is None:
+                with for_range(self.builder, self.value(statement.times)) as turn:
+                    with self.builder.if_then(self.builder.load(self.over)):
+                        turn.do_break()
+                    self.values[statement.counter] = turn.index
+                    self.run(statement.body)
             else:
                 super().run((statement,))
 
@@ -155,7 +173,8 @@ class SweepLowering(llvm.Lowering):
         b, whole = self.builder, self.whole
         self.rows = {row: self.row(self.value(row)) for row in sorted(rows_of(sites))}
         sums = range(len(sites.sums))
-        with for_range(b, self.mine[1], self.mine[0]) as turn:
+        parity = b.and_(b.load(self.count), whole(1))
+        with self.part() as part, for_range(b, part[1], part[0]) as turn:
             begin, end = self.sites_of(turn.index, b.add(turn.index, whole(1)))
             for kind, slots in self.partial.items():
                 for i in sums:
@@ -169,21 +188,19 @@ class SweepLowering(llvm.Lowering):
             with for_range(b, end, b.add(begin, b.mul(vectors, whole(LANES)))) as inner:
                 self.site = inner.index
                 self.at_site(sites)
+            self.site = None
             for i in sums:
                 total, vector = b.load(self.partial[self.double][i]), b.load(self.partial[self.vector][i])
                 for lane in range(LANES):
                     total = b.fadd(total, b.extract_element(vector, self.ir.IntType(32)(lane)))
-                b.store(total, self.chunk_sum(i, turn.index))
+                b.store(total, self.chunk_sum(parity, i, turn.index))
             self.ends(sites, begin, end)
-        self.meet()
         for i in sums:
             b.store(self.double(0.0), self.totals[i])
             with for_range(b, self.chunks) as turn:
                 total = b.load(self.totals[i])
-                b.store(b.fadd(total, b.load(self.chunk_sum(i, turn.index))), self.totals[i])
+                b.store(b.fadd(total, b.load(self.chunk_sum(parity, i, turn.index))), self.totals[i])
             self.values[sites.sums[i][0]] = b.load(self.totals[i])
-        if sites.sums:
-            self.meet()  # before the next one writes there
 
     def at_site(self, sites: Sites) -> None:
         b = self.builder
@@ -194,9 +211,11 @@ class SweepLowering(llvm.Lowering):
         for slot, (_, value) in zip(self.partial[self.wide], sites.sums, strict=False):
             b.store(b.fadd(b.load(slot), self.spread(self.value(value))), slot)
 
-    def chunk_sum(self, i: int, chunk: Any) -> Any:
+    def chunk_sum(self, parity: Any, i: int, chunk: Any) -> Any:
+        """Where it is: what one sweep leaves is read while the next one writes, and no longer."""
         b, sums = self.builder, self.arrays["sums"]
-        return b.gep(sums.first, [b.add(b.mul(self.whole(i), sums.row), chunk)])
+        row = b.add(b.mul(parity, self.whole(len(self.totals))), self.whole(i))
+        return b.gep(sums.first, [b.add(b.mul(row, sums.row), chunk)])
 
     def ends(self, sites: Sites, begin: Any, end: Any) -> None:
         """The places beyond the ends of what is stored; those of a fixed chain stay zero."""
@@ -228,29 +247,101 @@ class SweepLowering(llvm.Lowering):
             self.values[name] = b.load(slot)
 
     # -- threads -----------------------------------------------------------------------------------
-    def meet(self) -> None:
-        """All threads wait for the last one."""
+    @contextmanager
+    def part(self) -> Iterator[tuple[Any, Any]]:
+        """Each part of the chunks, the first and before which one, that this thread is to do; then all is done."""
+        from numba.core.cgutils import for_range
+
+        b, one = self.builder, self.whole(1)
+        shared = b.icmp_signed(">", self.threads, one)
+        count = b.load(self.count)
+        with b.if_then(b.icmp_signed("!=", b.load_atomic(self.word(STOP), "monotonic", 8), self.whole(0))):
+            b.store(self.truth(1), self.over)
+        last = b.select(self.leader, self.threads, b.add(self.rank, one))
+        with for_range(b, last, self.rank) as turn:
+            b.store(b.not_(b.load(self.over)), self.takes)
+            with b.if_then(b.and_(shared, b.load(self.takes))), b.if_else(self.leader) as (leads, follows):
+                with leads, b.if_then(b.icmp_signed(">", turn.index, self.whole(0))):
+                    self.wait_for(turn.index, count)
+                with follows:
+                    self.begin(count)
+            with b.if_then(b.load(self.takes)):
+                place = turn.index, b.add(turn.index, one)
+                yield tuple(b.sdiv(b.mul(self.chunks, each), self.threads) for each in place)  # type: ignore[misc]
+        done = b.add(count, one)
+        b.store(done, self.count)
+        with b.if_then(shared), b.if_else(self.leader) as (leads, follows):
+            with leads:
+                b.store_atomic(done, self.word(DONE), "release", 8)
+            with follows, b.if_then(b.not_(b.load(self.over))):
+                b.store_atomic(b.mul(done, self.whole(2)), self.state(self.rank), "release", 8)
+                self.wait_until(done)
+
+    def word(self, place: int) -> Any:
+        return self.builder.gep(self.arrays["sync"].first, [self.whole(place)])
+
+    def state(self, rank: Any) -> Any:
+        return self.builder.gep(self.arrays["sync"].first, [self.builder.mul(rank, self.whole(LINE))])
+
+    def begin(self, count: Any) -> None:
+        """Begin a part, unless this thread was left out."""
+        b, ready = self.builder, self.builder.mul(count, self.whole(2))
+        changed = b.cmpxchg(self.state(self.rank), ready, b.add(ready, self.whole(1)), "acq_rel", "acquire")
+        mine = b.extract_value(changed, 1)
+        b.store(mine, self.takes)
+        b.store(b.not_(mine), self.over)
+
+    def wait_until(self, done: Any) -> None:
+        """Wait until the leader says that a sweep is done, or leaves this thread out, which `begin` sees."""
+        b, state, out = self.builder, self.state(self.rank), self.whole(OUT)
+
+        def there() -> Any:
+            reached = b.icmp_signed(">=", b.load_atomic(self.word(DONE), "acquire", 8), done)
+            return b.or_(reached, b.icmp_signed("==", b.load_atomic(state, "monotonic", 8), out))
+
+        self.wait(there, lambda count: b.icmp_signed(">", count, self.whole(PATIENCE)))
+
+    def wait_for(self, rank: Any, count: Any) -> None:
+        """Wait until another thread has done its part; leave it out if it is late, and take a part not begun."""
+        b, whole, state = self.builder, self.whole, self.state(rank)
+        ready, out = b.mul(count, whole(2)), whole(OUT)
+        done = b.add(ready, whole(2))
+        late = b.add(whole(LATE), b.sdiv(b.mul(self.sites, whole(LATE_PER_SITE)), self.threads))
+
+        def there() -> Any:
+            now = b.load_atomic(state, "acquire", 8)
+            return b.or_(b.icmp_signed("==", now, done), b.icmp_signed("==", now, out))
+
+        def too_late(looks: Any) -> Any:
+            tardy = b.icmp_signed(">", looks, late)
+            with b.if_then(tardy, likely=False):
+                b.cmpxchg(state, ready, out, "acq_rel", "acquire")
+            return tardy
+
+        looks = self.wait(there, too_late)
+        b.store(b.icmp_signed("==", b.load_atomic(state, "acquire", 8), out), self.takes)
+        with b.if_then(b.icmp_signed(">", b.load(looks), late), likely=False):
+            b.store_atomic(out, state, "release", 8)
+
+    def wait(self, there: Callable[[], Any], yields: Callable[[Any], Any]) -> Any:
+        """Look until it is there, and let others run where the number of looks says so; return that number's slot."""
         from numba.core.cgutils import get_or_insert_function
 
-        b, whole = self.builder, self.whole
-        with b.if_then(b.icmp_signed(">", self.threads, whole(1))):
-            target, looks = b.add(b.load(self.met), self.threads), self.slot(whole)
-            b.store(target, self.met)
-            b.store(whole(0), looks)
-            b.atomic_rmw("add", self.arrays["sync"].first, whole(1), "seq_cst")
-            look, wait, after = (b.append_basic_block(name) for name in ("look", "wait", "together"))
-            b.branch(look)
-            b.position_at_end(look)
-            there = b.load_atomic(self.arrays["sync"].first, "acquire", 8)
-            b.cbranch(b.icmp_signed(">=", there, target), after, wait)
-            b.position_at_end(wait)
-            count = b.add(b.load(looks), whole(1))
-            b.store(count, looks)
-            with b.if_then(b.icmp_signed(">", count, whole(PATIENCE)), likely=False):
-                signature = self.ir.FunctionType(self.ir.IntType(32), [])
-                b.call(get_or_insert_function(b.module, signature, "sched_yield"), [])
-            b.branch(look)
-            b.position_at_end(after)
+        b, whole, looks = self.builder, self.whole, self.slot(self.whole)
+        b.store(whole(0), looks)
+        look, again, after = (b.append_basic_block(name) for name in ("look", "again", "after"))
+        b.branch(look)
+        b.position_at_end(look)
+        b.cbranch(there(), after, again)
+        b.position_at_end(again)
+        count = b.add(b.load(looks), whole(1))
+        b.store(count, looks)
+        with b.if_then(yields(count), likely=False):
+            signature = self.ir.FunctionType(self.ir.IntType(32), [])
+            b.call(get_or_insert_function(b.module, signature, "sched_yield"), [])
+        b.branch(look)
+        b.position_at_end(after)
+        return looks
 
 
 def rows_of(sites: Sites) -> set[str]:
