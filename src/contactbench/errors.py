@@ -213,6 +213,8 @@ REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
 FUNCTIONS: tuple[str, ...] = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
 FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
+#: and those of several
+SEVERAL = ("atan2", "hypot", "where")
 #: where no user's code is: this package, Python's library, installed packages
 _OURS = str(Path(__file__).parent) + os.sep
 _PATHS = [sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")]
@@ -269,11 +271,11 @@ def plain_function(error: BaseException) -> str | None:
     if called is None:
         return None
     written, name = called[0][:-1], called[1].replace("arc", "a", 1)  # NumPy's arcsin
-    if name in (*FUNCTIONS, "atan2"):
+    if name in (*FUNCTIONS, *SEVERAL):
         return f"{written} takes plain numbers only: use cb.math.{name}"
     if written == name:
         return None
-    return f"{written} takes plain numbers only: use cb.math, which has {', '.join(FUNCTIONS)}, atan2"
+    return f"{written} takes plain numbers only: use cb.math, which has {', '.join((*FUNCTIONS, *SEVERAL))}"
 
 
 def user_error(what: str, error: BaseException) -> UserError:
