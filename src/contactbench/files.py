@@ -32,7 +32,9 @@ def replacing(path: Path, sync: bool = True, mode: str = "w") -> Iterator[Any]:
                 os.fsync(file.fileno())
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError):
+            error.filename = error.filename or str(path)
         with suppress(FileNotFoundError):
             os.unlink(temporary)
         raise
