@@ -187,6 +187,44 @@ def test_a_file_that_fails_or_leaves_is_one_line(text, says, registries, tmp_pat
         assert "cb.SCENES['partcle']" in capsys.readouterr().err
 
 
+SWALLOWS = (
+    "while True:\n    try:\n        while True:\n            pass\n    except BaseException:\n        pass\n"
+)
+
+
+def test_a_file_that_catches_the_end_of_its_time_ends_with_the_process(tmp_path):
+    path = tmp_path / "bad.py"
+    path.write_text(SWALLOWS)
+    done = run(sys.executable, "-m", "contactbench", "list", "--plugin", path, "--plugin-timeout", "1")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert re.search(r"bad.py, line [34]: goes on after 1 s", done.stderr)
+
+
+TALKS = """
+import contactbench as cb
+print("imported")
+def potential(q):
+    print("called")
+    return q[0] ** 2 / 2
+cb.SCENES.add(cb.Mechanical(name="talks", potential=potential, gamma=0.1, q=(1.0,), p=(0.0,), t_end=1.0))
+"""
+
+
+@pytest.mark.parametrize(
+    "line", ["solve talks rk4 --step 0.1", "compare talks rk4 --error 1e-2", "solve talks x"]
+)
+def test_stdout_is_json_alone_whatever_a_file_prints(line, registries, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("contactbench.cli.runs.one_core", lambda: None)
+    path = tmp_path / "talks.py"
+    path.write_text(TALKS)
+    status = main([*line.split(), "--json", "--plugin", str(path)])
+    out, err = capsys.readouterr()
+    assert out == "" if status == 2 else json.loads(out)
+    assert "imported\ncalled\n" in err
+    print("here")
+    assert capsys.readouterr().out == "here\n"
+
+
 def test_a_file_given_twice_is_loaded_once(tmp_path, registries):
     (tmp_path / "neighbour.py").write_text("GAMMA = 0.125\n")
     path = tmp_path / "mine.py"

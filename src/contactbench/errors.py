@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import linecache
 import math
 import os
 import re
 import reprlib
 import signal
+import sys
 import sysconfig
 import threading
 import traceback
@@ -15,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from html import escape
 from pathlib import Path
-from types import FunctionType
+from types import FrameType, FunctionType
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
@@ -208,11 +210,15 @@ def switch(name: str, value: Any) -> bool:
 #: seconds that importing a plug-in, and every first evaluation of a user's function, may take; 0: any time.  Where it
 #: is not set there is no limit, a timer needs a signal handler; the command line sets it
 VARIABLE = "CONTACTBENCH_PLUGIN_TIMEOUT"
+#: how often `Overrun` is raised, and the seconds in between
+RINGS, AGAIN = 3, 0.5
 #: characters of another's message that are repeated
 REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
 FUNCTIONS: tuple[str, ...] = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
 FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
+#: and those of several
+SEVERAL = ("atan2", "hypot", "where")
 #: where no user's code is: this package, Python's library, installed packages
 _OURS = str(Path(__file__).parent) + os.sep
 _PATHS = [sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")]
@@ -269,11 +275,11 @@ def plain_function(error: BaseException) -> str | None:
     if called is None:
         return None
     written, name = called[0][:-1], called[1].replace("arc", "a", 1)  # NumPy's arcsin
-    if name in (*FUNCTIONS, "atan2"):
+    if name in (*FUNCTIONS, *SEVERAL):
         return f"{written} takes plain numbers only: use cb.math.{name}"
     if written == name:
         return None
-    return f"{written} takes plain numbers only: use cb.math, which has {', '.join(FUNCTIONS)}, atan2"
+    return f"{written} takes plain numbers only: use cb.math, which has {', '.join((*FUNCTIONS, *SEVERAL))}"
 
 
 def user_error(what: str, error: BaseException) -> UserError:
@@ -326,17 +332,27 @@ def limit() -> float:
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise `Overrun` inside after so many seconds, in the main thread, unless an outer limit is running."""
+    """Raise `Overrun` inside after so many seconds, in the main thread, unless an outer limit is running.
+
+    Code that catches it and goes on ends with the process.
+    """
     possible = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     if not seconds or not possible or signal.getitimer(signal.ITIMER_REAL)[0]:
         yield
         return
 
-    def over(*_: Any) -> None:
+    alarms = itertools.count(1)
+
+    def over(_: int, frame: FrameType | None) -> None:
+        if next(alarms) > RINGS:
+            where = f"{frame.f_code.co_filename}, line {frame.f_lineno}: " if frame else ""
+            message = f"contactbench: {where}goes on after {seconds:g} s, the time it was given"
+            print(message, file=sys.stderr, flush=True)
+            os._exit(2)
         raise Overrun
 
     before = signal.signal(signal.SIGALRM, over)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_REAL, seconds, AGAIN)
     try:
         yield
     finally:

@@ -1,6 +1,9 @@
 """The command line: ``compare``, ``check``, outputs that cannot be written, and a process of its own."""
 
 import json
+import os
+import resource
+import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -13,6 +16,7 @@ import made_up
 from cases import run
 from contactbench import cli
 from contactbench.cli import main, parsing
+from contactbench.files import replacing
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.report import write
 from contactbench.testing import METHOD_RULES, SCENE_RULES
@@ -150,6 +154,32 @@ def test_an_output_that_cannot_be_written_is_refused_first(line, option, suffix,
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert err.startswith(f"contactbench: {option} {path}: ")
+
+
+@pytest.mark.parametrize("option", ["--out", "--plot"])
+@pytest.mark.parametrize("before", [None, "kept"])
+def test_a_disk_that_is_full_leaves_the_file_as_it_was(option, before, tmp_path, capsys):
+    path = tmp_path / ("x.svg" if option == "--plot" else "x.csv")
+    if before:
+        path.write_text(before)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        status = cli.main(["solve", "particle", "rk4", "--step", "0.1", option, str(path)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    err = capsys.readouterr().err
+    assert (status, err.count("\n"), "File too large" in err, str(path) in err) == (2, 1, True, True)
+    assert [each.read_text() for each in tmp_path.iterdir()] == ([before] if before else [])
+
+
+def test_what_is_no_file_is_written_to_as_it_is(tmp_path):
+    os.mkfifo(path := tmp_path / "pipe")
+    reader = subprocess.Popen(["cat", path], stdout=subprocess.PIPE, text=True)
+    with replacing(path) as file:
+        file.write("all")
+    assert reader.communicate(timeout=30)[0] == "all"
+    assert path.is_fifo()
 
 
 def test_trying_a_file_changes_nothing_and_one_that_the_system_refuses_is_refused(tmp_path, monkeypatch):

@@ -1,6 +1,9 @@
 """Methods and peers on scenes of many sites: every engine computes the same, and the laws hold at any size."""
 
 import math
+import subprocess
+import sys
+from threading import Timer
 
 import numba
 import numpy as np
@@ -10,6 +13,7 @@ import cases
 import contactbench as cb
 from chains import BOUNDARIES, SMALL, bodies, chain, masses
 from contactbench.methods import many
+from contactbench.methods.prepared import stopwatch
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import total
 from contactbench.peers.base import Peer
@@ -93,16 +97,95 @@ def test_a_force_may_be_constant(boundary, onsite):
     assert gap(states(scene.unrolled(), "contact-strang"), states(scene, "contact-strang")) < ROUND_OFF
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+# -- threads -------------------------------------------------------------------------------------------
+def end_by(run, count):
+    """The end of a run by so many threads, and whether one of them was late."""
+    scene, y = run.request.scene, run.start[None]
+    out = np.full_like(y, np.nan)
+    late = run.loop.call(scene, run.loop.arrays(scene, run.numbers, run.h, run.n), y, out, count)
+    return out, late
+
+
 @pytest.mark.parametrize("boundary", BOUNDARIES)
-def test_two_threads_give_the_same_bits(boundary, threads):
+@pytest.mark.parametrize("carry", [(), ("s",)])
+def test_any_number_of_threads_gives_the_same_bits(boundary, carry):
     scene = chain(many.SHARED + 3, boundary, mass=masses(many.SHARED + 3))
     for method in ("contact-strang", "contact-rkn6", "rk4"):
-        run, found = cb.prepare(scene, method, step=0.1), []
-        for count in (1, 2):
-            threads(count)
-            found.append(run().y)
-        np.testing.assert_array_equal(*found)
+        run = cb.prepare(scene, method, step=0.1, carry=carry, save_at=[scene.t_end])
+        alone = run.bare(run.start)
+        for count in (2, 3):
+            np.testing.assert_array_equal(end_by(run, count)[0][0], alone)
+
+
+class Late:
+    """In the place of a pool of threads: they begin after some time, or never."""
+
+    def __init__(self, seconds):
+        self.seconds, self.began = seconds, []
+
+    def submit(self, *call):
+        if self.seconds is not None:
+            self.began.append(Timer(self.seconds, call[0], call[1:]))
+            self.began[-1].start()
+
+
+@pytest.mark.parametrize("seconds", [None, 0.0, 1e-3, 1e-2, 0.1])
+def test_a_thread_that_is_late_is_left_out(seconds, monkeypatch):
+    scene = chain(many.SHARED + 3, t_end=10.0)
+    run, pool = cb.prepare(scene, "contact-strang", step=0.1, carry=("s",), save_at=[10.0]), Late(seconds)
+    alone = run.bare(run.start)
+    monkeypatch.setattr(many, "others", lambda count: pool)
+    out, late = end_by(run, 3)
+    assert late or seconds is not None
+    for each in pool.began:
+        each.join(10)
+        assert not each.is_alive()
+    np.testing.assert_array_equal(out[0], alone)
+
+
+def test_threads_are_used_where_they_were_faster_and_none_was_late(monkeypatch):
+    scene, rest, used = chain(many.SHARED, t_end=1.0), many.Rest(), []
+    run = cb.prepare(scene, "contact-strang", step=0.1, save_at=[0.5, 1.0])
+    monkeypatch.setattr(many, "REST", rest)
+    monkeypatch.setattr(many, "threads_for", lambda sites: 2)
+    monkeypatch.setattr(run.loop, "call", lambda *given: used.append(given[-1]) or late)
+    late = True
+    run.bare(run.start)  # not even measured
+    assert (used[-2:], run.loop.shares) == ([1, 1], {})
+    assert rest.until > 0
+    rest.until, late = 0.0, False
+    for faster, count in ((True, 2), (False, 1)):
+        run.loop.shares[scene.sites, 2] = faster
+        run.bare(run.start)
+        assert used[-2:] == [count] * 2
+    run.loop.shares[scene.sites, 2], late = True, True
+    run.bare(run.start)
+    run.bare(run.start)
+    assert used[-4:] == [2, 1, 1, 1]
+
+
+BUSY = "while True: pass"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+@pytest.mark.parametrize("n", [10**5, 10**6])
+@pytest.mark.parametrize("busy", [0, 2])
+def test_two_threads_are_hardly_ever_slower_than_one(n, busy, threads):
+    run = cb.prepare(chain(n, t_end=2.0), "contact-strang", step=0.1, save_at=[2.0])
+    spent = {1: 0.0, 2: 0.0}
+    loops = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(busy)]
+    try:
+        for _ in range(10**7 // n):
+            for count in spent:
+                threads(count)
+                elapsed = stopwatch()
+                run.bare(run.start)
+                spent[count] += elapsed()
+    finally:
+        for each in loops:
+            each.kill()
+    assert spent[2] < 1.5 * spent[1]  # where threads wait for one another it is 4
 
 
 # -- peers ---------------------------------------------------------------------------------------------

@@ -224,7 +224,7 @@ print(sum(run.run.stats.cache_hits.values()), run().y[-1].tolist())
 
 def run_elsewhere(folder):
     done = run(sys.executable, "-c", SECOND, CONTACTBENCH_CACHE=folder, PYTHONPATH=REPOSITORY / "src")
-    assert done.returncode == 0, done.stderr
+    assert (done.returncode, done.stderr) == (0, "")
     return done.stdout.split(" ", 1)
 
 
@@ -232,7 +232,33 @@ def test_a_second_process_compiles_nothing(tmp_path):
     (none, states), (one, again) = run_elsewhere(tmp_path), run_elsewhere(tmp_path)
     assert (none, one) == ("0", "1")
     assert states == again
-    assert len(list(tmp_path.glob("programs/*.py"))) == 1
+    assert len(list(tmp_path.glob("programs/*.program"))) == 1
+
+
+def flip(content):
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+DAMAGE = (lambda whole: b"\x9c" * len(whole), lambda whole: whole[: len(whole) // 2], lambda whole: b"", flip)
+
+
+def test_a_damaged_program_is_compiled_anew_and_replaced(tmp_path):
+    _, states = run_elsewhere(tmp_path)
+    (path,) = tmp_path.glob("programs/*")
+    for damage in DAMAGE:
+        path.write_bytes(damage(path.read_bytes()))
+        assert run_elsewhere(tmp_path) == ["0", states]
+    assert run_elsewhere(tmp_path) == ["1", states]
+
+
+def test_a_program_that_can_neither_be_read_nor_replaced_is_compiled(tmp_path):
+    _, states = run_elsewhere(tmp_path)
+    (path,) = tmp_path.glob("programs/*")
+    path.unlink()
+    (path / "in the way").mkdir(parents=True)
+    assert run_elsewhere(tmp_path) == ["0", states]
+    assert list(tmp_path.glob("programs/*")) == [path]
 
 
 def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):

@@ -10,8 +10,11 @@ import pytest
 import contactbench as cb
 from contactbench.errors import FUNCTIONS
 from contactbench.numbers.dual import DERIVATIVES, Dual
+from contactbench.numbers.dual import slope as slope_of
+from contactbench.numbers.dual import value as value_of
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.series import Series, SeriesNumbers
+from contactbench.trace.formula import formula
 from contactbench.xla import jax, jnp
 from properties import Fixed
 
@@ -43,6 +46,53 @@ def test_derivatives_of_dual_numbers(name):
         function = getattr(mpmath, alias.get(name, name))
         derivative = DERIVATIVES[name](Fixed(mpmath.mp), x, function(x)) * v
         assert abs(derivative - v * mpmath.diff(function, x)) < mpmath.mpf(10) ** -15
+
+
+SEVERAL = {
+    "hypot": (lambda x: cb.math.hypot(x, 2 * x), lambda x: math.sqrt(5) * abs(x)),
+    "where": (lambda x: cb.math.where(x > 0, x * x, -x), lambda x: x * x if x > 0 else -x),
+    "where, of a constant": (lambda x: cb.math.where(x > 0, x, 1.0), lambda x: x if x > 0 else 1.0),
+    "where, of constants": (lambda x: x * cb.math.where(x > 0, 2.0, 3.0), lambda x: x * (2 if x > 0 else 3)),
+    "abs": (abs, abs),
+}
+
+
+@pytest.mark.parametrize("name", SEVERAL)
+@pytest.mark.parametrize("x", [0.375, -0.375])
+def test_functions_of_several_numbers(name, x):
+    function, plain = SEVERAL[name]
+    expected, slope = plain(x), (plain(x + 1e-6) - plain(x - 1e-6)) / 2e-6
+    array = np.array([x, x])
+    for found in (function(x), *function(array), jax.jit(function)(jnp.asarray(x)), function(mpmath.mpf(x))):
+        assert float(found) == pytest.approx(expected, rel=1e-15)
+    assert float(function(array.astype(object))[0]) == pytest.approx(expected, rel=1e-15)
+    found = function(Dual(x, 1.0))
+    assert [get(found) for get in (value_of, slope_of)] == pytest.approx([expected, slope], rel=1e-8)
+    assert jax.grad(function)(x) == pytest.approx(slope, rel=1e-8)
+    recorded = formula(lambda q: function(q), (0,), ())
+    assert recorded(x) == pytest.approx(expected, rel=1e-15)
+    assert recorded.gradient()(x)[0] == pytest.approx(slope, rel=1e-8)
+
+
+WALL = {
+    "abs": lambda q: 2 * abs(q[0]) ** 3 / 3,
+    "hypot": lambda q: 2 * cb.math.hypot(q[0], 0.5) ** 3 / 3,
+    "where": lambda q: cb.math.where(q[0] < 0, q[0] ** 4, q[0] ** 2) / 2,
+}
+
+
+@pytest.mark.parametrize("name", WALL)
+def test_a_potential_of_several_pieces_runs_everywhere(name):
+    scene = cb.Mechanical(name=name, potential=WALL[name], gamma=0.1, q=(1.0,), p=(0.0,), t_end=4.0)
+    ends = [
+        cb.solve(scene, "contact-rkn4", step=0.05, engine=engine) for engine in ("numba", "jax", "python")
+    ]
+    assert all(end.status == "ok" for end in ends)
+    for end in ends[1:]:
+        np.testing.assert_allclose(end.y, ends[0].y, rtol=1e-12)
+    assert cb.solve(scene, "cvode-adams", rtol=1e-9).q[-1] == pytest.approx(ends[0].q[-1], abs=1e-3)
+    found = cb.lyapunov(scene, "contact-strang", step=0.1, every=1.0, intervals=8)
+    assert found.total.value == pytest.approx(-0.1, abs=1e-12)
 
 
 def test_functions_of_floats_are_total():

@@ -64,9 +64,11 @@ def test_cells_are_done_until_their_selection_begins_anew(tmp_path):
     assert set(Cells(tmp_path, "smoke", "three").done()) == {("bench.py", "a")}  # of the whole
 
 
-def test_a_file_that_a_failure_of_power_has_emptied_is_no_cell(tmp_path):
+@pytest.mark.parametrize("damage", [b"", b"\xff\x00", b"[1, 2]", b'{"run": "one"}'])
+def test_a_damaged_file_is_no_cell(tmp_path, damage):
     cells = finish(tmp_path, "a", "b", merged=None)
-    next(cells.folder.glob("*.new")).write_text("")
+    next(cells.folder.glob("*.new")).write_bytes(damage)
+    (tmp_path / FOLDER / "one.json").write_bytes(damage[:2])  # where and with what the run was made
     cells.merge()
     assert len(methods(tmp_path)) == len(cells.done()) == 1
 

@@ -83,7 +83,10 @@ def main(argv: list[str] | None = None) -> int:
     if more and (arguments.command != "compare" or any(word.startswith("-") for word in more)):
         top.error(f"unrecognized arguments: {' '.join(more)}")
     arguments.more = more  # methods that follow an option
+    arguments.stdout = stdout = sys.stdout
     try:
+        if getattr(arguments, "json", False):  # stdout has that alone, whatever a plug-in prints
+            sys.stdout = sys.stderr
         if plugins.plugin_timeout is not None:
             os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too
             limit()
@@ -96,9 +99,9 @@ def main(argv: list[str] | None = None) -> int:
                 load_file(path)
         arguments.line = sys.argv[1:] if argv is None else argv
         status = arguments.run(arguments)
-        sys.stdout.flush()
+        stdout.flush()
     except BrokenPipeError:  # the reader has left, as in `contactbench list | head -1`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
         return 141
     except (BadInput, OSError) as error:
         return fail(error, str(error), plugins.traceback)
@@ -112,6 +115,9 @@ def main(argv: list[str] | None = None) -> int:
         where = f"{os.path.basename(last.filename)}, line {last.lineno}"
         says = f"{type(error).__name__}: {error} ({where}; --traceback shows the rest)"
         return fail(error, says, plugins.traceback)
+    finally:
+        if argv is not None:
+            sys.stdout = stdout
     return status
 
 

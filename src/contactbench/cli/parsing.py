@@ -37,6 +37,10 @@ def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> Non
         path.unlink()
 
 
+def print_json(value: Any, arguments: argparse.Namespace) -> None:
+    print(json.dumps(value, allow_nan=False), file=arguments.stdout)
+
+
 def assignments(pairs: list[str]) -> dict[str, Any]:
     """Return the changes that ``name=value`` arguments name; a value is JSON (a number or a list of numbers)."""
     changes = {}

@@ -10,13 +10,24 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from contactbench.cli.parsing import Command, assignments, writable
+from contactbench.cli.parsing import Command, assignments, print_json, writable
 from contactbench.errors import BadInput, unknown_name
+from contactbench.files import replacing
 
 #: what a plot can be saved as
 PICTURES = (".svg", ".png", ".pdf")
 #: of the numbers of a larger state some are printed
 PRINTED, SOME = 64, 4
+
+
+def write_csv(frame: Any, path: Path) -> None:
+    with replacing(path) as file:
+        frame.to_csv(file, index=False, lineterminator="\n")
+
+
+def write_picture(figure: Any, path: Path) -> None:
+    with replacing(path, mode="wb") as file:
+        figure.savefig(file, format=path.suffix[1:].lower())
 
 
 def listing(arguments: argparse.Namespace) -> int:
@@ -59,16 +70,16 @@ def solve(arguments: argparse.Namespace) -> int:
         options["save_at"] = [scene.t_end]
     solution = cb.solve(scene, arguments.method, **options)
     if arguments.out:
-        solution.to_frame().to_csv(arguments.out, index=False, lineterminator="\n")
+        write_csv(solution.to_frame(), arguments.out)
     if arguments.plot:
-        solution.plot().savefig(arguments.plot)
+        write_picture(solution.plot(), arguments.plot)
     run = summary(solution)
     laws = solution.laws() if arguments.laws else None
     if arguments.json:
         if laws is not None:
             deviations = laws["deviation"].items()
             run["laws"] = {name: value if math.isfinite(value) else None for name, value in deviations}
-        print(json.dumps(run, allow_nan=False))
+        print_json(run, arguments)
     else:
         if len(state := run.get("state", {})) > PRINTED:
             some = ", ".join(f"{name!r}: {value!r}" for name, value in list(state.items())[:SOME])
@@ -138,17 +149,18 @@ def compare(arguments: argparse.Namespace) -> int:
     methods, budget = arguments.method + arguments.more or None, duration(arguments.budget)
     frame = cb.compare(scene, methods, numbers(arguments.error), budget, progress=not arguments.quiet)
     if arguments.csv:
-        frame.to_csv(arguments.csv, index=False, lineterminator="\n")
+        write_csv(frame, arguments.csv)
     if arguments.html:
-        arguments.html.write_text(race.html(frame), encoding="utf-8")
+        with replacing(arguments.html) as file:
+            file.write(race.html(frame))
     if arguments.plot and (figure := race.figure(frame)) is not None:
         from contactbench.report.draw import render
 
-        render(figure).savefig(arguments.plot)
+        write_picture(render(figure), arguments.plot)
     if arguments.json:
         known = {name: value for name, value in frame.attrs.items() if name != "runs"}
         rows = json.loads(frame.to_json(orient="records", double_precision=15))
-        print(json.dumps({**known, "rows": rows}, allow_nan=False))
+        print_json({**known, "rows": rows}, arguments)
     else:
         print(race.text(frame))
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())

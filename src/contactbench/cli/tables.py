@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import signal
 import sys
 from pathlib import Path
 
-from contactbench.cli.parsing import Command, writable
+from contactbench.cli.parsing import Command, print_json, writable
 from contactbench.errors import BadInput, positive
 
 
@@ -18,7 +17,7 @@ def claim(arguments: argparse.Namespace) -> int:
 
     row = CLAIMS[arguments.id.upper()].row()
     if arguments.json:
-        print(json.dumps(row, allow_nan=False))
+        print_json(row, arguments)
     else:
         for name, label in LABELS.items():
             for item in filter(None, row.get(name, "").split(SEPARATOR)):
@@ -94,7 +93,7 @@ def gate(arguments: argparse.Namespace) -> int:
         parts = (arguments.only,) if arguments.only else judge.PARTS
         folders = Path.cwd(), arguments.results, arguments.fresh
         found = judge.gate(*folders, arguments.base, parts, arguments.tables_changed, arguments.budget)
-    print(found.as_json() if arguments.json else found.as_markdown())
+    print(found.as_json() if arguments.json else found.as_markdown(), file=arguments.stdout)
     return found.status
 
 

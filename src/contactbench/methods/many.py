@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, cached_property
-from threading import Lock
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -20,13 +20,24 @@ from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.scene import Cache, State, key
 from contactbench.scene.many import Many
 from contactbench.trace.fields import FieldProgram, record_fields
-from contactbench.trace.sweeps import ADDRESSES, CHUNK, FIRST, PAD, WHOLE, Packing, compile_sweeps, stride_of
+from contactbench.trace.sweeps import (
+    ADDRESSES,
+    CHUNK,
+    FIRST,
+    LINE,
+    OUT,
+    PAD,
+    WHOLE,
+    Packing,
+    compile_sweeps,
+    stride_of,
+)
 from contactbench.xla import jax, lax
 
 #: sites from which on all cores share a sweep
 SHARED = 50_000
-#: held by the run whose threads wait for one another: those of two runs would wait for ever
-TOGETHER = Lock()
+#: steps and rounds of the measurement whether threads are faster than one, and how much faster they are to be
+PILOT, ROUNDS, GAIN = 4, 3, 0.9
 
 
 def field_program(advance: Callable[..., Any], scene: Many, packing: Packing) -> FieldProgram:
@@ -55,8 +66,26 @@ def others(count: int) -> Any:
 os.register_at_fork(after_in_child=others.cache_clear)
 
 
+class Rest:
+    """Until when one thread works alone, since another one had no core; longer each time that happens again."""
+
+    LEAST, MOST = 0.5, 60.0
+
+    def __init__(self) -> None:
+        self.until, self.length = 0.0, self.LEAST
+
+    def note(self, late: bool) -> None:
+        if late:
+            self.until, self.length = monotonic() + self.length, min(2 * self.length, self.MOST)
+        else:
+            self.length = self.LEAST
+
+
+REST = Rest()
+
+
 def threads_for(sites: int) -> int:
-    """How many threads share the sweeps: those numba is to use, for large scenes."""
+    """How many threads may share the sweeps: those numba is to use, for large scenes."""
     if sites < SHARED:
         return 1
     from numba import get_num_threads
@@ -72,6 +101,8 @@ class FieldLoop(Loop):
     def __init__(self, advance: Callable[..., Any], scene: Many, packing: Packing) -> None:
         elapsed = stopwatch()
         self.boundary, self.packing = scene.boundary, packing
+        #: whether all threads are faster than one, by the number of sites and of threads
+        self.shares: dict[tuple[int, int], bool] = {}
         super().__init__(field_program(advance, scene, packing), 0.0)  # type: ignore[arg-type]
         self.seconds = elapsed()
 
@@ -106,28 +137,59 @@ class FieldLoop(Loop):
             row[PAD:-PAD] = constant
             if self.boundary != "fixed":  # the neighbours beyond the ends
                 row[PAD - 1], row[-PAD] = constant[[-1, 0] if self.boundary == "ring" else [0, -1]]
-        sums = np.zeros((max(1, program.sums), -(-sites // CHUNK)))
-        whole = {"shape": shape.astype(np.int64), "sync": np.zeros(1, dtype=np.int64)}
+        sums = np.zeros((2 * max(1, program.sums), -(-sites // CHUNK)))
+        whole = {"shape": shape.astype(np.int64), "sync": np.zeros(LINE, dtype=np.int64)}
         return {"w": w, "fields": fields, "sums": sums} | whole
+
+    def call(
+        self, scene: Many, arrays: dict[str, np.ndarray], y: np.ndarray, out: np.ndarray, threads: int
+    ) -> bool:
+        """Run the compiled function on some threads; return whether one of them was late and left out.
+
+        Such a thread may look at the arrays later, which live as long as its call.
+        """
+        arrays = arrays | {"sync": np.zeros(LINE * threads, dtype=np.int64)}
+        data = [self.data(scene, arrays, rank, threads) for rank in range(threads)]
+
+        def work(each: np.ndarray, *_: Any) -> None:
+            self.run(out.ctypes.data, 0.0, y.ctypes.data, each.ctypes.data)
+
+        for each in data[1:]:
+            others(threads - 1).submit(work, each, arrays)
+        work(data[0])
+        return bool((arrays["sync"][LINE::LINE] == OUT).any())
+
+    def threads(self, scene: Many, numbers: np.ndarray, y: np.ndarray, h: float) -> int:
+        """How many threads to use now: all where that was measured to be faster, else one."""
+        most = threads_for(scene.sites)
+        if most > 1 and (scene.sites, most) not in self.shares and monotonic() > REST.until:
+            arrays, out = self.arrays(scene, numbers, [h], [PILOT]), np.empty_like(y)
+            times: dict[int, list[float]] = {1: [], most: []}
+            for count in [1, most] * ROUNDS:
+                elapsed = stopwatch()
+                late = self.call(scene, arrays, y, out, count)
+                times[count].append(elapsed())
+                if late:
+                    REST.note(late)
+                    return 1
+            self.shares[scene.sites, most] = min(times[most]) < GAIN * min(times[1])
+        shared = self.shares.get((scene.sites, most), False) and monotonic() > REST.until
+        return most if shared else 1
 
     def paths(self, scene: Any, numbers: np.ndarray, y: np.ndarray, h: Any, n: Any) -> np.ndarray:
         """Packed states after each interval, (k, blocks, size), of a state and maybe its tangent, (blocks, size)."""
         arrays, out = self.arrays(scene, numbers, h, n), np.empty((len(n), *y.shape))
-        threads = threads_for(scene.sites)
         which = arrays["shape"][len(self.program.shape) :].copy()
-        data = [self.data(scene, arrays, rank, threads) for rank in range(threads)]
         y = np.ascontiguousarray(y, dtype=float)
+        threads = self.threads(scene, numbers, y, h[0])
         for row, after in zip(which, out, strict=True):
-            arrays["shape"][len(self.program.shape)], arrays["sync"][:] = row, 0
-            calls = [(after.ctypes.data, 0.0, y.ctypes.data, each.ctypes.data) for each in data]
-            if threads == 1:
-                self.run(*calls[0])
+            arrays["shape"][len(self.program.shape)] = row
+            if threads > 1:
+                late = self.call(scene, arrays, y, after, threads)
+                REST.note(late)
+                threads = 1 if late else threads
             else:
-                with TOGETHER:
-                    waiting = [others(threads - 1).submit(self.run, *call) for call in calls[1:]]
-                    self.run(*calls[0])
-                    for each in waiting:
-                        each.result()
+                self.call(scene, arrays, y, after, 1)
             y = after
         return out
 

@@ -6,7 +6,7 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from contactbench.numbers.functions import namespace
+from contactbench.numbers.functions import namespace, where
 from contactbench.numbers.protocol import Abilities, ChoosingNumbers, Number, abilities
 
 
@@ -55,6 +55,9 @@ class Dual(Number):
     def __pow__(self, exponent: Any) -> Dual:
         return Dual(self.a**exponent, exponent * self.a ** (exponent - 1) * self.b)
 
+    def __abs__(self) -> Dual:
+        return Dual(abs(self.a), where(self.a < 0, -self.b, self.b))
+
     __radd__, __rmul__ = __add__, __mul__
 
     # dual numbers are compared by their values
@@ -94,7 +97,7 @@ DERIVATIVES: dict[str, Callable[[Any, Any, Any], Any]] = {
     "asinh": lambda xp, x, f: 1 / xp.sqrt(1 + x * x),
     "acosh": lambda xp, x, f: 1 / xp.sqrt(x * x - 1),
     "atanh": lambda xp, x, f: 1 / (1 - x * x),
-    "abs": lambda xp, x, f: xp.where(x < 0, -1.0, 1.0),
+    "abs": lambda xp, x, f: where(x < 0, -1.0, 1.0),
     "floor": lambda xp, x, f: 0.0,
     "ceil": lambda xp, x, f: 0.0,
 }
@@ -131,6 +134,10 @@ class DualNumbers(ChoosingNumbers):
         a, b = value(y), value(x)
         square = a * a + b * b
         return Dual(self.base.atan2(a, b), (b * slope(y) - a * slope(x)) / square)
+
+    def hypot(self, x: Any, y: Any) -> Any:
+        length = self.base.hypot(value(x), value(y))
+        return Dual(length, (value(x) * slope(x) + value(y) * slope(y)) / length)
 
     arctan2 = atan2
 

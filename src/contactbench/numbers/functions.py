@@ -20,8 +20,8 @@ import numpy as np
 
 from contactbench.numbers.protocol import Number
 
-__all__ = ["acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp"]
-__all__ += ["log", "pi", "sin", "sinh", "sqrt", "tan", "tanh"]
+__all__ = ["acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "hypot"]
+__all__ += ["log", "pi", "sin", "sinh", "sqrt", "tan", "tanh", "where"]
 
 pi = math.pi
 
@@ -75,14 +75,28 @@ sinh, cosh, tanh = map(function, ("sinh", "cosh", "tanh"))
 asinh, acosh, atanh = map(function, ("asinh", "acosh", "atanh"))
 
 
+def where(condition: Any, a: Any, b: Any) -> Any:
+    """a where a condition holds, else b, entry by entry of arrays.  Both are computed, and neither may fail."""
+    if isinstance(condition, bool | np.bool_):
+        return a if condition else b
+    return namespace(next((x for x in (a, b) if isinstance(x, Number)), condition)).where(condition, a, b)
+
+
 def leading(*numbers: Any) -> Any:
     return next((x for x in numbers if not isinstance(x, int | float)), numbers[0])
 
 
-def hypot(x: Any, y: Any) -> Any:
-    return namespace(leading(x, y)).hypot(x, y)
+def function_of_two(name: str, about: str) -> Callable[[Any, Any], Any]:
+    def apply(x: Any, y: Any) -> Any:
+        first = leading(x, y)
+        if isinstance(first, np.ndarray) and first.dtype == object:
+            return np.frompyfunc(apply, 2, 1)(x, y)
+        return getattr(namespace(first), name)(x, y)
+
+    apply.__name__ = apply.__qualname__ = name
+    apply.__doc__ = about
+    return apply
 
 
-def atan2(y: Any, x: Any) -> Any:
-    """The angle of (x, y), in (−π, π]."""
-    return namespace(leading(y, x)).atan2(y, x)
+hypot = function_of_two("hypot", "hypot(x, y): √(x² + y²).")
+atan2 = function_of_two("atan2", "atan2(y, x): the angle of (x, y), in (−π, π].")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.errors import BadInput
+from contactbench.files import replacing
 from contactbench.measure.ladder import stepping
 from contactbench.report import draw, headline, markdown, page, work_precision
 from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, every
@@ -18,7 +19,7 @@ from contactbench.report.drawing import Figure
 from contactbench.report.views import View, frame_of
 from contactbench.results.provenance import runs
 from contactbench.results.schema import TABLES
-from contactbench.results.store import read, replacing
+from contactbench.results.store import read
 
 #: the caller hands over the registries: the report itself knows no solvers
 Registries = Mapping[str, Mapping[str, Any]]

@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 from filelock import FileLock
 
+from contactbench.files import replacing
 from contactbench.results.provenance import save_run
 from contactbench.results.schema import PROFILES, TABLES, Table
-from contactbench.results.store import keys, merge, read, replacing
+from contactbench.results.store import keys, merge, read
 
 FOLDER = ".cells"
 #: of a file that is not merged yet, of one that is, and of the time at which a selection was last begun
@@ -101,12 +102,11 @@ class Cells:
                 made = keys(TABLES[name], whole[name]) if name in whole else None
                 merge(TABLES[name], rows.get(name, ()), self.results, made, profiles)
             for run in sorted({entry.run for entry in entries} | {self.run}):
-                if (record := self._record(run)).exists():
+                if known := _load(self._record(run)):
                     made_by = {name for entry in entries if entry.run == run for name, _ in entry.rows}
                     # rows of a larger profile stay, and with them the run that made them
                     profile_of = {n: read(TABLES[n], self.results)["profile"] for n in whole}
                     alone = [name for name, profile in profile_of.items() if profile.isin(profiles).all()]
-                    known = json.loads(record.read_text(encoding="utf-8"))
                     save_run(run, known, made_by, alone if run == self.run else (), self.results)
             for entry in entries:
                 if entry.cell:
@@ -139,8 +139,13 @@ def _digest(*names: str) -> str:
 
 
 def _read(path: Path) -> Entry | None:
-    """Return what a file says; None where a failure of power has left nothing to read."""
-    with contextlib.suppress(json.JSONDecodeError, FileNotFoundError):
-        entry = json.loads(path.read_text(encoding="utf-8"))
-        return Entry(path, entry["run"], entry["cell"] and tuple(entry["cell"]), entry["rows"])
+    """Return what a file says; None where it is damaged: its cell is run again."""
+    match _load(path):
+        case {"run": str(run), "cell": None | [str(), str()] as cell, "rows": list(rows)}:
+            return Entry(path, run, (cell[0], cell[1]) if cell else None, rows)
     return None
+
+
+def _load(path: Path) -> Any:
+    with contextlib.suppress(ValueError, OSError):
+        return json.loads(path.read_text(encoding="utf-8"))

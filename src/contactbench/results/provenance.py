@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from contactbench.errors import BadInput
+from contactbench.files import replacing
 from contactbench.measure.clock import SEED
 from contactbench.plugins import LOADED
 from contactbench.results.schema import TABLES
-from contactbench.results.store import replacing
 
 PACKAGES = """contactbench numpy scipy pandas matplotlib mpmath
 numba llvmlite jax jaxlib diffrax scikit-sundae heyoka cyrk"""

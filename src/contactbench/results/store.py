@@ -7,12 +7,9 @@ three), so that a rerun on the same machine gives the same file.  Files are repl
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
-import os
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
+from contactbench.files import replacing
 from contactbench.results.schema import Column, Table, floor
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
@@ -228,22 +226,3 @@ def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
             pairs = zip(frame[name], digits.tolist(), strict=True)
             frame[name] = [float(f"{value:.{n - 1}e}") for value, n in pairs]
     return frame
-
-
-@contextlib.contextmanager
-def replacing(path: Path, sync: bool = True) -> Iterator[Any]:
-    """Open a text file that takes the place of `path` when the block ends well; sync : even if power fails then."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-            yield file
-            file.flush()
-            if sync:
-                os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(temporary)
-        raise

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.errors import place, plain_function
-from contactbench.numbers.dual import Dual, leaves, rebuild
+from contactbench.numbers.dual import Dual, DualNumbers, leaves, rebuild
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, ChoosingNumbers, Unknown
 from contactbench.trace import form
 from contactbench.trace.form import Assign, Element, Operand, Operation, Results, Update, text
@@ -277,6 +277,8 @@ class RecordedNumbers(ChoosingNumbers):
         return self.tape.repeat_while(condition, body, x)
 
     def where(self, condition: Any, a: Any, b: Any) -> Any:
+        if isinstance(a, Dual) or isinstance(b, Dual):
+            return DualNumbers(self).where(condition, a, b)
         if not isinstance(condition, Recorded):
             return a if condition else b
         return self.tape.operation("where", "f", condition, a, b)

@@ -7,13 +7,16 @@ same word.  Imported where a peer is first run, and only then: importing it load
 from __future__ import annotations
 
 import ctypes
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding
-import numba
 from numba import types
 
+from contactbench.peers import compiled
 from contactbench.peers.compiled import ORIGIN
+from contactbench.trace.compiled import keep, keep_c
+from contactbench.trace.form import digest
 
 #: v void, p pointer, a array of doubles, d double, b bool, i int, l long, q 64-bit int, z size_t
 #: as ctypes has them, and as numba does
@@ -29,6 +32,21 @@ LETTERS: dict[str, tuple[Any, Any]] = {
     "z": (ctypes.c_size_t, types.uintp),
 }
 
+#: the compiled code here depends on all of it
+SOURCES = digest(
+    *(path.read_bytes() for path in (*sorted(Path(__file__).parent.glob("*.py")), Path(compiled.__file__)))
+)
+
+
+def kept(function: Any) -> Any:
+    """As numba's `njit`, kept."""
+    return keep(function, SOURCES)
+
+
+def kept_c(*signature: Any) -> Any:
+    """As numba's `cfunc`, kept."""
+    return lambda function: keep_c(function, *signature, SOURCES)
+
 
 def external(name: str, address: int | None, word: str) -> Any:
     llvmlite.binding.add_symbol(name, address)
@@ -37,7 +55,7 @@ def external(name: str, address: int | None, word: str) -> Any:
 
 
 # -- packed states without the time; number by number: numba takes seconds to compile the first assignment of a slice
-@numba.njit(cache=True)
+@kept
 def split(state, y, data, clock):  # type: ignore[no-untyped-def]
     """A packed state into a solver's vector, its time, where it has one (clock ≥ 0), into `data`."""
     for i in range(len(y)):
@@ -46,7 +64,7 @@ def split(state, y, data, clock):  # type: ignore[no-untyped-def]
         data[ORIGIN] = state[clock]
 
 
-@numba.njit(cache=True)
+@kept
 def join(y, t, data, clock, state):  # type: ignore[no-untyped-def]
     """The packed state of a solver's vector, t after it began."""
     for i in range(len(state) - (clock >= 0)):

@@ -15,13 +15,12 @@ from ctypes import byref, c_int, c_void_p
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from contactbench.peers.abi import LETTERS, external, join, split
+from contactbench.peers.abi import LETTERS, external, join, kept, kept_c, split
 from contactbench.peers.compiled import (
     JACOBIAN_CALLS,
     KNOWN,
@@ -136,19 +135,19 @@ call: Any = _call  # compiled code calls it without the typing context
 _user = types.CPointer(types.intp)
 
 
-@numba.cfunc(integer(real, pointer, pointer, _user), cache=True)
+@kept_c(integer(real, pointer, pointer, _user))
 def _rhs(t, y, dy, user):  # type: ignore[no-untyped-def]
     call(user[0], array_of(dy), t, array_of(y), user[2])
     return np.int32(0)
 
 
-@numba.cfunc(integer(real, pointer, pointer, pointer, _user, pointer, pointer, pointer), cache=True)
+@kept_c(integer(real, pointer, pointer, pointer, _user, pointer, pointer, pointer))
 def _jacobian(t, y, dy, J, user, work1, work2, work3):  # type: ignore[no-untyped-def]
     call(user[1], entries_of(J), t, array_of(y), user[2])
     return np.int32(0)
 
 
-@numba.njit(cache=True)
+@kept
 def restart(start, memory, vector, y, data, clock, end):  # type: ignore[no-untyped-def]
     split(start, y, data, clock)
     data[RHS_CALLS] = data[JACOBIAN_CALLS] = 0.0
@@ -156,7 +155,7 @@ def restart(start, memory, vector, y, data, clock, end):  # type: ignore[no-unty
     set_stop_time(memory, end)
 
 
-@numba.njit(cache=True)
+@kept
 def facts(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-untyped-def]
     """`FACTS` and the state reached, in one vector: a call returns one array sooner than two."""
     out = np.empty(KNOWN + len(y) + (clock >= 0))
@@ -171,7 +170,7 @@ def facts(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-unty
     return out
 
 
-@numba.njit(cache=True)
+@kept
 def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     restart(start, memory, vector, y, data, clock, end)
     set_max_steps(memory, max_steps)
@@ -180,7 +179,7 @@ def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: igno
     return facts(memory, y, data, clock, flag, reached[0], flag >= 0)
 
 
-@numba.njit(cache=True)
+@kept
 def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
@@ -190,7 +189,7 @@ def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: 
     return out
 
 
-@numba.njit(cache=True)
+@kept
 def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import CyRK
-import numba
 import numpy as np
 from CyRK import get_error_message
 from CyRK.cy.pyhelpers import find_ode_method_int
 from CyRK.nb import numba_c_api
 
-from contactbench.peers.abi import external, join, split
+from contactbench.peers.abi import external, join, kept, split
 from contactbench.peers.compiled import KNOWN, RHS_CALLS, SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR
 
 __all__ = ["at_times", "find_ode_method_int", "get_error_message", "in_a_loop", "to_end"]
@@ -39,7 +38,7 @@ UNLIMITED = 1_000_000
 NOTHING = 0
 
 
-@numba.njit(cache=True)
+@kept
 def solve(rhs, method, start, data, times, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
     """CyRK's result; times : where states are wanted, none for every step."""
     tolerances = np.array([rtol, atol])
@@ -52,7 +51,7 @@ def solve(rhs, method, start, data, times, end, rtol, atol, max_steps):  # type:
     return integrate(*(problem + saves + steps))
 
 
-@numba.njit(cache=True)
+@kept
 def facts(result, y, data, clock, saved):  # type: ignore[no-untyped-def]
     """`FACTS` and the state reached; frees the result.  CyRK counts a step that failed, and no rejected ones."""
     out = np.empty(KNOWN + len(y) + (clock >= 0))
@@ -66,7 +65,7 @@ def facts(result, y, data, clock, saved):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True)
+@kept
 def separate(start, data, clock):  # type: ignore[no-untyped-def]
     """What CyRK is given of a packed state: the vector less the time, and data of the run's own with it."""
     y, own = np.empty(len(start) - (clock >= 0)), data.copy()
@@ -74,14 +73,14 @@ def separate(start, data, clock):  # type: ignore[no-untyped-def]
     return y, own
 
 
-@numba.njit(cache=True)
+@kept
 def to_end(start, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
     y, own = separate(start, data, clock)
     result = solve(rhs, method, y, own, np.empty(0), end, rtol, atol, max_steps)
     return facts(result, y, own, clock, status_of(result) == SUCCESS)
 
 
-@numba.njit(cache=True)
+@kept
 def in_a_loop(starts, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
@@ -91,7 +90,7 @@ def in_a_loop(starts, rhs, method, data, clock, end, rtol, atol, max_steps):  # 
     return out
 
 
-@numba.njit(cache=True)
+@kept
 def at_times(start, times, out, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
     """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached."""
     y, own = separate(start, data, clock)
