@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from decimal import Decimal, localcontext
+from functools import partial
 from importlib.util import find_spec
 from time import perf_counter
 from typing import Any
@@ -64,12 +65,32 @@ def place(value: Any, digits: int) -> int:
     return digits if value == 0 else digits - 1 - int(mpmath.floor(mpmath.log10(abs(value))))
 
 
+#: functions whose work grows with the size of their argument, and the binary logarithm of the largest they take:
+#: mpmath would look for the digits of an exponent that no memory holds, and end the process
+GROWING, LARGEST = ("exp", "sinh", "cosh", "tanh", "sin", "cos", "tan"), 1000
+
+
 def decimal_context(digits: int) -> Any:
-    """Return an mpmath context of its own, so that nobody's global precision is touched."""
+    """Return an mpmath context of its own, so that nobody's global precision is touched.
+
+    Its functions raise `OverflowError` for arguments beyond any scale.
+    """
     import mpmath
 
     context = mpmath.MPContext()
     context.dps = digits
+    largest = context.ldexp(1, LARGEST)
+
+    def bounded(function: Callable[..., Any]) -> Callable[..., Any]:
+        def apply(x: Any, **options: Any) -> Any:
+            if abs(x) > largest:
+                raise OverflowError(f"{function.__name__}(x), |x| > 2^{LARGEST}")
+            return function(x, **options)
+
+        return apply
+
+    for name in GROWING:
+        setattr(context, name, bounded(getattr(context, name)))
     return context
 
 
@@ -88,11 +109,13 @@ def with_decimals(scene: Scene, number: Callable[[str], Any]) -> Scene:
 # -- how long it may take ----------------------------------------------------------------------------
 #: a moment that never comes, on the clock of `perf_counter`
 NEVER = math.inf
-#: seconds after which the rest of a computation is foreseen, and how many times its budget it may still need
-FORESEEN, HOPELESS = 2.0, 4.0
+#: seconds after which the rest of a computation is foreseen
+FORESEEN = 2.0
 MAX_STEPS = 1_000_000
 #: a step this small against the whole span means a singularity ahead, not a fast motion
 COLLAPSE = 1e-12
+#: how many times the size of a state, one at least, no step reaches
+BEYOND = 1e30
 
 
 class BlowUp(BadInput):
@@ -117,15 +140,19 @@ class DoublesOnly(BadInput):
 
 
 class Stopwatch:
-    """The time of one computation of a scene over a span, and what all of it would take."""
+    """The time of one computation of a scene over a span, and what all of it would take.
 
-    def __init__(self, scene: Scene, span: float, deadline: float) -> None:
+    patience : how many times its budget it may be foreseen to need, and still goes on.
+    """
+
+    def __init__(self, scene: Scene, span: float, deadline: float, patience: float = 1.0) -> None:
         self.scene, self.span, self.deadline, self.begun = scene, span, deadline, perf_counter()
+        self.patience = patience
 
     def is_over(self, t: float) -> bool:
-        """Return whether the deadline has passed, or, seen from t, will pass long before the end."""
+        """Return whether the deadline has passed, or, seen from t, will pass before the end."""
         spent = (now := perf_counter()) - self.begun
-        hopeless = spent * self.span > HOPELESS * (self.deadline - self.begun) * t
+        hopeless = spent * self.span > self.patience * (self.deadline - self.begun) * t
         return now > self.deadline or (spent > FORESEEN and hopeless)
 
     def check(self, t: float) -> None:
@@ -248,10 +275,10 @@ def extrapolate(
     now, trial, rows = 0 * times[-1], times[-1], []
     for time in times:
         while now < time:
-            watch.check(float(now))
             step = min(trial, time - now)
+            check = partial(watch.check, float(now + step))
             try:
-                column, result = extrapolated(slope, y, step, most, tolerance)
+                column, result = extrapolated(slope, y, step, most, tolerance, check)
             except ArithmeticError:  # it lands on a singularity
                 column, result = most, None
             if result is None:
@@ -267,16 +294,27 @@ def extrapolate(
 
 
 def extrapolated(
-    slope: Callable[[np.ndarray], np.ndarray], y: np.ndarray, step: Any, most: int, tolerance: Any
+    slope: Callable[[np.ndarray], np.ndarray],
+    y: np.ndarray,
+    step: Any,
+    most: int,
+    tolerance: Any,
+    check: Callable[[], None],
 ) -> tuple[int, np.ndarray | None]:
-    """Return one extrapolated step and the number of columns it took; None if `most` are not enough."""
-    first = slope(y)
+    """Return one extrapolated step and the number of columns it took; None if `most` are not enough.
+
+    check : called before every slope, raises where the time is over.
+    """
+    first, far = slope(y), BEYOND * (1 + np.abs(y).max())
     previous: list[np.ndarray] = []
     for j in range(1, most + 1):
         h = step / (2 * j)
         old, mid = y, y + h * first
         for _ in range(2 * j - 1):
+            check()
             old, mid = mid, old + 2 * h * slope(mid)
+            if not np.abs(mid).max() <= far:  # it diverges at this step, and numbers would grow without end
+                return j, None
         row = [mid]
         for k, below in enumerate(previous, start=1):  # Aitken–Neville in h²
             weight = (step * 0 + j * j) / (j - k) ** 2 - 1
@@ -285,6 +323,6 @@ def extrapolated(
         if j > 2 and distance(row[-1], row[-2]) <= tolerance * size:
             return j, row[-1]
         if np.abs(mid).max() > 1e6 * (1 + size):
-            return j, None  # hopeless at this step, and the numbers would only grow
+            return j, None  # hopeless at this step
         previous = row
     return most, None

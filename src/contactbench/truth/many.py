@@ -22,8 +22,9 @@ from contactbench.truth.engines import OutOfTime, Stopwatch, extrapolate
 FEW = 128
 #: of the two solvers in double precision
 TIGHTEST, COLUMNS = 1e-13, 12
-#: how many they are, and how much longer than foreseen one may take: it is seen at the beginning of the other only
-SOLVERS, UNEVEN = 2, 1.5
+#: how many they are, how much longer than foreseen one may take: it is seen at the beginning of the other only,
+#: and how many times its budget one may be foreseen to need: there is nobody to go on
+SOLVERS, UNEVEN, PATIENCE = 2, 1.5, 4.0
 
 Slope = Callable[[np.ndarray], np.ndarray]
 
@@ -38,8 +39,9 @@ def doubles(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float
     for solver in (by_dop853, partial(extrapolate, most=COLUMNS, tolerance=TIGHTEST)):
         spent, left = perf_counter() - begun, SOLVERS - len(found)
         try:
+            watch = Stopwatch(scene, float(t[-1]), deadline, PATIENCE)
             with np.errstate(all="ignore"):
-                rows = solver(slope, start, t.tolist(), watch=Stopwatch(scene, float(t[-1]), deadline))
+                rows = solver(slope, start, t.tolist(), watch=watch)
         except OutOfTime as why:
             raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
         if not np.isfinite(rows[-1]).all():
