@@ -32,6 +32,7 @@ from contactbench.errors import (
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
+from contactbench.scene.scales import in_order
 from contactbench.trace.formula import Formula, formula
 
 #: by how much a function of floats may differ from its formula: powers are products there
@@ -450,6 +451,20 @@ class Scene(System):
         values = ((name, getattr(self, name)) for name in (*self.initial_fields, *self.coefficients))
         sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
         return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
+
+    def sizes(self, x: Any, end: float) -> tuple[np.ndarray, Any]:
+        """Return how large every component of the motion from x becomes until `end`, and the action: see `scales`."""
+        most = np.linalg.norm(np.array(x.M, dtype=float), axis=0)
+        return np.array([most] * 3), most
+
+    def scales(self, x: Any, end: float) -> np.ndarray:
+        """Return the scale of every component of a packed state but the time, from x on: one where of order one."""
+        with np.errstate(all="ignore"):
+            motion, action = self.sizes(x, end)
+            rest = [np.ones_like(action)] * (4 if getattr(x, "R", None) is not None else 0)
+            if x.s is not None:
+                rest.append(np.fmax(abs(x.s), action))
+            return in_order(np.concatenate([motion, np.reshape(rest, (len(rest), *np.shape(action)))]))
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
         defaults = self.state._field_defaults

@@ -25,6 +25,7 @@ from contactbench.errors import (
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled
 from contactbench.scene.base import Check, Scene, named_numbers, optional
+from contactbench.scene.scales import in_order, reach
 from contactbench.trace.formula import Formula, formula
 
 #: components up to which a Hessian is derived
@@ -102,6 +103,15 @@ class Canonical(Scene):
         return State(
             self.velocity(x.p), force, self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s)
         )
+
+    def sizes(self, x: State, end: float) -> tuple[np.ndarray, Any]:
+        far, fast = reach(self, x, end)
+        momenta = self.pack(
+            State(x.q, tuple(fast / each for each in self.velocity(tuple(1.0 + 0 * c for c in x.p))))
+        )
+        momenta = np.array(np.broadcast_arrays(*momenta), dtype=float)[len(momenta) // 2 :]
+        places = np.broadcast_to(far, momenta.shape)
+        return np.concatenate([places, momenta]), in_order(far) * in_order(momenta.max(axis=0))
 
     @property
     def rate_changes(self) -> bool:  # type: ignore[override]
