@@ -445,6 +445,34 @@ class Scene(System):
             changed["parameters"] = dict(zip(names, numbers[len(leaves(own)) :], strict=True))
         return self._replaced(**changed)
 
+    def orders(self) -> list[tuple[int, int, bool]]:
+        """Return pairs (i, j, strict): number i is below number j, 0 being one more number, or else not above it.
+
+        Flows are those of numbers that are; others are of another structure, or not allowed.
+        """
+        own = [getattr(self, name) for name in self.coefficients]
+        ends = np.cumsum([0, *(len(leaves(value)) for value in own)]).tolist()
+        pairs = zip(self.coefficients, zip(ends, ends[1:], strict=False), strict=False)
+        zero = len(self.numbers())
+        return [(zero, i, True) for name, part in pairs if name in self.reciprocals for i in range(*part)]
+
+    def decided_by(self, numbers: Sequence[Any]) -> Self:
+        """Return the scene with other numbers, arrays too, and what they decide; `BadInput` for any not allowed."""
+        own, ends = [getattr(self, name) for name in self.coefficients], []
+        for end in (np.min, np.max):
+            extreme = [float(end(number)) for number in numbers]
+            for name, value in zip(self.coefficients, rebuild(own, extreme), strict=True):
+                self.checks.get(name, lambda *_: None)(name, value)
+            ends.append(self.with_numbers(extreme)._decide())
+        if ends[0].decided != ends[1].decided:
+            both = f"{ends[0].numbers()} and {ends[1].numbers()}"
+            raise BadInput(f"numbers: {both} make two problems of scene {self.name!r}: one call for each")
+        return self.with_numbers(numbers)._decide(ends[0])
+
+    def _decide(self, like: Any = None) -> Self:
+        """Return the scene with what its numbers decide anew, or as another one has it."""
+        return self
+
     @property
     def structure(self) -> tuple[Any, ...]:
         functions = (getattr(self, name) for name in self.functions)

@@ -46,6 +46,10 @@ def masses(name: str, value: Any) -> Any:
     return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
 
 
+def sign(number: Any) -> int:
+    return int(number > 0) - int(number < 0)
+
+
 def damping_rate(name: str, value: Any) -> float:
     """Return a finite number; raise `BadInput` for anything else, which says how a function is given."""
     if callable(value):
@@ -187,7 +191,7 @@ class Mechanical(Canonical):
     parameters: Mapping[str, float] = field(default_factory=dict)
     rotation_invariant: bool = False
     inverse_mass: Any = field(init=False, repr=False, default=1.0)
-    #: 1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it
+    #: 1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it; None: any
     kappa_sign: int = field(init=False, repr=False, default=0)
 
     kind: ClassVar[str] = "mechanical"
@@ -213,7 +217,7 @@ class Mechanical(Canonical):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._fix("kappa_sign", int(self.kappa > 0) - int(self.kappa < 0))
+        self._fix("kappa_sign", sign(self.kappa))
         if isinstance(self.mass, tuple) and len(self.mass) != len(self.q):
             raise BadInput(f"mass = {excerpt(self.mass)}: must be one number > 0, or {len(self.q)} of them")
         if len(self.q) != len(self.p):
@@ -227,7 +231,7 @@ class Mechanical(Canonical):
 
     @property
     def required(self) -> tuple[str, ...]:  # type: ignore[override]
-        return ("s",) if self.kappa else ()
+        return ("s",) if self.nonlinear_damping else ()
 
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
         n = len(self.q)
@@ -236,6 +240,16 @@ class Mechanical(Canonical):
     @property
     def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
         return (self.kappa_sign,)
+
+    def _decide(self, like: Any = None) -> Self:
+        return self._replaced(kappa_sign=sign(self.kappa) if like is None else like.kappa_sign)
+
+    def orders(self) -> list[tuple[int, int, bool]]:
+        if "kappa" not in self.coefficients:
+            return super().orders()
+        i, zero = self.coefficients.index("kappa"), len(self.numbers())
+        found = [(zero, i, self.kappa_sign > 0)] if self.kappa_sign >= 0 else []
+        return super().orders() + found + ([(i, zero, self.kappa_sign < 0)] if self.kappa_sign <= 0 else [])
 
     def recorded(self) -> Self:
         """Return the scene recorded, with a gradient and a Hessian derived where they are left out."""

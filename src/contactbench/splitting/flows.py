@@ -68,8 +68,9 @@ class Flow(NamedTuple):
 
 def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
     """Return φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
-    undamped = gamma == 0
-    return choose(undamped, h, -xp.expm1(-gamma * h) / choose(undamped, 1.0, gamma, xp), xp)
+    undamped, z = gamma == 0, gamma * h
+    small = h * (1 - z / 2 * (1 - z / 3))  # its derivatives by γ are those at 0
+    return choose(undamped, small, -xp.expm1(-z) / choose(undamped, 1.0, gamma, xp), xp)
 
 
 #: above this γh the decay is applied as a factor, below it as a small loss
@@ -168,7 +169,10 @@ def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, 
     infinity, and log((a + b)/(a − b))/2b.  For κ > 0 only p = 0 blows up, any other goes round.
     """
     _, phi, _, _, half_kappa = constants
-    a, square = 1 + half_kappa * x.s, scene.kappa_sign * half_kappa * phi * scene.kinetic(x.p)
+    a, z = 1 + half_kappa * x.s, half_kappa * phi * scene.kinetic(x.p)
+    if scene.kappa_sign is None:
+        return _pinney_of_any_sign(a, z, xp)
+    square = scene.kappa_sign * z
     straight = square == 0
     b = xp.sqrt(choose(straight, 1.0, square, xp))  # 1: no derivative of √0 is taken
     if scene.kappa_sign > 0:
@@ -184,6 +188,27 @@ def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, 
         bent = xp.log1p(2 * rise / choose(straight, 1.0, run - rise, xp)) / (2 * rise)
     path = choose(straight, 1 / choose(straight, run, 1.0, xp), bent, xp)
     return a, choose(alive, 1 / y, xp.inf, xp), path
+
+
+#: z/a² up to which atan2(√z, a)/√z is a sum of so many powers: to round-off
+SMALL, POWERS = 1e-2, 9
+
+
+def _pinney_of_any_sign(a: Any, z: Any, xp: Any) -> tuple[Any, Any, Any]:
+    """Return the same where the sign of κ is not known, z = kφT; smooth at κ = 0, which the others are not."""
+    size, square = abs(z), a * a
+    near = (size <= SMALL * square) & (a > 0)
+    b = xp.sqrt(choose(near | (z == 0), 1.0, size, xp))
+    turns, ahead = (z > 0) & ~near, (a > b) & (z < 0) & ~near
+    y = choose(near | turns, square + z, choose(ahead, (a - b) * (a + b), 0.0, xp), xp)
+    alive = y > 0
+    run = choose(near, a, 1.0, xp)
+    part, series = choose(near, z, 0.0, xp) / (run * run), 0.0
+    for k in reversed(range(POWERS)):
+        series = 1 / (2 * k + 1) - part * series
+    bent = xp.log1p(2 * b / choose(ahead, a - b, 1.0, xp)) / (2 * b)
+    path = choose(near, series / run, choose(turns, xp.atan2(b, a) / b, bent, xp), xp)
+    return a, choose(alive, 1 / choose(alive, y, 1.0, xp), xp.inf, xp), path
 
 
 def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
