@@ -26,7 +26,8 @@ class Status(StrEnum):
     ok
         All saved states are there.
     diverged
-        Not finite, or beyond 10⁶ times the start; of a start smaller than one, beyond 10⁶.
+        Not finite, or beyond 10⁶ times its scale: the start, one, or what the force and the velocity there lead to,
+        of q and p by themselves.
     budget
         The step or evaluation budget was spent.
     failed
@@ -192,8 +193,9 @@ class Solution:
 
     def __repr__(self) -> str:
         setting, n = self.setting, self.counts.evaluations
-        if self.run is not None and self.run.request.atol is not None:
-            setting += f", atol={self.run.request.atol:.6g}"
+        if self.run is not None and (atol := self.run.request.atol) is not None:
+            least, most = np.min(atol), np.max(atol)
+            setting += f", atol={least:.6g}" + (f" to {most:.6g}" if most > least else "")
         if self.control == "rtol" and not math.isnan(self.step):
             setting += f": step={self.step_chosen:.6g}"
         if self.step < self.step_chosen * (1 - 1e-9):
@@ -338,6 +340,6 @@ class Solution:
         return self.scene.unpack(self.scene.entries(self.y0), self.carry)
 
 
-#: a run has diverged when |q|, |p| or |M| exceed this many times the scene's scale: its start, or one where that is
-#: smaller, as next to an equilibrium
+#: a run has diverged when |q|, |p| or |M| exceed this many times their scale: that of the start, one where it is
+#: smaller, as next to an equilibrium, and each by itself what the start leads to (`Scene.scales`)
 DIVERGENCE = 1e6

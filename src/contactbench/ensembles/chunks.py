@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.members import Watch
+from contactbench.ensembles.members import Watch, furthest
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
@@ -163,7 +163,7 @@ def side_by_side(
     y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
     part, place = np.array([0, y.shape[1] // LANES]), len(shape) - len(run.n)
     with np.errstate(all="ignore"):
-        watch = Watch(r.scene, r.carry, names, run._motion, y0)
+        watch = Watch(r.scene, r.carry, names, furthest(r.scene, r.carry, y0, run._end), y0)
         marks = watch.begun
         for which, t in zip(shape[place:], run.until.tolist(), strict=True):
             after = np.empty((1, *y.shape))
@@ -190,7 +190,7 @@ def one_by_one(
     ]
     scene = r.scene.with_numbers(list(numbers.T)) if own else r.scene
     with np.errstate(all="ignore"):
-        watch = Watch(scene, r.carry, names, run._motion, y0)
+        watch = Watch(scene, r.carry, names, furthest(scene, r.carry, y0, run._end), y0)
         marks = watch.begun
         for y, t in zip(np.stack(paths, axis=-1), run.later, strict=True):
             x = scene.unpack(y, r.carry)
@@ -221,7 +221,7 @@ def on_devices(
 
     def make() -> Callable[..., Any]:
         share = share_of(run, names, places, tile)
-        specs = {"in_specs": (cut, cut, whole, whole), "out_specs": (cut, cut, PartitionSpec(AXIS))}
+        specs = {"in_specs": (cut, cut, cut, whole, whole), "out_specs": (cut, cut, PartitionSpec(AXIS))}
         return jax.jit(jax.shard_map(share, mesh=mesh, check_vma=False, **specs))
 
     program = _programs.get(key(identity(run.method_, r.scene, r.carry), names, places, tile, mesh), make)
@@ -231,7 +231,11 @@ def on_devices(
 
     def begin(part: slice) -> Any:
         filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
-        arrays = (np.pad(a[:, part], filled, mode="edge") for a in (y0, individual))
+        values = list(r.scene.numbers())
+        for place, each in own.items():
+            values[place] = each[part]
+        bound = furthest(r.scene.with_numbers(values), r.carry, y0[:, part], run._end)
+        arrays = (np.pad(a, filled, mode="edge") for a in (y0[:, part], bound, individual[:, part]))
         return program(*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.until))
 
     parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
@@ -247,17 +251,17 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
     """Return the function of one device: its part of a chunk, tile by tile."""
     from contactbench.xla import jax, jnp, lax
 
-    base, carry, motion, xp = run.request.scene, run.request.carry, run._motion, XlaNumbers()
+    base, carry, xp = run.request.scene, run.request.carry, XlaNumbers()
 
     def packed(scene: Any, x: Any) -> Any:
         return jnp.stack(list(scene.pack(x))) if not scene.by_sites else scene.pack(x)
 
-    def one_tile(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
+    def one_tile(y0: Any, bound: Any, own: Any, numbers: Any, spans: Any) -> Any:
         values = list(numbers)
         for place, value in zip(places, own, strict=True):
             values[place] = value
         scene = base.with_numbers(values)
-        watch = Watch(scene, carry, names, motion, y0, jnp)
+        watch = Watch(scene, carry, names, bound, y0, jnp)
 
         def span(carried: Any, interval: Any) -> Any:
             (x, marks), (h, n, t) = carried, interval
@@ -270,9 +274,9 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
         (x, marks), _ = lax.scan(span, (watch.start, watch.begun), spans)
         return watch.result(marks, x, packed(scene, x))
 
-    def share(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
-        tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, own)]
-        y, measures, end = lax.map(lambda part: one_tile(part[0], part[1], numbers, spans), tiles)
+    def share(y0: Any, bound: Any, own: Any, numbers: Any, spans: Any) -> Any:
+        tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, bound, own)]
+        y, measures, end = lax.map(lambda parts: one_tile(*parts, numbers, spans), tiles)
         return *(a.swapaxes(0, 1).reshape(a.shape[1], -1) for a in (y, measures)), end.reshape(-1)
 
     return share

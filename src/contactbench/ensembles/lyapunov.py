@@ -158,12 +158,12 @@ def lyapunov(
     v = np.array([run.tangents(start) for start in x.T])  # (n, m, d)
     start, first = x.copy(), np.ascontiguousarray(np.moveaxis(v, 0, 2))
     v = first.copy()
-    bound, alive = furthest(x[: scene.motion]), np.ones(n, dtype=bool)
+    bound, alive = furthest(scene, own, x, every * (settle + count)), np.ones(n, dtype=bool)
     rates, energy, spent = np.empty((count, len(v), n)), np.empty((count, 1, n)), np.zeros(n)
     with np.errstate(all="ignore"):
         for k in range(-settle, count):
             x, v, evaluations = advance(x, v)
-            alive &= within(x, scene.motion, bound)
+            alive &= within(x, bound)
             # those that left begin again, and are not counted
             x, v = np.where(alive, x, start), np.where(alive, v, first)
             v, logs = orthonormal(v)

@@ -104,29 +104,30 @@ def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
     return [name for name, law in laws.items() if law.applies(scene) and {*law.needs_on(scene)} <= {*carry}]
 
 
-def furthest(motion: Any, xp: Any = np) -> Any:
-    """Return how large the motion of each trajectory may become, (m,), from its start (·, m)."""
-    size = xp.sqrt((motion * motion).sum(axis=0))
-    return DIVERGENCE * xp.maximum(size, 1.0)
+def furthest(scene: Scene, carry: tuple[str, ...], y0: np.ndarray, end: float) -> np.ndarray:
+    """Return how large the motion of each trajectory may become, (motion, m), from packed states (d, m)."""
+    with np.errstate(all="ignore"):
+        scales = scene.scales(scene.unpack(scene.components(y0), carry), end)[: scene.motion]
+        return DIVERGENCE * np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion], axis=0)))
 
 
-def within(y: Any, motion: int, bound: Any, xp: Any = np) -> Any:
-    """Return which of the states y (d, m) are finite, and their motion, the first entries, within `bound` (m,)."""
-    return xp.isfinite(y).all(axis=0) & (xp.abs(y[:motion]).max(axis=0) <= bound)
+def within(y: Any, bound: Any, xp: Any = np) -> Any:
+    """Return which of the states y (d, m) are finite, and their first entries, the motion, within `bound`."""
+    return xp.isfinite(y).all(axis=0) & (xp.abs(y[: len(bound)]) <= bound).all(axis=0)
 
 
 class Watch:
     """What is measured along trajectories from a packed start y0 (d, m), by NumPy or JAX; names : `ENERGY`, then laws.
 
-    begun : the first marks: the largest deviation from each law, which have not diverged, and the last time reached.
+    bound : as from `furthest`.  begun : the first marks: the largest deviation from each law, which have not diverged,
+    and the last time reached.
     """
 
     def __init__(
-        self, scene: Scene, carry: tuple[str, ...], names: Sequence[str], motion: int, y0: Any, xp: Any = np
+        self, scene: Scene, carry: tuple[str, ...], names: Sequence[str], bound: Any, y0: Any, xp: Any = np
     ) -> None:
-        self.scene, self.motion, self.xp = scene, motion, xp
+        self.scene, self.bound, self.xp = scene, bound, xp
         self.start = scene.unpack(scene.components(y0), carry)
-        self.bound = furthest(y0[:motion], xp)
         self.origin = {name: self.quantity(name, self.start) for name in names[1:]}
         nothing = xp.zeros(y0.shape[1])
         self.begun = dict.fromkeys(self.origin, nothing), xp.ones(y0.shape[1], bool), nothing
@@ -143,7 +144,7 @@ class Watch:
 
     def at(self, marks: Any, x: Any, y: Any, t: Any) -> Any:
         worst, alive, end = marks
-        alive = alive & within(y, self.motion, self.bound, self.xp)
+        alive = alive & within(y, self.bound, self.xp)
         worst = {name: self.xp.maximum(most, self.deviation(name, x, t)) for name, most in worst.items()}
         return worst, alive, self.xp.where(alive, t, end)
 

@@ -158,10 +158,13 @@ class ContactSolver(OdeSolver):
         self.steps = int(steps_in(span, max(abs(t0), abs(t_bound)), positive("max_step", max_step)))
         self.max_step = span / self.steps
         self.motion = self.step_map.scene.motion
-        self.bound = DIVERGENCE * max(1.0, float(np.linalg.norm(self.y[: self.motion])))
+        start = self.packed(t0, self.y)
+        state = self.step_map.scene.unpack(self.step_map.scene.entries(start), self.step_map.carry)
+        scales = self.step_map.scene.scales(state, span)[: self.motion]
+        self.bound = DIVERGENCE * np.fmax(scales, max(1.0, float(np.linalg.norm(self.y[: self.motion]))))
         self.cost = self.step_map.method.per_step(self.step_map.scene, self.step_map.carry)
         if span:
-            self.run = Run(self.step_map, self.direction * self.max_step, self.packed(t0, self.y))
+            self.run = Run(self.step_map, self.direction * self.max_step, start)
         self.last: tuple[float, list[np.ndarray]] | None = None
 
     def packed(self, t: float, y: np.ndarray) -> np.ndarray:
@@ -194,7 +197,7 @@ class ContactSolver(OdeSolver):
         clock = self.step_map.scene.clock
         y = reached if clock is None else np.delete(reached, clock)
         self.nfev += self.cost
-        if not (np.abs(y[: self.motion]).max() <= self.bound and np.isfinite(y).all()):
+        if not ((np.abs(y[: self.motion]) <= self.bound).all() and np.isfinite(y).all()):
             return False, f"left the scene's scale by a factor 1e6 at t = {t:.6g}"
         self.t, self.y = t, y
         return True, None

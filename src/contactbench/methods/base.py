@@ -204,9 +204,10 @@ def prepare(
         last are left out.  A method starts afresh where the step changes or a time is saved, so that one with a
         processor (contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
     rtol, atol
-        Tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given rtol instead of step
-        chooses its step from pilots, which are part of every call and its counts; the solution's `step_chosen` is
-        that step.  An exact method takes neither.
+        Tolerances of an adaptive method.  By default atol is rtol times the scale of the motion, of every component by
+        itself, as force and velocity at the start show it; a scale from 0.01 to 1000 counts as 1.  A fixed-step method
+        given rtol instead of step chooses its step from pilots, which are part of every call and its counts; the
+        solution's `step_chosen` is that step.  An exact method takes neither.
     save_at
         Increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at most 1001 of them, for
         fixed steps, and 201 equally spaced times for others.  The counts of a fixed-step method depend on them,
@@ -282,7 +283,9 @@ def make_request(
         return Refused(chosen.name, request, why)
     if scene.has_users_functions:
         verify(scene)
-    require_slope(scene, scene.initial(request.carry))
+    require_slope(scene, start := scene.initial(request.carry))
+    if chosen.adaptive and atol is None and (chosen.takes_atol or chosen.own_time):
+        request = request.to_scale(start, chosen.takes_atol)
     chosen.try_step(scene, request.carry, step)
     return request
 
@@ -318,7 +321,7 @@ def setting_of(
         rtol = tolerance(method, rtol)
         if not method.takes_atol:
             return None, rtol, None
-        return None, rtol, rtol if atol is None else positive("atol", atol)
+        return None, rtol, None if atol is None else positive("atol", atol)
     if step is not None and rtol is not None:
         raise BadInput(
             f"step = {excerpt(step)} and rtol = {excerpt(rtol)}: {name} takes one of them, a fixed step or "

@@ -105,14 +105,15 @@ def solve(
 ) -> Any:
     """Take the sequence of steps from x, and at each of the times the shortened step off it.
 
-    options : ε, the span, the budget of steps.  pace(x) : what decides how long steps are, x or x without its tangent.
+    options : ε, the span, the budget of steps, and the scales of the motion.  pace(x) : what decides how long steps are, x or x without its tangent.
     The loops of an engine: ``repeat_while(condition, body, x)``, and ``over(times, body, x)`` with a body that returns
     x and a row, NaN where not reached.
     Returns what `over` does of (x, time, density, steps).
     """
-    epsilon, span, budget = options
+    epsilon, span, budget, *scales = options
     square = sum(c * c for c in motion_of(scene, x))
-    bound = DIVERGENCE**2 * choose(square > 1, square, 1.0, xp)
+    least = choose(square > 1, square, 1.0, xp)
+    bounds = [DIVERGENCE**2 * larger(scale * scale, least, xp) for scale in scales]
 
     def next_time(carried: Any) -> Any:
         _, time, density, _ = carried
@@ -120,7 +121,7 @@ def solve(
 
     def healthy(carried: Any) -> Any:
         x, _, density, steps = carried
-        inside = [c * c <= bound for c in motion_of(scene, x)]
+        inside = [c * c <= bound for c, bound in zip(motion_of(scene, x), bounds, strict=True)]
         return reduce(and_, inside, (steps < budget) & (epsilon > SHORTEST * span * value(density)))
 
     def step(carried: Any) -> Any:
@@ -181,7 +182,7 @@ def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, movin
 
         return tape.repeat(tape.assign(Operation("len", (times,)), "i", tape.root), interval, (x, 0))[0]
 
-    x, options = scene.unpack(start, carry), load("options", 3)
+    x, options = scene.unpack(start, carry), load("options", 3 + scene.motion)
     x, time, density, steps = solve(twin, x, options, "times", xp, pace, tape.repeat_while, over)
     facts = [value(time), value(density), steps, *flat(scene.pack(x))]
     stores = [Store(Element("facts", (i,)), operand_of(fact)) for i, fact in enumerate(facts)]
@@ -207,7 +208,11 @@ class AdaptiveContactRun(Prepared):
         #: of steps of the sequence; the shortened ones, one to every saved time, come out of `max_steps` first
         self.budget = max(r.max_steps - len(r.save_at) + 1, 0)
         self.epsilon = AIM * r.rtol ** (1 / RKN6.order)
-        self.options = np.array([self.epsilon, self._end, self.budget])
+        #: with the scales of the scene's own start
+        self.options = self.options_from(self.start)
+
+    def options_from(self, y0: np.ndarray) -> np.ndarray:
+        return np.array([self.epsilon, self._end, self.budget, *self.scales(y0)[: self._motion]])
 
     @abstractmethod
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
@@ -219,6 +224,16 @@ class AdaptiveContactRun(Prepared):
             if not frozen:
                 return Differential(self.map_source, out.y, self.sensitivity(y0, frozen=False)[None])
         return super().differential(y0, out, frozen)
+
+    @abstractmethod
+    def attempt(self, y0: np.ndarray, options: np.ndarray) -> tuple[np.ndarray, Any]:
+        """Return the states, NaN where not reached, and the facts of `record_loop`."""
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        out = self.outcome(y0, *self.attempt(y0, self.options))
+        if out.status is Status.ok or y0 is self.start:
+            return out
+        return self.outcome(y0, *self.attempt(y0, self.options_from(y0)))  # maybe of another scale
 
     def outcome(self, y0: np.ndarray, y: np.ndarray, facts: Any) -> Outcome:
         """The outcome of a run from its states, NaN where not reached, and the facts of `record_loop`."""
@@ -258,17 +273,19 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
 
         return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)
 
-    def call(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def call(
+        self, run: Any, start: np.ndarray, options: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         y, facts = np.empty((len(self.times), len(start))), np.empty(3 + len(start))
-        run(start, self.numbers, self.options, self.times, y, facts)
+        run(start, self.numbers, self.options if options is None else options, self.times, y, facts)
         return y, facts
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         return self.call(self.run, y0)[0][-1]
 
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        y, facts = self.call(self.run, y0)
-        return self.outcome(y0, y, facts.tolist())
+    def attempt(self, y0: np.ndarray, options: np.ndarray) -> tuple[np.ndarray, Any]:
+        y, facts = self.call(self.run, y0, options)
+        return y, facts.tolist()
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         run, _ = self.loop(tangent=True, moving=not frozen)
@@ -289,15 +306,15 @@ class AdaptivePythonLoop(AdaptiveContactRun):
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         return AdaptiveNumbaLoop(self.method, replace(self.request, engine="numba")).sensitivity(y0, frozen)
 
-    def integrate(self, y0: np.ndarray) -> Outcome:
+    def attempt(self, y0: np.ndarray, options: np.ndarray) -> tuple[np.ndarray, Any]:
         r = self.request
-        given = y0.tolist(), r.scene.numbers(), self.options.tolist(), r.save_at.tolist()
+        given = y0.tolist(), r.scene.numbers(), options.tolist(), r.save_at.tolist()
         for loop in self.loops:
             y, facts = [[math.nan] * len(y0) for _ in r.save_at], [0.0, math.nan, 0.0, *given[0]]
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken; what was reached before counts
                 loop(*given, y, facts)
                 break
-        return self.outcome(y0, np.array(y), facts)
+        return np.array(y), facts
 
     def as_written(self, start: Any, numbers: Any, options: Any, times: Any, y: Any, facts: Any) -> None:
         scene = self.request.scene
@@ -329,8 +346,10 @@ class ScalarNumbers(XlaNumbers):
 class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
     def __post_init__(self) -> None:
         super().__post_init__()
-        numbers = self.request.scene.numbers()
-        self.compile(self.flat(self._solve), self.together(numbers, self.options, self.times()))
+        self.compile(self.flat(self._solve), self.given(self.options))
+
+    def given(self, options: np.ndarray) -> np.ndarray:
+        return self.together(self.request.scene.numbers(), options, self.times())
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]
@@ -357,9 +376,10 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         (x, *facts), y = solve(scene, x, options, times, ScalarNumbers(), pace, lax.while_loop, over)
         return y, jnp.stack(facts), jnp.stack(scene.pack(x))
 
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        y, facts, last = self.unflat(super().call(y0), len(y0))
-        return self.outcome(y0, y, (*facts, *last))
+    def attempt(self, y0: np.ndarray, options: np.ndarray) -> tuple[np.ndarray, Any]:
+        fixed = None if options is self.options else self.given(options)
+        y, facts, last = self.unflat(super().call(y0, fixed), len(y0))
+        return y, (*facts, *last)
 
 
 RUNS: dict[str, type[AdaptiveContactRun]] = {

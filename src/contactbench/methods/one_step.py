@@ -6,7 +6,8 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import and_
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,10 @@ class OneStep:
     for which ``jax_enable_x64`` must be set.  In a function compiled with ``numba.njit`` call it as
     ``step(y, h)`` or ``step(y, h, numbers)``, of floats; of many sites it is not compiled.  A step map has no state
     and keeps none.
+
+    Numbers may make the scene another problem, which has other flows: another sign of κ, another order of the moments
+    of inertia.  The step is then that one's, of traced numbers too for κ; where the method or what is carried has none
+    it is refused, in compiled code always, and nan under JAX.  So is a mass ≤ 0.
     """
 
     scene: Scene
@@ -73,14 +78,56 @@ class OneStep:
         if len(y) != len(self.start):
             labels = "" if self.many else f", {', '.join(self.labels)}"
             raise BadInput(f"y has {len(y)} entries: must be {len(self.start)}{labels}")
-        if self.many:
-            return self.advance(y, h, given, namespace(y, h, *given))
-        return self.advance(tuple(y), h, given, namespace(*y, h, *given))
+        y = y if self.many else tuple(y)
+        xp = namespace(*((y,) if self.many else y), h, *given)
+        if numbers is None and not parameters:
+            return self.advance(y, h, self.scene, xp)
+        if shape := np.broadcast_shapes(*map(np.shape, given)):  # each entry has stage constants of its own
+            h = xp.broadcast_to(h, shape)
+        if xp is math or xp is np:
+            scene = self.scene.with_numbers(given) if np.all(self.fits(given)) else self.rebuilt(given)
+            return self.advance(y, h, scene, xp)
+        return self.traced(y, h, given, xp)
 
-    def advance(self, y: Sequence[Any], h: Any, numbers: Sequence[Any], xp: Any) -> Any:
+    def fits(self, numbers: Sequence[Any]) -> Any:
+        """Return whether numbers are those of the scene's structure, entry by entry."""
+        known = [*numbers, 0.0]
+        orders = self.scene.orders()
+        return reduce(
+            and_, [known[i] < known[j] if strict else known[i] <= known[j] for i, j, strict in orders], True
+        )
+
+    def rebuilt(self, numbers: Sequence[Any]) -> Scene:
+        """Return the scene of another structure that numbers make; `BadInput` where the method has no step on it."""
+        scene = self.scene.decided_by(numbers)
+        why = self.method.refuses(scene)
+        if missing := set(scene.required) - set(self.carry):
+            why = f"{', '.join(missing)} must be carried then"
+        if why is not None:
+            told = ", ".join(f"{name} = {x!r}" for name, x in zip(self.names, numbers, strict=True) if name)
+            raise BadInput(f"{told}: makes scene {scene.name!r} another problem: {why}")
+        return scene
+
+    def traced(self, y: Any, h: Any, numbers: Sequence[Any], xp: Any) -> Any:
+        """Step with numbers that may not be looked at; nan, derivatives too, where there is no step of that structure."""
         scene = self.scene.with_numbers(numbers)
+        if (
+            "kappa" not in scene.coefficients
+            or numbers[place := self.names.index("kappa")] is self.scene.kappa
+        ):
+            fits = self.fits(numbers)
+            return self.advance(y, h, scene, xp, 0.0 if fits is True else xp.where(fits, 0.0, math.nan))
+        general = scene._replaced(kappa_sign=None)
+        if "s" in self.carry and self.method.refuses(general) is None:
+            return self.advance(y, h, general, xp)
+        kappa = xp.asarray(numbers[place])
+        return self.advance(y, h, scene, xp, xp.where(kappa == 0, xp.sqrt(kappa * kappa), math.nan))
+
+    def advance(self, y: Any, h: Any, scene: Scene, xp: Any, lack: Any = None) -> Any:
         end = scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp))
-        return end if self.many else tuple(end)
+        if self.many:
+            return end if lack is None else end + lack
+        return tuple(end) if lack is None else tuple(c + lack for c in end)
 
     @property
     def _numba_type_(self) -> Any:
@@ -97,12 +144,37 @@ class OneStep:
             raise CannotRecord(why)
 
         d = len(self.labels)
-        recorded = formula(self.advance, (d, 0, len(self.names), "xp"), ())
+
+        def advance(y: Any, h: Any, numbers: Any, xp: Any) -> Any:
+            return self.advance(y, h, self.scene.with_numbers(numbers), xp)
+
+        recorded = formula(advance, (d, 0, len(self.names), "xp"), ())
         names = argument_names(recorded.arguments, ())
         arguments = (Unpack(names[:d], "y"), Update((names[d],), ("h",)), Unpack(names[d + 1 :], "numbers"))
         own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
         step = Function("step", ("y", "h", own), (*arguments, *recorded.body), recorded.results)
-        return numba.njit(execute(step), error_model="numpy")
+        advance = numba.njit(execute(step), error_model="numpy")
+        default, orders = tuple(map(float, self.scene.numbers())), tuple(self.scene.orders())
+        if not orders:
+            return advance
+        zero, why = (
+            len(default),
+            f"numbers: make scene {self.scene.name!r} another problem: step_map of that one",
+        )
+
+        @numba.njit
+        def guarded(y, h, numbers=default):  # type: ignore[no-untyped-def]
+            for i, j, strict in orders:
+                low, high = 0.0, 0.0
+                if i < zero:
+                    low = numbers[i]
+                if j < zero:
+                    high = numbers[j]
+                if not (low < high or (low == high and not strict)):
+                    raise BadInput(why)
+            return advance(y, h, numbers)
+
+        return guarded
 
 
 def namespace(*values: Any) -> Any:

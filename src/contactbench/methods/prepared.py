@@ -30,6 +30,8 @@ class Request:
     """A validated question to a method: what to solve, how finely, and what to save.
 
     steps : those that are prescribed, of which `step` is the longest; None: equal ones between saved times.
+    atol : one number, or one for every component but the time.  scales : what rtol was multiplied by, see `scales_of`;
+    None where atol was given.
     """
 
     scene: Scene
@@ -38,9 +40,15 @@ class Request:
     save_at: np.ndarray
     step: float | None = None
     rtol: float | None = None
-    atol: float | None = None
+    atol: Any = None
     max_steps: int = 10**8
     steps: np.ndarray | None = None
+    scales: Any = None
+
+    def to_scale(self, start: Any, takes_atol: bool) -> Request:
+        """Return the request with the scales of the motion from a state, and the atol that follows from them."""
+        scales = scales_of(self.scene, start, float(self.save_at[-1]))
+        return replace(self, scales=scales, atol=self.rtol * scales if takes_atol else None)
 
     @property
     def control(self) -> str:
@@ -221,13 +229,19 @@ class Prepared(ABC):
     def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
         """Return the index of the first saved state in y that is not finite, or beyond its scale."""
         # the common case first, without an overflow; a few numbers are worth no NumPy, many are
-        size, start = self._motion, y0[: self._motion]
+        start = y0[: self._motion]
         bound = DIVERGENCE * max(1.0, math.sqrt(float(start @ start)))
         largest = math.hypot(*y.ravel().tolist()) if y.size <= FEW else np.abs(y).max()
         if largest <= bound:  # nan fails every comparison
             return None
-        bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, :size]).max(axis=1) <= bound))
+        bounds = np.fmax(bound, DIVERGENCE * self.scales(y0)[: self._motion])
+        bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, : self._motion]) <= bounds).all(axis=1))
         return int(np.argmax(bad)) if bad.any() else None
+
+    def scales(self, y0: np.ndarray) -> np.ndarray:
+        """Return the scale of every component but the time of the motion from a packed state."""
+        scene = self.request.scene
+        return scene.scales(scene.unpack(scene.entries(y0), self.request.carry), self._end)
 
     def finish(
         self,
@@ -332,6 +346,12 @@ class Prepared(ABC):
     def modified_hamiltonian(self, x: Any) -> Any | None:
         """H̃ at x (see `splitting.modified`), None where the run is not known to be the flow of one."""
         return None
+
+
+def scales_of(scene: Any, x: Any, end: float) -> Any:
+    """Return the scale of every component but the time of a motion from x, one number where all are 1."""
+    scales = scene.scales(x, end)
+    return 1.0 if (scales == 1).all() else scales
 
 
 def prepare_again(method: str, request: Request) -> Prepared:

@@ -64,6 +64,8 @@ class ChosenStep(Prepared):
         self.compile_s = self.run.compile_s
         self.alone = Lock()  # one run to divide: calls from several threads take turns
         self.sensitivity_source = self.run.sensitivity_source
+        #: what the parts of the motion are measured in
+        self.units = self.scales(self.start)[: self._motion]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         with self.alone:
@@ -142,7 +144,7 @@ class ChosenStep(Prepared):
 
     def distance(self, coarse: Pilot, fine: Pilot) -> float:
         """max ‖coarse − fine‖ / max ‖fine‖ of (q, p) or M over the saved times; infinite unless both are finite."""
-        a, b = coarse.y[:, : self._motion], fine.y[:, : self._motion]
+        a, b = (pilot.y[:, : self._motion] / self.units for pilot in (coarse, fine))
         size = float(np.linalg.norm(b, axis=1).max())
         gap = float(np.linalg.norm(a - b, axis=1).max())
         if not (math.isfinite(size) and math.isfinite(gap)):

@@ -30,7 +30,8 @@ from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused,
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, System, dot, key
-from contactbench.solution import Counts, Status
+from contactbench.scene.scales import in_order
+from contactbench.solution import Counts, Solution, Status
 from contactbench.trace.form import Function, Unpack, execute
 from contactbench.trace.recording import Recorded, Tape, attempt
 
@@ -79,9 +80,21 @@ class Peer(Adaptive):
 
 
 @dataclass
-class PeerRun(Prepared):
+class Scaled(Prepared):
     method_: Peer
 
+    def __call__(self, **data: Any) -> Solution:
+        """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
+        r = self.request
+        if data and r.scales is not None:
+            given = r.to_scale(r.scene.initial(r.carry, **r.scene.checked(data)), self.method_.takes_atol)
+            if not np.array_equal(given.scales, r.scales):
+                return self.method_.prepare(given)(**data)
+        return super().__call__(**data)
+
+
+@dataclass
+class PeerRun(Scaled):
     sensitivity_source = "variational equations, a run of its own"
 
     def __post_init__(self) -> None:
@@ -90,11 +103,15 @@ class PeerRun(Prepared):
             self.sensitivity_source = ""
 
     def variational(self) -> Self:
-        base = self.request.scene
-        count = len(base.tangents(base.initial(self.request.carry)))
+        r, base = self.request, self.request.scene
+        start = base.initial(r.carry)
+        count = len(base.tangents(start))
         name = f"variational equations of {base.name}"
         larger: Any = Variational(name=name, t_end=base.t_end, base=base, count=count)
-        return replace(self, request=replace(self.request, scene=larger))
+        request = replace(r, scene=larger)
+        if np.ndim(r.scales):
+            request = request.to_scale(larger.initial(r.carry), self.method_.takes_atol)
+        return replace(self, request=request)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         scene, d, run = self.request.scene, len(y0), self.variational()
@@ -139,6 +156,12 @@ class Variational(System):
     def pack(self, state: Bundle) -> list[Any]:  # type: ignore[override]
         moved = (self.base.without_clock(System.pack(v)) for v in state.v)
         return [*System.pack(state.x), *(c for v in moved for c in v)]
+
+    def scales(self, z: Bundle, end: float) -> np.ndarray:
+        """Return the scale of every component but the time; of a tangent as of a displacement by itself."""
+        own = self.base.scales(z.x, end)
+        moved = [np.array(self.base.without_clock(System.pack(v)), dtype=float) for v in z.v]
+        return np.concatenate([own, *(own * in_order((abs(v) / own).max()) for v in moved)])
 
     def numbers(self) -> list[float]:
         return self.base.numbers()

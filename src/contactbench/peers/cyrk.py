@@ -15,6 +15,8 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from contactbench.methods.base import CLAMPED, METHODS
 from contactbench.peers.base import Peer
 from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, CompiledPeer
@@ -30,7 +32,7 @@ class CyrkRun(CompiledPeer):
 
         r, method = self.request, int(cyrk.find_ode_method_int(self.method_.solver))
         where = self.functions.rhs, method, self.data, self.clock, self.end
-        return cyrk, (*where, r.rtol, r.atol, r.max_steps)
+        return cyrk, (*where, np.array([r.rtol]), np.array(r.atol, ndmin=1), r.max_steps)
 
     def ending(self, flag: int) -> tuple[Status, str]:
         if flag == SUCCESS:

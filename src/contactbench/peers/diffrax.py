@@ -14,14 +14,12 @@ import numpy as np
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
 from contactbench.methods.jax_engine import CompiledRun
 from contactbench.methods.prepared import Outcome
-from contactbench.peers.base import Peer
+from contactbench.peers.base import Peer, Scaled
 from contactbench.solution import Counts, Status
 
 
 @dataclass
-class DiffraxRun(CompiledRun):
-    method_: Peer
-
+class DiffraxRun(Scaled, CompiledRun):
     sensitivity_source = "forward-mode AD, accepted steps frozen"
     #: one program for two saved times and for 1024: it takes up to 50 µs longer than one for 64 (measured), and
     #: a program takes seconds to compile
@@ -31,11 +29,11 @@ class DiffraxRun(CompiledRun):
         super().__post_init__()
         r = self.request
         self.final_only = len(r.save_at) == 1
-        fixed = self.together(r.scene.numbers(), [r.rtol, r.atol], self.times())
+        fixed = self.together(r.scene.numbers(), [r.rtol], np.array(r.atol, ndmin=1), self.times())
         self.compile(self.flat(self._solve), fixed)
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method_, self.capacity, self.request.max_steps)
+        return (self.method_, self.capacity, self.request.max_steps, np.size(self.request.atol))
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]
@@ -46,7 +44,7 @@ class DiffraxRun(CompiledRun):
 
         from contactbench.xla import jax, jnp
 
-        numbers, (rtol, atol), times = self.apart(fixed)
+        numbers, (rtol,), atol, times = self.apart(fixed)
         r, implicit = self.request, self.method_.implicit
         scene = r.scene.with_numbers(list(numbers))
 
@@ -55,7 +53,8 @@ class DiffraxRun(CompiledRun):
         # fast; a tuple of scalars for two components, 1.1 times as fast; equal for three.
         start = 0.0 if scene.clock is None else y0[scene.clock]
         y = scene.without_clock(scene.entries(y0))
-        as_array = implicit or len(y) > 3
+        as_array = implicit or len(y) > 3 or len(atol) > 1
+        atol = atol if len(atol) > 1 else atol[0]
 
         def field(t: Any, x: Any, args: Any) -> Any:
             slopes = scene.slopes(start + t, scene.entries(x) if as_array else list(x), r.carry)

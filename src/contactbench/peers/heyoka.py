@@ -23,13 +23,18 @@ from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
 
 
-def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
+def taylor_system(
+    scene: Scene, carry: tuple[str, ...], heyoka: Any, units: np.ndarray
+) -> list[tuple[Any, Any]]:
+    """Return the equations, each component in a unit of its own: heyoka knows one scale for all, one or the largest."""
     names = scene.without_clock(scene.labels(carry))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
     variables = variables if isinstance(variables, list) else [variables]
-    slopes = map(bare, scene.slopes(Series(heyoka.time), [Series(v) for v in variables], carry))
+    given = [Series(v) if unit == 1 else Series(v) * unit for v, unit in zip(variables, units, strict=True)]
+    slopes = map(bare, scene.slopes(Series(heyoka.time), given, carry))
     expressions = (heyoka.expression(s) if isinstance(s, float) else s for s in slopes)
-    return list(zip(variables, expressions, strict=True))
+    own = (s if unit == 1 else s / unit for s, unit in zip(expressions, units, strict=True))
+    return list(zip(variables, own, strict=True))
 
 
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile
@@ -48,17 +53,20 @@ class TaylorRun(PeerRun):
         r = self.request
         scene = r.scene.unrolled() if isinstance(r.scene, Many) else r.scene
 
+        _, y0 = self.split_clock(self.start)
+        scaled = np.ndim(r.scales) > 0
+        units = np.exp2(np.round(np.log2(r.scales))) if scaled else np.ones(len(y0))
+        #: what the integrator's numbers are multiples of, powers of two; None: all are 1
+        self.units = units if scaled else None
+
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
-            system = taylor_system(scene, r.carry, heyoka)
-            _, start = self.split_clock(self.start)
+            system = taylor_system(scene, r.carry, heyoka, units.tolist())
             compact = len(self.start) > UNROLLED
-            return heyoka.taylor_adaptive(system, start, tol=r.rtol, compact_mode=compact), elapsed()
+            return heyoka.taylor_adaptive(system, y0 / units, tol=r.rtol, compact_mode=compact), elapsed()
 
-        numbers = tuple(scene.numbers())
-        program, self.compile_s = _integrators.get(
-            key(scene.recorded().identity, numbers, r.carry, r.rtol), make
-        )
+        given = (*scene.numbers(), *units), r.carry, r.rtol
+        program, self.compile_s = _integrators.get(key(scene.recorded().identity, *given), make)
         self.integrator = copy(program)
         #: where a packed state has what is integrated: all of it, but the time
         self.motion: Any = slice(self._clock)
@@ -71,9 +79,9 @@ class TaylorRun(PeerRun):
         """The time in a packed state is set and read in place: `split_clock` takes a third of a short run."""
         ta, clock, y = self.integrator, self._clock, y0.copy()
         ta.time = start = 0.0 if clock is None else y0.item(clock)
-        ta.state[:] = y0[self.motion]
+        ta.state[:] = y0[self.motion] if self.units is None else y0[self.motion] / self.units
         ta.propagate_until(start + self._end, max_steps=self.request.max_steps)
-        y[self.motion] = ta.state
+        y[self.motion] = ta.state if self.units is None else ta.state * self.units
         if clock is not None:
             y[clock] = start + self._end
         return y
@@ -81,8 +89,8 @@ class TaylorRun(PeerRun):
     def integrate(self, y0: np.ndarray) -> Outcome:
         r, ta, limit = self.request, self.integrator, self.outcomes
         with self.alone:
-            ta.time, ta.state[:] = self.split_clock(y0)
-            origin = ta.time
+            origin, start = self.split_clock(y0)
+            ta.time, ta.state[:] = origin, start if self.units is None else start / self.units
             if len(r.save_at) == 1:
                 outcome, _, _, steps, *_ = ta.propagate_until(origin + self._end, max_steps=r.max_steps)
                 y = ta.state[None][: outcome == limit.time_limit].copy()
@@ -91,6 +99,8 @@ class TaylorRun(PeerRun):
                 outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=r.max_steps)
                 y = y[1:]
             time, state = float(ta.time) - origin, ta.state.copy()
+        if self.units is not None:
+            y, state = y * self.units, state * self.units
         y = self.from_start(y0, self.insert_clock(y, origin, self.later[: len(y)]))
         counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
         # of a grid that takes exactly so many steps heyoka says that they are spent

@@ -34,6 +34,7 @@ from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
 from contactbench.scene.flow import Flow
+from contactbench.scene.scales import in_order
 from contactbench.trace.formula import Formula, formula
 
 #: by how much a function of floats may differ from its formula: powers are products there
@@ -457,12 +458,54 @@ class Scene(System):
             changed["parameters"] = dict(zip(names, numbers[len(leaves(own)) :], strict=True))
         return self._replaced(**changed)
 
+    def orders(self) -> list[tuple[int, int, bool]]:
+        """Return pairs (i, j, strict): number i is below number j, 0 being one more number, or else not above it.
+
+        Flows are those of numbers that are; others are of another structure, or not allowed.
+        """
+        own = [getattr(self, name) for name in self.coefficients]
+        ends = np.cumsum([0, *(len(leaves(value)) for value in own)]).tolist()
+        pairs = zip(self.coefficients, zip(ends, ends[1:], strict=False), strict=False)
+        zero = len(self.numbers())
+        return [(zero, i, True) for name, part in pairs if name in self.reciprocals for i in range(*part)]
+
+    def decided_by(self, numbers: Sequence[Any]) -> Self:
+        """Return the scene with other numbers, arrays too, and what they decide; `BadInput` for any not allowed."""
+        own, ends = [getattr(self, name) for name in self.coefficients], []
+        for end in (np.min, np.max):
+            extreme = [float(end(number)) for number in numbers]
+            for name, value in zip(self.coefficients, rebuild(own, extreme), strict=True):
+                self.checks.get(name, lambda *_: None)(name, value)
+            ends.append(self.with_numbers(extreme)._decide())
+        if ends[0].decided != ends[1].decided:
+            both = f"{ends[0].numbers()} and {ends[1].numbers()}"
+            raise BadInput(f"numbers: {both} make two problems of scene {self.name!r}: one call for each")
+        return self.with_numbers(numbers)._decide(ends[0])
+
+    def _decide(self, like: Any = None) -> Self:
+        """Return the scene with what its numbers decide anew, or as another one has it."""
+        return self
+
     @property
     def structure(self) -> tuple[Any, ...]:
         functions = (getattr(self, name) for name in self.functions)
         values = ((name, getattr(self, name)) for name in (*self.initial_fields, *self.coefficients))
         sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
         return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
+
+    def sizes(self, x: Any, end: float) -> tuple[np.ndarray, Any]:
+        """Return how large every component of the motion from x becomes until `end`, and the action: see `scales`."""
+        most = np.linalg.norm(np.array(x.M, dtype=float), axis=0)
+        return np.array([most] * 3), most
+
+    def scales(self, x: Any, end: float) -> np.ndarray:
+        """Return the scale of every component of a packed state but the time, from x on: one where of order one."""
+        with np.errstate(all="ignore"):
+            motion, action = self.sizes(x, end)
+            rest = [np.ones_like(action)] * (4 if getattr(x, "R", None) is not None else 0)
+            if x.s is not None:
+                rest.append(np.fmax(abs(x.s), action))
+            return in_order(np.concatenate([motion, np.reshape(rest, (len(rest), *np.shape(action)))]))
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
         defaults = self.state._field_defaults

@@ -1,5 +1,5 @@
 """Verification of a user's scene: its gradient is the potential's, its Hessian the gradient's, its damping's slope
-is right, its symmetry is there.  A wrong one would be integrated without a word, the reference included.
+and flow and its rate's integrals are right, its symmetry is there.  A wrong one would be integrated without a word, the reference included.
 
 Derivatives are compared with differences near the initial data and along the motion, not with dual numbers, since a
 user's functions may be ones that these cannot pass through.
@@ -15,8 +15,9 @@ from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
-from contactbench.errors import BadInput, excerpt, is_number, their_code
+from contactbench.errors import BadInput, excerpt, is_number, is_ours, their_code
 from contactbench.scene.base import Cache, Scene, key
+from contactbench.scene.driven import Driven
 from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.mechanical import Mechanical
 from contactbench.trace.formula import Formula
@@ -30,6 +31,9 @@ TOLERANCE = 1e-6
 SAFETY = 8.0
 #: where differences are worse than this nothing can be said: a kink, a singularity
 UNSURE = 1e-3
+
+#: spans over which flows and integrals are tried, in parts of the scene's end time
+TRIED = (1e-3, 1e-1)
 
 #: evaluations that a motion is followed for, and places on every step of it
 FOLLOWED, BETWEEN = 3000, 4
@@ -118,7 +122,8 @@ class Claim(NamedTuple):
     """That one function is the derivative of another.
 
     f : of x, (n,), m numbers.  given : what is claimed to be its derivative at x, (m, n).  size : of each component
-    of x.  says, of, where : parts of the message, "{says} 1.0 at {where}, the derivative of the {of} there 1.1".
+    of x.  says, of, where : parts of the message, "{says} 1.0 at {where}, {of} there 1.1", of which the first is the
+    user's: what is given, or where `derived` the derivative of f.
     """
 
     f: Callable[[np.ndarray], Any]
@@ -128,6 +133,7 @@ class Claim(NamedTuple):
     says: str
     of: str
     where: str
+    derived: bool = False
 
 
 def _check(scene: Mechanical, states: np.ndarray, claims: Callable[..., Iterator[Claim]]) -> None:
@@ -165,12 +171,61 @@ def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
     if _is_given(scene.gradient):
         says = "its gradient is not the potential's: component {j} is"
         force, potential = [_force(scene, q, time)], lambda q: [_potential(scene, q, time)]
-        yield Claim(potential, q, force, _size(q), says, "potential", f"q = {_at(q)}")
+        of = "the derivative of the potential"
+        yield Claim(potential, q, force, _size(q), says, of, f"q = {_at(q)}")
     if isinstance(scene, GeneralDamping):
         s, where = float(y[-1]), f"s = {y[-1]:.6g}"
         says = "damping_slope is not the damping's: it is"
         slope = [[scene.damping_slope(s)]]
-        yield Claim(lambda s: [scene.damping(float(s[0]))], [s], slope, [1.0], says, "damping", where)
+        of = "the derivative of the damping"
+        yield Claim(lambda s: [scene.damping(float(s[0]))], [s], slope, [1.0], says, of, where)
+        if scene.damping_flow is not None:
+            yield from _flow(scene, s)
+    if isinstance(scene, Driven) and scene.span is not None:
+        yield from _span(scene, time[0])
+    if not is_ours(type(scene)) and scene.has_jacobian:
+        carry = scene.carry(("s",))
+        rhs = lambda y: scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))  # noqa: E731
+        rows, says = (
+            scene.jacobian(scene.unpack(y.tolist(), carry)),
+            "its jacobian is wrong: entry ({i}, {j}) is",
+        )
+        yield Claim(
+            rhs, y, rows, _size(y), says, "the derivative of the right-hand side", f"the state {_at(y)}"
+        )
+
+
+def _flow(scene: GeneralDamping, s: float) -> Iterator[Claim]:
+    """Yield what a flow of s' = −Γ(s) claims; raise `BadInput` unless it starts at s."""
+    flow: Any = scene.damping_flow
+    _starts(scene, "damping_flow", flow(s, 0.0, math), s, f"s = {s:.6g}, h = 0")
+    for h in (part * scene.t_end for part in TRIED):
+        with _within_the_domain():
+            says, where = "damping_flow is not the damping's: its slope is", f"s = {s:.6g}, h = {h:.6g}"
+            rate = [[-scene.damping(flow(s, h, math))]]
+            yield Claim(lambda h: [flow(s, float(h[0]), math)], [h], rate, [h], says, "−Γ(s(h))", where, True)
+
+
+def _span(scene: Driven, t: float) -> Iterator[Claim]:
+    """Yield what the integrals of a rate claim; raise `BadInput` unless they begin at 0."""
+    pair = lambda h: scene.spent(t, float(h), math)  # noqa: E731
+    for value, name in zip(pair(0.0), ("G", "φ"), strict=True):
+        _starts(scene, f"span's {name}", value, 0.0, f"t = {t:.6g}, h = 0")
+    for h in (part * scene.t_end for part in TRIED):
+        with _within_the_domain():
+            slopes = (scene.rate_at(t + h), "G", "its rate"), (math.exp(-pair(h)[0]), "φ", "e^{−G}")
+            for k, (slope, name, of) in enumerate(slopes):
+                says, where = (
+                    f"span is not its rate's: the slope of its {name} is",
+                    f"t = {t:.6g}, h = {h:.6g}",
+                )
+                part = lambda h, k=k: [pair(h[0])[k]]  # noqa: E731
+                yield Claim(part, [h], [[slope]], [h], says, of, where, True)
+
+
+def _starts(scene: Scene, what: str, given: float, wanted: float, where: str) -> None:
+    if isfinite(given) and abs(given - wanted) > TOLERANCE * max(abs(wanted), abs(given)):
+        raise BadInput(f"scene {scene.name!r}: its {what} is {given:.6g} at {where}: must be {wanted:.6g}")
 
 
 def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
@@ -187,7 +242,8 @@ def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
         wanted = f"must be {n} rows of {n} real numbers"
         raise BadInput(f"scene {scene.name!r}: its Hessian is {excerpt(rows)}: {wanted}")
     says = "its Hessian is not the gradient's derivative: entry ({i}, {j}) is"
-    yield Claim(lambda q: _force(scene, q, []), q, given, _size(q), says, "gradient", f"q = {_at(q)}")
+    of = "the derivative of the gradient"
+    yield Claim(lambda q: _force(scene, q, []), q, given, _size(q), says, of, f"q = {_at(q)}")
 
 
 def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
@@ -221,9 +277,10 @@ def _compare(scene: Mechanical, claim: Claim) -> None:
         return
     true = np.array([difference(f, x, unit)[0] / unit[j] for j, unit in enumerate(np.diag(size))]).T
     i, j = np.unravel_index(np.argmax(np.abs(true - given) * size), given.shape)
+    theirs, expected = (true, given) if claim.derived else (given, true)
     raise BadInput(
-        f"scene {scene.name!r}: {claim.says.format(i=i + 1, j=j + 1)} {given[i, j]:.6g} at {claim.where}, "
-        f"the derivative of the {claim.of} there {true[i, j]:.6g}"
+        f"scene {scene.name!r}: {claim.says.format(i=i + 1, j=j + 1)} {theirs[i, j]:.6g} at {claim.where}, "
+        f"{claim.of} there {expected[i, j]:.6g}"
     )
 
 

@@ -47,8 +47,9 @@ def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
 
 def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
     """Return φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
-    undamped = gamma == 0
-    return choose(undamped, h, -xp.expm1(-gamma * h) / choose(undamped, 1.0, gamma, xp), xp)
+    undamped, z = gamma == 0, gamma * h
+    small = h * (1 - z / 2 * (1 - z / 3))  # its derivatives by γ are those at 0
+    return choose(undamped, small, -xp.expm1(-z) / choose(undamped, 1.0, gamma, xp), xp)
 
 
 #: above this γh the decay is applied as a factor, below it as a small loss

@@ -76,11 +76,17 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
 
 
 def survival(scene: Any, s: Any, after: Any, h: Any, xp: Any) -> Any:
-    """Return ∂s(h)/∂s = Γ(s(h))/Γ(s), the factor on p and on η; e^{−Γ'h} at the zeros of Γ."""
+    """Return ∂s(h)/∂s = Γ(s(h))/Γ(s), the factor on p and on η; e^{−Γ'h} at the zeros of Γ.
+
+    There Γ' is taken where s is on average, whose derivative is that of ∫Γ'(s).
+    """
     start = scene.dissipation(s)
     resting = start == 0
     ratio = scene.dissipation(after) / choose(resting, 1.0, start, xp)
-    return choose(resting, xp.exp(-scene.dissipation_rate(s) * h), ratio, xp)
+    z = scene.dissipation_rate(s) * h
+    still = z == 0
+    moved = choose(still, 1, z + xp.expm1(-z), xp) / choose(still, 2, z, xp) / choose(still, 1, z, xp)
+    return choose(resting, xp.exp(-scene.dissipation_rate(s - start * h * moved) * h), ratio, xp)
 
 
 def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:

@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from contactbench.errors import BadInput, finite, function, require_number, vector
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene.algebra import BodyState, Vector, cross, dot, rotate
+from contactbench.scene.algebra import BodyState, Vector, cross, dot, norm, rotate
 from contactbench.scene.base import Check, optional
 from contactbench.scene.flow import Flow, plain
 from contactbench.scene.mechanical import derived_gradient
@@ -127,6 +129,12 @@ class HeavyTop(RigidBody):
 
     def energy(self, x: BodyState) -> Any:
         return self.kinetic(x) + self.potential_at(x)
+
+    def sizes(self, x: BodyState, end: float) -> tuple[np.ndarray, Any]:
+        most, _ = super().sizes(x, end)
+        fall = (2 * max(self.inertia) * (abs(self.potential_at(x)) + norm(self.torque(x)))) ** 0.5
+        most = np.fmax(most, fall)
+        return most, most[0]
 
     def rhs(self, x: BodyState) -> BodyState:
         free = super().rhs(x)

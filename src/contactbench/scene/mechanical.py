@@ -27,6 +27,7 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled, times
 from contactbench.scene.base import Check, Scene, named_numbers, optional
 from contactbench.scene.flow import Flow, damped_time, damping, linear_log_factor, plain
+from contactbench.scene.scales import in_order, reach
 from contactbench.trace.formula import Formula, formula
 
 #: components up to which a Hessian is derived
@@ -45,6 +46,10 @@ def masses(name: str, value: Any) -> Any:
     if not isinstance(value, tuple | list | np.ndarray) or np.ndim(value) == 0:
         return positive(name, value)
     return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
+
+
+def sign(number: Any) -> int:
+    return int(number > 0) - int(number < 0)
 
 
 def damping_rate(name: str, value: Any) -> float:
@@ -104,6 +109,15 @@ class Canonical(Scene):
         return State(
             self.velocity(x.p), force, self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s)
         )
+
+    def sizes(self, x: State, end: float) -> tuple[np.ndarray, Any]:
+        far, fast = reach(self, x, end)
+        momenta = self.pack(
+            State(x.q, tuple(fast / each for each in self.velocity(tuple(1.0 + 0 * c for c in x.p))))
+        )
+        momenta = np.array(np.broadcast_arrays(*momenta), dtype=float)[len(momenta) // 2 :]
+        places = np.broadcast_to(far, momenta.shape)
+        return np.concatenate([places, momenta]), in_order(far) * in_order(momenta.max(axis=0))
 
     @property
     def rate_changes(self) -> bool:  # type: ignore[override]
@@ -216,7 +230,10 @@ def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, 
     infinity, and log((a + b)/(a − b))/2b.  For κ > 0 only p = 0 blows up, any other goes round.
     """
     _, phi, _, _, half_kappa = constants
-    a, square = 1 + half_kappa * x.s, scene.kappa_sign * half_kappa * phi * scene.kinetic(x.p)
+    a, z = 1 + half_kappa * x.s, half_kappa * phi * scene.kinetic(x.p)
+    if scene.kappa_sign is None:
+        return _pinney_of_any_sign(a, z, xp)
+    square = scene.kappa_sign * z
     straight = square == 0
     b = xp.sqrt(choose(straight, 1.0, square, xp))  # 1: no derivative of √0 is taken
     if scene.kappa_sign > 0:
@@ -232,6 +249,27 @@ def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, 
         bent = xp.log1p(2 * rise / choose(straight, 1.0, run - rise, xp)) / (2 * rise)
     path = choose(straight, 1 / choose(straight, run, 1.0, xp), bent, xp)
     return a, choose(alive, 1 / y, xp.inf, xp), path
+
+
+#: z/a² up to which atan2(√z, a)/√z is a sum of so many powers: to round-off
+SMALL, POWERS = 1e-2, 9
+
+
+def _pinney_of_any_sign(a: Any, z: Any, xp: Any) -> tuple[Any, Any, Any]:
+    """Return the same where the sign of κ is not known, z = kφT; smooth at κ = 0, which the others are not."""
+    size, square = abs(z), a * a
+    near = (size <= SMALL * square) & (a > 0)
+    b = xp.sqrt(choose(near | (z == 0), 1.0, size, xp))
+    turns, ahead = (z > 0) & ~near, (a > b) & (z < 0) & ~near
+    y = choose(near | turns, square + z, choose(ahead, (a - b) * (a + b), 0.0, xp), xp)
+    alive = y > 0
+    run = choose(near, a, 1.0, xp)
+    part, series = choose(near, z, 0.0, xp) / (run * run), 0.0
+    for k in reversed(range(POWERS)):
+        series = 1 / (2 * k + 1) - part * series
+    bent = xp.log1p(2 * b / choose(ahead, a - b, 1.0, xp)) / (2 * b)
+    path = choose(near, series / run, choose(turns, xp.atan2(b, a) / b, bent, xp), xp)
+    return a, choose(alive, 1 / choose(alive, y, 1.0, xp), xp.inf, xp), path
 
 
 def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
@@ -286,7 +324,7 @@ class Mechanical(Canonical):
     parameters: Mapping[str, float] = field(default_factory=dict)
     rotation_invariant: bool = False
     inverse_mass: Any = field(init=False, repr=False, default=1.0)
-    #: 1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it
+    #: 1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it; None: any
     kappa_sign: int = field(init=False, repr=False, default=0)
 
     kind: ClassVar[str] = "mechanical"
@@ -319,7 +357,7 @@ class Mechanical(Canonical):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._fix("kappa_sign", int(self.kappa > 0) - int(self.kappa < 0))
+        self._fix("kappa_sign", sign(self.kappa))
         if isinstance(self.mass, tuple) and len(self.mass) != len(self.q):
             raise BadInput(f"mass = {excerpt(self.mass)}: must be one number > 0, or {len(self.q)} of them")
         if len(self.q) != len(self.p):
@@ -333,7 +371,7 @@ class Mechanical(Canonical):
 
     @property
     def required(self) -> tuple[str, ...]:  # type: ignore[override]
-        return ("s",) if self.kappa else ()
+        return ("s",) if self.nonlinear_damping else ()
 
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
         n = len(self.q)
@@ -342,6 +380,16 @@ class Mechanical(Canonical):
     @property
     def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
         return (self.kappa_sign,)
+
+    def _decide(self, like: Any = None) -> Self:
+        return self._replaced(kappa_sign=sign(self.kappa) if like is None else like.kappa_sign)
+
+    def orders(self) -> list[tuple[int, int, bool]]:
+        if "kappa" not in self.coefficients:
+            return super().orders()
+        i, zero = self.coefficients.index("kappa"), len(self.numbers())
+        found = [(zero, i, self.kappa_sign > 0)] if self.kappa_sign >= 0 else []
+        return super().orders() + found + ([(i, zero, self.kappa_sign < 0)] if self.kappa_sign <= 0 else [])
 
     def recorded(self) -> Self:
         """Return the scene recorded, with a gradient and a Hessian derived where they are left out."""

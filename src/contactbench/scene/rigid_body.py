@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -227,7 +228,7 @@ class RigidBody(Scene):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._fix("by_inertia", tuple(sorted(range(3), key=lambda i: self.inertia[i])))
+        self._fix("by_inertia", self._decide().by_inertia)
         if (self.gamma is None) == (self.damping is None):
             raise BadInput("give exactly one of gamma (isotropic) and damping (a matrix D)")
         if self.damping is None:
@@ -283,6 +284,13 @@ class RigidBody(Scene):
     @property
     def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
         return self.by_inertia
+
+    def _decide(self, like: Any = None) -> Self:
+        anew = tuple(sorted(range(3), key=lambda i: self.inertia[i])) if like is None else like.by_inertia
+        return self._replaced(by_inertia=anew)
+
+    def orders(self) -> list[tuple[int, int, bool]]:
+        return super().orders() + [(i, j, False) for i, j in pairwise(self.by_inertia)]
 
     def angular_velocity(self, M: Vector) -> Vector:
         return tuple(m * i for m, i in zip(M, self.inverse_inertia, strict=True))

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.errors import NAME
-from contactbench.scene import Scene
+from contactbench.scene import Scene, verify
+from contactbench.scene.definition import verify_along
 from contactbench.scene.many import Many
 from contactbench.testing.rules import Finding, follow, require
 from contactbench.truth import decimal_context, reference, with_decimals
@@ -130,6 +131,13 @@ def is_one_definition(case: SceneCase) -> None:
 
 def derives(case: SceneCase) -> None:
     scene, size = case.scene, len(case.scene.labels(case.scene.carry()))
+    verify(scene)
+    verify_along(scene)
+    for x in case.states:
+        given = scene.slopes(
+            0.0 if scene.clock is None else x.t, scene.without_clock(scene.pack(x)), scene.carry()
+        )
+        case.near(given, scene.without_clock(scene.pack(scene.rhs(x))), "slopes are not those of rhs")
     for x in case.exact:
         rows = case.twin.jacobian(x)
         require((rows is not None) == scene.has_jacobian, f"has_jacobian = {scene.has_jacobian}")

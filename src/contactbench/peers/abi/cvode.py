@@ -47,8 +47,8 @@ SIGNATURES = {
     "pppp": "SUNLinSol_Dense",
     "pip": "CVodeCreate",
     "ippdp": "CVodeInit",
-    "ipdp": "CVodeReInit",
     "ipdd": "CVodeSStolerances",
+    "ipdp": "CVodeReInit CVodeSVtolerances",
     "ipp": "CVodeSetNonlinearSolver CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails "
     "CVodeGetNumStepSolveFails",
     "ippp": "CVodeSetLinearSolver",
@@ -224,7 +224,7 @@ class Memory:
         functions: CFunctions | FieldFunctions,
         data: np.ndarray,
         size: int,
-        tolerances: tuple[float, float],
+        tolerances: tuple[float, Any],
         bounds: tuple[float, float],
     ) -> None:
         self.y, self.data, self.functions = np.zeros(size), data, functions
@@ -237,12 +237,21 @@ class Memory:
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
         solvers = self.choose(method, isinstance(functions, FieldFunctions), size, context)
         weakref.finalize(self, free, memory, solvers, self.vector, context)
-        check("CVodeSStolerances", memory, *tolerances)
+        self.tolerate(*tolerances, context)
         check("CVodeSetUserData", memory, self.user.ctypes.data)
         if functions.jacobian:
             check("CVodeSetJacFn", memory, _jacobian.address)
         check("CVodeSetMinStep", memory, bounds[0])
         check("CVodeSetMaxStep", memory, bounds[1])
+
+    def tolerate(self, rtol: float, atol: Any, context: Any) -> None:
+        """Set the tolerances; atol is one number, or one for every component."""
+        if not np.ndim(atol):
+            check("CVodeSStolerances", self.memory, rtol, atol)
+            return
+        given = library.N_VMake_Serial(len(atol), atol.ctypes.data, context)
+        check("CVodeSVtolerances", self.memory, rtol, given)  # which copies it
+        library.N_VDestroy(given)
 
     def choose(self, method: str, many: bool, size: int, context: Any) -> dict[str, int]:
         """Connect what solves for a step (no dense matrix of many sites), and return it by what frees it."""

@@ -40,14 +40,12 @@ NOTHING = 0
 
 @kept
 def solve(rhs, method, start, data, times, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
-    """CyRK's result; times : where states are wanted, none for every step."""
-    tolerances = np.array([rtol, atol])
-    place = tolerances.ctypes.data
+    """CyRK's result; times : where states are wanted, none for every step; rtol, atol : arrays, atol (1,) or (d,)."""
     state = (rhs, 0.0, end, start.ctypes.data, len(start))
     problem = (*state, method, NOTHING, NOTHING, data.ctypes.data, data.size * 8)
     saves = (max_steps, UNLIMITED, False, times.ctypes.data, times.size, NOTHING, NOTHING, NOTHING)
     # no bound on the step, the first chosen by the solver, which is kept: it knows where it stopped
-    steps = (place, 1, place + 8, 1, np.inf, 0.0, True)
+    steps = (rtol.ctypes.data, 1, atol.ctypes.data, atol.size, np.inf, 0.0, True)
     return integrate(*(problem + saves + steps))
 
 

@@ -1,0 +1,57 @@
+"""How large a motion becomes, from its start alone: what a divergence and an absolute tolerance are measured against."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+#: a size between these counts as one, so that scenes in sensible units are solved in these
+LEAST, MOST = 1e-2, 1e3
+#: spans that are tried, each so many times as long as the one before
+SPANS, RATIO = 18, 8.0
+
+
+def in_order(sizes: Any) -> np.ndarray:
+    """Return sizes, 1 where they are of order one or not known."""
+    sizes = np.asarray(sizes, dtype=float)
+    known = np.isfinite(sizes) & (sizes > 0) & ~((sizes >= LEAST) & (sizes <= MOST))
+    return np.where(known, sizes, 1.0)
+
+
+def reach(scene: Any, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return how large coordinates and velocities become: of many trajectories at once, one of each for all.
+
+    A body is thrown from x with its first acceleration, over the longest of some spans up to `end` in which the
+    change of the force does not outweigh what it has: a fraction of a period, or all the time of a free body.
+    """
+    axes = (0, 1) if scene.kind == "many" else 0
+
+    def size(vector: Any) -> Any:
+        if all(isinstance(c, float) for c in vector):
+            return max(map(abs, vector)) if sum(vector) == sum(vector) else np.nan
+        return np.abs(np.array(np.broadcast_arrays(*vector), dtype=float)).max(axis=axes)
+
+    def pull(after: float, q: Any) -> Any:
+        there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
+        try:
+            return scene.velocity(tuple(-g for g in scene.gradient_at(there)))
+        except Exception:  # a user's function, where it is not defined
+            return tuple(np.nan * c for c in q)
+
+    v, a = scene.velocity(x.p), pull(0.0, x.q)
+    far, fast, force = size(x.q), size(v), size(a)
+    spans = [end / RATIO**k for k in reversed(range(SPANS))]
+    if scene.clock is not None:  # a force that is yet to come
+        force = np.fmax.reduce([force, *(size(pull(span, x.q)) for span in spans)])
+    fits, way, gain = True, 0.0 * fast, 0.0 * fast
+    for span in spans:
+        thrown = tuple(c + span * (d + span / 2 * e) for c, d, e in zip(x.q, v, a, strict=True))
+        here = a if scene.clock is None else pull(span, x.q)
+        change = size([there - c for there, c in zip(pull(span, thrown), here, strict=True)])
+        fits = fits & (change * span <= fast + force * span / 2)
+        if not np.any(fits):
+            break
+        way = np.where(fits, span * (fast + span / 2 * force), way)
+        gain = np.where(fits, span * force, gain)
+    return np.fmax(far, way), fast + gain
