@@ -159,6 +159,10 @@ class System(ABC):
         """The component of the packed state that is the time, where there is one."""
         return None
 
+    def breaks_until(self, end: float) -> list[float]:
+        """Return the times since the start, up to an end, at which every step ends that reaches them."""
+        return []
+
     def without_clock(self, y: Sequence[Any]) -> Sequence[Any]:
         """Return a packed state less the time, as a solver integrates it that has a time of its own."""
         return y if self.clock is None else [*y[: self.clock], *y[self.clock + 1 :]]

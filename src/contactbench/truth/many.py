@@ -7,7 +7,7 @@ as far as they agree.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.engines import OutOfTime, Stopwatch, extrapolate
+from contactbench.truth.engines import OutOfTime, Stopwatch, across_breaks, extrapolate
 
 #: numbers of a state up to which its components are solved to 30 digits
 FEW = 128
@@ -28,29 +28,46 @@ SOLVERS, UNEVEN = 2, 1.5
 Slope = Callable[[np.ndarray], np.ndarray]
 
 
-def doubles(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> tuple[np.ndarray, int]:
-    """Return states (k, size) at increasing times, and how many digits of them two solvers agree on."""
+def doubles(
+    scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float, stops: Sequence[float] = ()
+) -> tuple[np.ndarray, int]:
+    """Return states (k, size) at increasing times, and how many digits of them two solvers agree on.
+
+    stops : times at which a step ends.
+    """
 
     def slope(y: np.ndarray) -> np.ndarray:
         return np.asarray(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry))))
 
     start, found, begun = np.array(scene.pack(scene.initial(carry))), list[Any](), perf_counter()
+    times = sorted({*t.tolist(), *stops})
+    saved = np.searchsorted(times, t)
     for solver in (by_dop853, partial(extrapolate, most=COLUMNS, tolerance=TIGHTEST)):
         spent, left = perf_counter() - begun, SOLVERS - len(found)
+        watch = Stopwatch(scene, float(t[-1]), deadline)
+
+        def solve(y: np.ndarray, times: list[float], begin: float, solver=solver, watch=watch) -> Any:
+            return solver(slope, y, times, watch=watch, begin=begin)
+
         try:
             with np.errstate(all="ignore"):
-                rows = solver(slope, start, t.tolist(), watch=Stopwatch(scene, float(t[-1]), deadline))
+                rows = np.array(across_breaks(solve, slope, start, times))[saved]
         except OutOfTime as why:
             raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
         if not np.isfinite(rows[-1]).all():
             raise BadInput(f"no reference for scene {scene.name!r}: it cannot be followed to t = {t[-1]:g}")
-        found.append(np.array(rows))
+        found.append(rows)
     one, other = found
     gap = np.abs(one - other).max() / np.abs(one).max()
-    return one, max(0, math.floor(-math.log10(max(gap, 1e-15))))
+    digits = max(0, math.floor(-math.log10(max(gap, 1e-15))))
+    if not digits:
+        raise BadInput(f"no reference for scene {scene.name!r}: two solvers agree on no digit at t = {t[-1]:g}")
+    return one, digits
 
 
-def by_dop853(slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch) -> list[np.ndarray]:
+def by_dop853(
+    slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch, begin: float = 0.0
+) -> list[np.ndarray]:
     """Return the states at increasing times by SciPy's DOP853 at its tightest, stopping at each; nan is a failure."""
     from scipy.integrate import solve_ivp
 
@@ -58,7 +75,7 @@ def by_dop853(slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch)
         watch.check(time)
         return slope(y)
 
-    rows, now = [], 0.0
+    rows, now = [], begin
     for time in times:
         if time > now:
             run = solve_ivp(checked, (now, time), y, "DOP853", [time], rtol=TIGHTEST, atol=TIGHTEST)
