@@ -182,12 +182,12 @@ def taylor(
         longest = max(longest, last)
         return not watch.is_over(t) and (t >= due or last > collapse * longest)
 
-    ends, rows, left = {*stops, end}, list[Any](), ["0.0"]
+    ends, rows, left = {*stops, end}, list[Any](), list[str]()
     for time in times:
         left += [time] if float(time) else []
         if float(time) not in ends:
             continue
-        grid, due = np.array([heyoka.real(t, bits) for t in left]), float(time)
+        grid, due = np.array([integrator.time, *(heyoka.real(t, bits) for t in left)]), float(time)
         outcome, *_, taken, _, states = integrator.propagate_grid(
             grid, callback=keep_going, max_steps=MAX_STEPS - steps
         )
@@ -201,7 +201,7 @@ def taylor(
                 raise BadInput(f"no reference for scene {scene.name!r}: {why}")
             raise BlowUp(scene, context.mpf(str(integrator.time)))
         rows += list(states[len(rows) > 0 :])
-        left = [time]
+        left = []
     return [[context.mpf(str(x)) for x in row] for row in rows[len(rows) - len(times) :]]
 
 
