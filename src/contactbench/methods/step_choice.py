@@ -125,7 +125,7 @@ class ChosenStep(Prepared):
         run.divide(step)
         size = step if math.isclose(run.needed * step, self._end) else self._end / run.needed
         y, counts = run.take(y0)
-        return Pilot(run.needed, size, step, counts.evaluations or 0, y)
+        return Pilot(run.needed, size, step, counts.evaluations or 0, y[run.saved])
 
     def between(self, pilots: list[Pilot], finest: float, target: float) -> float:
         """The step between two pilots at which the error, measured against the finest, is the target."""

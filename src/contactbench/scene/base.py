@@ -159,8 +159,8 @@ class System(ABC):
         """The component of the packed state that is the time, where there is one."""
         return None
 
-    def breaks_until(self, end: float) -> list[float]:
-        """Return the times since the start, up to an end, at which every step ends that reaches them."""
+    def breaks_until(self, end: float) -> list[tuple[float, float]]:
+        """Return times since the start, from 0 to an end, that no step straddles, and how exact they are."""
         return []
 
     def without_clock(self, y: Sequence[Any]) -> Sequence[Any]:

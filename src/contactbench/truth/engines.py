@@ -243,15 +243,20 @@ def extrapolation(
         return np.array(twin.pack(twin.rhs(twin.unpack(y.tolist(), carry))))
 
     start, watch = np.array(twin.pack(twin.initial(carry))), Stopwatch(scene, float(times[-1]), deadline)
+    breaks = scene.breaks_until(float(times[-1]))
 
     def solve(y: np.ndarray, times: list[Any], begin: Any) -> list[np.ndarray]:
         return extrapolate(slope, y, times, most, tolerance, watch, collapse, begin)
 
-    return [y.tolist() for y in across_breaks(solve, slope, start, list(map(context.mpf, times)))]
+    return [y.tolist() for y in across_breaks(solve, slope, start, list(map(context.mpf, times)), breaks)]
 
 
-#: two times so many roundings apart at most are the two sides of a break
-SIDES = 8
+Breaks = Sequence[tuple[float, float]]  #: times, and how exact they are
+
+
+def sides(breaks: Breaks, end: float) -> list[float]:
+    """Return the times just before and just behind breaks, as far as they are between 0 and an end."""
+    return [side for time, exact in breaks for side in (time - exact, time + exact) if 0 < side < end]
 
 
 def across_breaks(
@@ -259,15 +264,16 @@ def across_breaks(
     slope: Callable[[np.ndarray], np.ndarray],
     y: np.ndarray,
     times: Sequence[Any],
+    breaks: Breaks,
 ) -> list[np.ndarray]:
-    """Return states at increasing times by `solve(y, times, begin)`; between two sides of a break, by the slopes there.
+    """Return states at increasing times, `sides` of breaks among them, by `solve(y, times, begin)`.
 
-    Either side may be what holds at the time of a break itself, and nothing converges over it.
+    Over a break itself nothing converges: there a state moves by the mean of the slopes on both sides.
     """
     rows, begin, group = list[np.ndarray](), 0 * times[-1], list[Any]()
     for time in times:
         before = group[-1] if group else begin
-        if 0 < time - before <= SIDES * math.ulp(float(time)):
+        if before < time and any(b - m <= float(before) and float(time) <= b + m for b, m in breaks):
             rows += solve(y, group, begin)
             y = rows[-1] if rows else y
             ahead = y + (time - before) * slope(y)  # which has the other time

@@ -51,7 +51,7 @@ def doubles(
 
         try:
             with np.errstate(all="ignore"):
-                rows = np.array(across_breaks(solve, slope, start, times))[saved]
+                rows = np.array(across_breaks(solve, slope, start, times, scene.breaks_until(times[-1])))[saved]
         except OutOfTime as why:
             raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
         if not np.isfinite(rows[-1]).all():

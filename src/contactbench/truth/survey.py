@@ -18,7 +18,7 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.engines import SIDES, DoublesOnly, Stopwatch, across_breaks
+from contactbench.truth.engines import DoublesOnly, Stopwatch, across_breaks, sides
 
 #: relative tolerance of a step, and by how much its change may be off the integral of the slopes, against the motion
 STEP, OFF = 1e-11, 1e-7
@@ -77,6 +77,7 @@ class Survey:
         # the scale of every component: what it is at the start, or has been since; all alike as long as it is none
         self.sizes, self.steepest = np.abs(self.start), np.zeros_like(self.start)
         self.breaks = self.scene.breaks_until(self.end)
+        self.sides = sides(self.breaks, self.end)
 
     @cached_property
     def stops(self) -> list[float]:
@@ -84,13 +85,13 @@ class Survey:
         ends = [0.0]
         with suppress(DoublesOnly):  # a singularity, whose time other engines know
             self.follow([self.end], None, ends)
-        return sorted({*stops_between(ends), *self.breaks})
+        return sorted({*stops_between(ends), *self.sides})
 
     def follow(self, times: Sequence[float], states: np.ndarray | None, ends: list[float]) -> None:
         """Add to the ends of the pieces; raise `BadInput` where one of the states (k, d) does not lead to the next."""
         watch, y = Stopwatch(self.scene, self.end, self.deadline), self.start
         known = {} if states is None else dict(zip(times, states, strict=True))
-        for bound in sorted({*times, *self.breaks} - {0.0}):
+        for bound in sorted({*times, *self.sides} - {0.0}):
             with np.errstate(all="ignore"):
                 y = self.piece(ends, y, bound, watch)
             if bound in known:
@@ -113,8 +114,9 @@ class Survey:
 
         due, shortest = [bound], SHORTEST * self.end
         while due:
-            if due[-1] - ends[-1] <= SIDES * np.spacing(due[-1]):  # between the two sides of a break
-                (y,) = across_breaks(lambda *_: [], self.slopes, y, [due[-1] - ends[-1]])
+            if any(time - m <= ends[-1] and due[-1] <= time + m for time, m in self.breaks):
+                whole = [(0.0, due[-1] - ends[-1])]
+                (y,) = across_breaks(lambda *_: [], self.slopes, y, [due[-1] - ends[-1]], whole)
                 ends.append(due.pop())
                 continue
             solver = DOP853(slope, ends[-1], y, due[-1], rtol=STEP, atol=STEP * self.scale().min())
