@@ -96,7 +96,9 @@ def followed(scene, force, rate, places):
     return y
 
 
-@pytest.mark.parametrize("seed", [pytest.param(n, marks=[pytest.mark.slow] * (n >= QUICK)) for n in range(ALL)])
+@pytest.mark.parametrize(
+    "seed", [pytest.param(n, marks=[pytest.mark.slow] * (n >= QUICK)) for n in range(ALL)]
+)
 def test_no_reference_of_a_driven_scene_is_wrong(seed):
     made, *known = scene(seed)
     found, true = cb.reference(made, [made.t_end], ()), followed(made, *known)

@@ -143,7 +143,9 @@ class Prepared(ABC):
         """Raise `BadInput` for states (d, …) that begin at another time, where steps end at breaks."""
         if self.breaks and np.any(other := y0[self._clock] != self.start[self._clock]):
             begins = float(np.ravel(y0[self._clock])[np.argmax(other)])
-            raise BadInput(f"t = {begins:g}: steps that end at breaks begin with the scene: scene.with_(t={begins:g})")
+            raise BadInput(
+                f"t = {begins:g}: steps that end at breaks begin with the scene: scene.with_(t={begins:g})"
+            )
 
     @abstractmethod
     def integrate(self, y0: np.ndarray) -> Outcome:

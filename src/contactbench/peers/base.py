@@ -122,7 +122,9 @@ class Pieces(Prepared):
         self.pieces = list[tuple[Prepared, float, float, slice, np.ndarray]]()
         for time, exact in [*self.breaks, (self._end, 0.0)]:
             end, last = min(time, self._end) - exact, time >= self._end - exact
-            own = slice(*np.searchsorted(times, [begin if begin else -1.0, times[-1] if last else time], "right"))
+            own = slice(
+                *np.searchsorted(times, [begin if begin else -1.0, times[-1] if last else time], "right")
+            )
             if end > begin:
                 inside = np.maximum(np.minimum(times[own], end) - begin, 0.0)
                 save_at, which = np.unique(np.append(inside, end - begin), return_inverse=True)

@@ -58,10 +58,10 @@ class Driven(Mechanical):
     rate
         ``γ(t, **parameters) -> number`` where it is not.
     breaks
-        Increasing times at which force or damping changes abruptly or a pulse sits, such as (13.3,) or the two ends of
-        the pulse.  No step of any method straddles one: each starts afresh there, a few roundings behind it, so that
-        it does not matter what a function with a jump returns at the jump itself.  Substeps that lead out of a step
-        (negative ones, processors) do see the other side: a jump then costs a composition its order.
+        Increasing times at which force or damping changes abruptly or a pulse sits, such as (13.3,); of a pulse its
+        middle and both ends.  No step of any method straddles one: each starts afresh there, a few roundings behind
+        it, so that it does not matter what a function returns at its jump.  Substeps that lead far out of a step do
+        see the other side: processors (contact-rkn8) and contact-yoshida6 are of order two over a jump (measured).
     span
         ``(t, h, xp, **parameters) -> (G, φ)`` where it is known in closed form: G = ∫_t^{t+h} γ and
         φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.  By default both come

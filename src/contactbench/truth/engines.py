@@ -193,7 +193,9 @@ def taylor(
         )
         steps += taken
         if outcome == limits.step_limit or steps >= MAX_STEPS:
-            raise BadInput(f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed")
+            raise BadInput(
+                f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed"
+            )
         if outcome != limits.time_limit:
             watch.check(float(integrator.time))
             if math.isnan(float(integrator.time)):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.engines import DoublesOnly, Stopwatch, across_breaks, sides
+from contactbench.truth.engines import DoublesOnly, OutOfTime, Stopwatch, across_breaks, sides
 
 #: relative tolerance of a step, and by how much its change may be off the integral of the slopes, against the motion
 STEP, OFF = 1e-11, 1e-7
@@ -69,6 +68,8 @@ class Survey:
     carry: tuple[str, ...]
     end: float
     deadline: float = math.inf
+    #: whether the motion was too long to be followed
+    unseen: bool = False
 
     def __post_init__(self) -> None:
         self.slopes, arrays = slopes_of(self.scene, self.carry)
@@ -81,14 +82,25 @@ class Survey:
 
     @cached_property
     def stops(self) -> list[float]:
-        """Times that no step of an engine is to straddle, the end not among them."""
+        """Times that no step of an engine is to straddle, the end not among them.
+
+        None where there is no time to find them, unless a force depends on it.
+        """
         ends = [0.0]
-        with suppress(DoublesOnly):  # a singularity, whose time other engines know
+        try:
             self.follow([self.end], None, ends)
+        except DoublesOnly:  # a singularity, whose time other engines know
+            pass
+        except OutOfTime:
+            if self.scene.clock is not None:
+                raise
+            self.unseen, ends = True, [0.0]
         return sorted({*stops_between(ends), *self.sides})
 
     def follow(self, times: Sequence[float], states: np.ndarray | None, ends: list[float]) -> None:
         """Add to the ends of the pieces; raise `BadInput` where one of the states (k, d) does not lead to the next."""
+        if self.unseen:
+            return
         watch, y = Stopwatch(self.scene, self.end, self.deadline), self.start
         known = {} if states is None else dict(zip(times, states, strict=True))
         for bound in sorted({*times, *self.sides} - {0.0}):
