@@ -47,7 +47,7 @@ from contactbench.truth.survey import Survey
 LIVE_BITS = (140, 300, 600)
 #: seconds that a live reference may take unless more are allowed
 LIVE_SECONDS = 300.0
-#: the part of them for high precision, two solvers have the rest; and the part of either for a survey of the motion
+#: the part of them for high precision, two solvers have the rest; and the part of either for a survey of a motion without time in it
 HIGH, SURVEY = 0.6, 0.3
 
 
@@ -245,8 +245,8 @@ def surveyed(scene: Scene, carry: tuple[str, ...], end: float, deadline: float) 
     """Return the survey of a motion, whose stops are known."""
 
     def make() -> Survey:
-        now = perf_counter()
-        survey = Survey(scene, carry, end, now + SURVEY * (deadline - now))
+        now, share = perf_counter(), SURVEY if scene.clock is None else 1.0
+        survey = Survey(scene, carry, end, now + share * (deadline - now))
         survey.stops  # noqa: B018
         return survey
 
@@ -289,7 +289,7 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
             f"no reference for scene {scene.name!r} at t = {t.max():g}: "
             "two high precisions disagree, the trajectory is too sensitive to its initial data"
         )
-    survey.follow(every.tolist(), np.array(pair[0], dtype=float), [0.0])
+    survey.check(every.tolist(), np.array(pair[0], dtype=float))
     most = BROKEN if survey.breaks else 40
     columns = []
     for known, column, error, scale in zip(exact, zip(*rows, strict=True), errors, sizes, strict=True):

@@ -20,7 +20,7 @@ from contactbench.scene import Scene
 from contactbench.truth.engines import DoublesOnly, OutOfTime, Stopwatch, across_breaks, sides
 
 #: relative tolerance of a step, and by how much its change may be off the integral of the slopes, against the motion
-STEP, OFF = 1e-11, 1e-7
+STEP, OFF = 1e-10, 1e-7
 #: samples of a motion: numbers at most, of a function that takes arrays or not; and on a step at least
 SAMPLES, ONE_BY_ONE, LEAST = 2**19, 2**14, 16
 #: how far samples may be off a polynomial, against the largest slope
@@ -77,6 +77,12 @@ class Survey:
         self.density = (SAMPLES / len(self.start) if arrays else ONE_BY_ONE) / (self.end or 1.0)
         # the scale of every component: what it is at the start, or has been since; all alike as long as it is none
         self.sizes, self.steepest = np.abs(self.start), np.zeros_like(self.start)
+        if (clock := self.scene.clock) is not None:  # a force that is rounding now may be large later
+            waiting = np.tile(self.start[:, None], int(self.density * self.end))
+            waiting[clock] += np.linspace(0.0, self.end, waiting.shape[1])
+            with np.errstate(all="ignore"):
+                self.steepest = np.abs(np.nan_to_num(self.slopes(waiting))).max(axis=1)
+        self.known = dict[float, np.ndarray]()  # states at the ends of steps
         self.breaks = self.scene.breaks_until(self.end)
         self.sides = sides(self.breaks, self.end)
 
@@ -97,17 +103,25 @@ class Survey:
             self.unseen, ends = True, [0.0]
         return sorted({*stops_between(ends), *self.sides})
 
+    def check(self, times: Sequence[float], states: np.ndarray) -> None:
+        """Raise `BadInput` unless states (k, d) at increasing times, the stops among them, lead to each other."""
+        pairs = ((self.known[t], y) for t, y in zip(times, states, strict=True) if t in self.known)
+        if self.unseen or all(self.agree(*pair) for pair in pairs):
+            return
+        self.follow(times, states, [0.0])  # piece by piece: the motion may be sensitive
+
+    def agree(self, a: np.ndarray, b: np.ndarray) -> bool:
+        return bool(np.all(np.abs(a - b) <= 10 * OFF * self.scale()))
+
     def follow(self, times: Sequence[float], states: np.ndarray | None, ends: list[float]) -> None:
         """Add to the ends of the pieces; raise `BadInput` where one of the states (k, d) does not lead to the next."""
-        if self.unseen:
-            return
         watch, y = Stopwatch(self.scene, self.end, self.deadline), self.start
         known = {} if states is None else dict(zip(times, states, strict=True))
         for bound in sorted({*times, *self.sides} - {0.0}):
             with np.errstate(all="ignore"):
                 y = self.piece(ends, y, bound, watch)
             if bound in known:
-                if not np.all(np.abs(y - known[bound]) <= 10 * OFF * self.scale()):
+                if not self.agree(y, known[bound]):
                     raise BadInput(
                         f"no reference for scene {self.scene.name!r}: two engines disagree before t = {bound:g}"
                     )
@@ -139,10 +153,9 @@ class Survey:
                 cuts, integral = self.cut(solver.t_old, solver.t, solver.dense_output(), shortest)
                 off = np.abs(solver.y - y - integral)
                 if len(cuts) > 1 and np.any(off > OFF * self.scale()):
-                    due += cuts[:0:-1] if due[-1] == cuts[-1] else cuts[::-1]
-                    due = sorted(set(due), reverse=True)
+                    due = sorted({*due, *cuts}, reverse=True)
                     break  # again, in pieces
-                y = solver.y
+                y = self.known[solver.t] = solver.y
                 self.sizes = np.maximum(self.sizes, np.abs(y))
                 ends += cuts
                 if len(ends) > PIECES:
@@ -153,7 +166,7 @@ class Survey:
 
     def cut(self, a: float, b: float, path: Any, shortest: float) -> tuple[list[float], np.ndarray]:
         """Return the ends of the pieces that a step is cut into, and the integral of the slopes over it."""
-        ends, integral, left, worst = list[float](), np.zeros_like(self.start), [(a, b)], None
+        ends, integral, left = list[float](), np.zeros_like(self.start), [(a, b)]
         while left:
             a, b = left.pop()
             nodes = a + (b - a) * NODES
@@ -166,7 +179,12 @@ class Survey:
             fitted = at_nodes @ (weights / weights.sum(axis=1)[:, None]).T
             moving = max(self.scene.without_clock(self.steepest)) or 1.0
             off = (np.abs(fitted - sampled) / np.maximum(self.steepest, 1e-3 * moving)[:, None]).max(axis=0)
-            if b - a <= shortest or np.all(off <= RESOLVED):
+            if (resolved := np.all(off <= RESOLVED)) or b - a <= shortest:
+                if not resolved and self.scene.clock is not None:
+                    raise BadInput(
+                        f"no reference for scene {self.scene.name!r}: its force or damping jumps at t = {b:.6g} after "
+                        "the start: name the time in breaks="
+                    )
                 ends.append(b)
                 integral += (b - a) * (at_nodes @ FEJER)
                 continue
