@@ -1,5 +1,6 @@
 """No reference of a driven scene is wrong: pulses, steps and ramps in time at random, against an own DOP853."""
 
+import itertools
 import math
 
 import numpy as np
@@ -50,10 +51,10 @@ def scene(seed):
     if kind in ("pulse", "damping"):
         profile = lambda t: sum(shape((t - c) / width) for c in at)  # noqa: E731
     elif kind == "jump":
-        profile, reach = lambda t: 1.0 if t < at[0] else -0.5, 0.0  # noqa: E731
+        profile, reach = lambda t: 1.0 if t < at[0] else -0.5, 0.0
         more = {"breaks": tuple(at)}
     else:
-        profile, reach = lambda t: tanh((t - at[0]) / width), 20.0  # noqa: E731
+        profile, reach = lambda t: tanh((t - at[0]) / width), 20.0
     V = lambda q, t: well(q[0]) - size * q[0] * profile(t)  # noqa: E731
     force = lambda q, t: size * profile(t) - slope(q)  # noqa: E731
     if kind == "moving":
@@ -84,9 +85,12 @@ def followed(scene, force, rate, places):
     bounds = {0.0, scene.t_end, *(c + side * reach for c, _, reach in places for side in (-1, 1))}
     bounds = sorted(b for b in bounds if 0 <= b <= scene.t_end)
     y = [scene.q[0], scene.p[0]]
-    for a, b in zip(bounds, bounds[1:], strict=False):
-        inside = lambda t, a=a, b=b: min(max(t, math.nextafter(a, b)), math.nextafter(b, a))  # noqa: E731
-        slope = lambda t, y: (y[1], force(y[0], inside(t)) - rate(inside(t)) * y[1])  # noqa: E731
+    for a, b in itertools.pairwise(bounds):
+
+        def slope(t, y, first=math.nextafter(a, b), last=math.nextafter(b, a)):
+            t = min(max(t, first), last)
+            return y[1], force(y[0], t) - rate(t) * y[1]
+
         near = [w for c, w, reach in places if c - reach <= (a + b) / 2 <= c + reach]
         longest = 1e-3 if scene.name.startswith("moving") else min([0.1, *(w / 2 for w in near)])
         solver = DOP853(slope, a, y, b, rtol=1e-12, atol=1e-13, max_step=longest)

@@ -1,6 +1,7 @@
 """The survey of a motion: what an engine would step over is found, and a wrong truth is refused."""
 
 import importlib
+import itertools
 
 import numpy as np
 import pytest
@@ -8,7 +9,6 @@ import pytest
 import contactbench as cb
 from cases import refusal
 from contactbench.numbers.functions import exp, sin
-from contactbench.truth import OutOfTime
 from contactbench.truth.many import doubles
 from contactbench.truth.reference import confirmed
 from contactbench.truth.survey import Survey, stops_between
@@ -121,7 +121,7 @@ def test_stops_come_before_a_step_could_be_many_times_too_long():
     ends = [0.0, 1.0, 2.0, 2.1, 2.2, 2.3, 3.5, 5.0]
     stops = stops_between(ends)
     for a, b in zip([0.0, *stops], [*stops, 5.0], strict=True):
-        inside = [y - x for x, y in zip(ends, ends[1:], strict=False) if a <= x and y <= b]
+        inside = [y - x for x, y in itertools.pairwise(ends) if a <= x and y <= b]
         assert len(inside) == 1 or b - a <= 8.0 * min(inside) * (1 + 1e-12)
 
 

@@ -260,9 +260,8 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     if step.scene.has_users_functions:
         verify(step.scene)
     if step.scene.breaks_until(math.inf):
-        raise BadInput(
-            f"scene {step.scene.name!r}: equal steps end at none of its breaks; leave them out, and go from one to the next"
-        )
+        why = "equal steps end at none of its breaks; leave them out, and go from one to the next"
+        raise BadInput(f"scene {step.scene.name!r}: {why}")
     made, carried, many = step.scene, step.carry, step.many
 
     def rhs(t: float, y: Any) -> np.ndarray:

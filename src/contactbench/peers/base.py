@@ -153,14 +153,15 @@ class Pieces(Prepared):
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         y, states, totals = y0, np.full((self._saves, len(y0)), np.nan), list[Counts]()
-        for run, begin, skipped, own, which in self.pieces:
+        for run, started, skipped, own, which in self.pieces:
             out = run.integrate(self.over(y, skipped))
             states[own], y = out.y[which], out.y[-1]
             totals.append(out.counts)
+            begin = started
             if out.status is not Status.ok:
                 break
-        sums = ((None if None in parts else sum(parts)) for parts in list(zip(*totals, strict=True))[:-1])
-        counts = Counts(*sums, totals[0][-1])
+        columns = [*zip(*totals, strict=True)][:-1]
+        counts = Counts._make([*(None if None in each else sum(each) for each in columns), totals[0].kind])
         if out.status is Status.ok and (counts.steps or 0) <= self.request.max_steps:
             return self.finish(y0, states, counts)
         status, message = out.status, f"{out.message} (of the piece from t = {begin:.6g})"

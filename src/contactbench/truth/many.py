@@ -90,7 +90,7 @@ def doubles(
 def by_scipy(
     slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch, begin: float, name: str
 ) -> list[np.ndarray]:
-    """Return the states at increasing times by a solver of SciPy at its tightest, stopping at each; nan is a failure."""
+    """Return the states at increasing times by SciPy's solver at its tightest, stopping at each; nan is a failure."""
     from scipy.integrate import solve_ivp
 
     def checked(time: float, y: np.ndarray) -> np.ndarray:

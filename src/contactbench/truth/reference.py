@@ -47,7 +47,7 @@ from contactbench.truth.survey import Survey
 LIVE_BITS = (140, 300, 600)
 #: seconds that a live reference may take unless more are allowed
 LIVE_SECONDS = 300.0
-#: the part of them for high precision, two solvers have the rest; and the part of either for a survey of a motion without time in it
+#: the part of them for high precision, two solvers have the rest; and of either for the survey, without time in a force
 HIGH, SURVEY = 0.6, 0.3
 
 

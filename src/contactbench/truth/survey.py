@@ -7,6 +7,7 @@ changed by: a step that did not see what the samples show is taken again, in the
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -82,6 +83,7 @@ class Survey:
             waiting[clock] += np.linspace(0.0, self.end, waiting.shape[1])
             with np.errstate(all="ignore"):
                 self.steepest = np.abs(np.nan_to_num(self.slopes(waiting))).max(axis=1)
+        self.moves = np.arange(len(self.start)) != self.scene.clock
         self.known = dict[float, np.ndarray]()  # states at the ends of steps
         self.breaks = self.scene.breaks_until(self.end)
         self.sides = sides(self.breaks, self.end)
@@ -128,8 +130,7 @@ class Survey:
                 y = known[bound]
 
     def scale(self) -> np.ndarray:
-        moving = self.scene.without_clock(self.sizes)
-        return np.maximum(self.sizes, 1e-3 * max(moving) or 1.0)
+        return np.maximum(self.sizes, 1e-3 * self.sizes[self.moves].max() or 1.0)
 
     def piece(self, ends: list[float], y: np.ndarray, bound: float, watch: Stopwatch) -> np.ndarray:
         """Follow the motion from the last of `ends` to a bound, adding to them; return the state there."""
@@ -177,8 +178,8 @@ class Survey:
             self.steepest = np.maximum(self.steepest, np.abs(np.nan_to_num(values)).max(axis=1))
             weights = BARYCENTRIC / (t[:, None] - nodes + 1e-300)
             fitted = at_nodes @ (weights / weights.sum(axis=1)[:, None]).T
-            moving = max(self.scene.without_clock(self.steepest)) or 1.0
-            off = (np.abs(fitted - sampled) / np.maximum(self.steepest, 1e-3 * moving)[:, None]).max(axis=0)
+            least = 1e-3 * self.steepest[self.moves].max() or 1.0
+            off = (np.abs(fitted - sampled) / np.maximum(self.steepest, least)[:, None]).max(axis=0)
             if (resolved := np.all(off <= RESOLVED)) or b - a <= shortest:
                 if not resolved and self.scene.clock is not None:
                     raise BadInput(
@@ -200,7 +201,7 @@ class Survey:
 def stops_between(ends: list[float]) -> list[float]:
     """Return some of the ends of pieces, so that no distance is much longer than the shortest piece in it."""
     stops, shortest = [0.0], math.inf
-    for before, end in zip(ends, ends[1:], strict=False):
+    for before, end in itertools.pairwise(ends):
         shortest = min(shortest, end - before)
         if end - stops[-1] > LONGER * shortest and before > stops[-1]:
             stops.append(before)
