@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import by_name, pairs, saved
+from cases import by_name, pairs, refusal, saved
 from contactbench.measure.laws import laws_of, row
 from contactbench.measure.order import error_at, order_at
 from contactbench.numbers import quadrature
@@ -253,3 +253,176 @@ VANISHING = [{"gamma": 0.0}, {"gamma": 2.0}, {"gamma": 0.0, "drive": 1.0}, {"ome
 @pytest.mark.parametrize("changes", [*VANISHING, NOTHING, {"gamma": 0.0, "omega": 0.0}], ids=str)
 def test_the_forced_oscillator_has_its_closed_form_where_denominators_vanish(changes):
     assert solution_error(FORCED_OSCILLATOR.with_(**changes), "scipy-dop853", rtol=1e-12) < 1e-10
+
+
+# -- breaks ------------------------------------------------------------------------------------------
+JUMP = 7.3
+#: a spring whose stiffness jumps, either side's at the jump itself
+SIDES = {"left": lambda t: 1.0 if t <= JUMP else 3.0, "right": lambda t: 1.0 if t < JUMP else 3.0}
+#: substeps lead out of their steps
+SECOND_ORDER = ("contact-rkn8", "contact-yoshida6", "contact-printed")
+
+
+def jumping(side="left", **changes):
+    stiffness = SIDES[side]
+    own = {"gamma": 0.1, "q": (1.0,), "p": (0.0,), "t_end": 12.0, "breaks": (JUMP,)}
+    return cb.Driven(
+        name="jump",
+        potential=lambda q, t: stiffness(t) * q[0] * q[0] / 2,
+        gradient=lambda q, t: (stiffness(t) * q[0],),
+        **own | changes,
+    )
+
+
+def pulse(**changes):
+    """At rest until a pulse of width 0.05 at 13.3."""
+    own = {"gamma": 0.1, "q": (0.0,), "p": (0.0,), "t_end": 20.0}
+    bell = lambda t: cb.math.exp(-(((t - 13.3) / 0.05) ** 2))  # noqa: E731
+    return cb.Driven(name="pulse", potential=lambda q, t: q[0] * q[0] / 2 - q[0] * bell(t), **own | changes)
+
+
+def damped(q, p, gamma, stiffness, t):
+    """Return (q, p) of q'' = −γ q' − k q after a time."""
+    omega = math.sqrt(stiffness - gamma * gamma / 4)
+    a, b = q, (p + gamma * q / 2) / omega
+    c, s, decay = math.cos(omega * t), math.sin(omega * t), math.exp(-gamma * t / 2)
+    x = decay * (a * c + b * s)
+    return x, decay * omega * (b * c - a * s) - gamma * x / 2
+
+
+AFTER_JUMP = damped(*damped(1.0, 0.0, 0.1, 1.0, JUMP), 0.1, 3.0, 12.0 - JUMP)
+
+
+def response(t):
+    """Return (q, p) at t after the pulse: its convolution with the motion after a push, by the trapezoidal rule."""
+    times = np.linspace(12.8, 13.8, 401)
+    pushed = np.array([damped(0.0, 1.0, 0.1, 1.0, t - time) for time in times.tolist()])
+    return np.exp(-(((times - 13.3) / 0.05) ** 2)) @ pushed * (times[1] - times[0])
+
+
+AFTER_PULSE = response(20.0)
+
+
+def end(run):
+    assert run.ok, run.message
+    return run.y[-1, :2]
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_the_truth_of_a_jump_is_that_of_the_textbook(side):
+    found = cb.reference(jumping(side), [JUMP, 12.0], ())
+    assert found.y[-1, :2] == pytest.approx(AFTER_JUMP, abs=1e-12)
+    assert 10 <= found.digits <= 14
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("method", [m for m in STEPPED if m.refuses(jumping()) is None], ids=lambda m: m.name)
+def test_a_jump_costs_no_order(method, side):
+    """But for substeps outside their steps; h = 0.1 and 0.05, the order less a half, or round-off."""
+    errors = []
+    for h in (0.1, 0.05):
+        run = cb.solve(
+            jumping(side), method, step=h, save_at=[JUMP, 12.0], carry=(), engine=method.engines[-1]
+        )
+        errors.append(np.abs(end(run) - AFTER_JUMP).max())
+    if method.name not in SECOND_ORDER:
+        assert errors[1] < max(errors[0] / 2 ** (method.order - 0.5), 1e-12)
+    assert errors[1] < 0.05
+
+
+@pytest.mark.parametrize("name", ["scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf"])
+def test_peers_with_callbacks_take_jumps(name):
+    loose, tight = (
+        end(cb.solve(jumping(), name, rtol=rtol, save_at=[1.0, JUMP, 12.0], carry=()))
+        for rtol in (1e-5, 1e-10)
+    )
+    assert np.abs(tight - AFTER_JUMP).max() < 1e-6
+    assert np.abs(tight - AFTER_JUMP).max() < np.abs(loose - AFTER_JUMP).max()
+
+
+PEERS = [m for m in cb.METHODS.values() if m.own_time and m.refuses(pulse()) is None]
+
+
+@pytest.mark.parametrize("method", PEERS, ids=lambda m: m.name)
+def test_every_peer_ends_steps_at_breaks_and_sees_the_pulse(method):
+    """At rest before it, nearly all step over it otherwise; equal saved states however many are saved."""
+    scene = pulse(breaks=(13.0, 13.3, 13.6))
+    run = cb.prepare(scene, method, rtol=1e-8, save_at=[20.0], carry=())
+    found = run()
+    assert np.abs(end(found) - AFTER_PULSE).max() < 2e-6
+    assert np.array_equal(run.bare(run.start), found.y[-1])
+    more = cb.solve(scene, method, rtol=1e-8, save_at=[0.0, 5.0, 13.3, 15.0, 20.0], carry=())
+    assert np.abs(end(more) - AFTER_PULSE).max() < 2e-6
+    assert np.abs(more.y[1, :2]).max() < 1e-13
+    assert found.counts.steps > 4
+    assert run(q=(0.5,)).sensitivity.shape == (1, 3, 2)
+    short = cb.solve(scene, method, rtol=1e-8, max_steps=5, carry=())
+    assert short.status is cb.Status.budget
+    assert np.isnan(short.y[-1]).all()
+
+
+def test_what_steps_over_a_pulse_is_seen_in_its_laws():
+    run = cb.solve(pulse(), "cvode-adams", rtol=1e-8, save_at=[20.0])
+    assert run.ok
+    assert run.laws().loc["solution_error", "deviation"] > 0.1
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+@pytest.mark.parametrize("setting", [{"step": 0.01}, {"rtol": 1e-7}])
+def test_steps_end_at_breaks_on_every_engine(engine, setting):
+    scene = pulse(breaks=(13.0, 13.6))
+    times = [0.0, 13.0, 15.0, 20.0]
+    run = cb.solve(scene, "contact-rkn6", engine=engine, save_at=times, **setting)
+    assert np.abs(end(run) - AFTER_PULSE).max() < 1e-6
+    assert run.t.tolist() == times
+    assert run.laws().loc["contact_drift", "deviation"] < 1e-13
+    alone = cb.solve(scene, "contact-rkn6", engine=engine, save_at=[20.0], **setting)
+    assert np.abs(end(alone) - end(run)).max() < 1e-7
+
+
+def test_prescribed_steps_are_to_end_at_breaks():
+    scene = jumping(t_end=12.0)
+    run = cb.solve(scene, "contact-strang", step=[0.073] * 100 + [0.047] * 100, engine="python")
+    other = cb.solve(jumping("right"), "contact-strang", step=[0.073] * 100 + [0.047] * 100, engine="python")
+    assert np.abs(end(run) - AFTER_JUMP).max() < 4e-3
+    assert np.abs(run.y - other.y).max() < 1e-12
+    assert "none of which ends at t = 7.3" in refusal(
+        lambda: cb.prepare(scene, "contact-strang", step=[0.2] * 60, engine="python", save_at=[12.0])
+    )
+
+
+@pytest.mark.parametrize("begin", [JUMP, JUMP - 1e-3, 9.0])
+def test_a_run_may_begin_at_a_break_or_behind_it(begin):
+    scene = jumping(t=begin, t_end=3.0)
+    early = damped(1.0, 0.0, 0.1, 1.0, max(JUMP - begin, 0.0))
+    true = damped(*early, 0.1, 3.0, 3.0 - max(JUMP - begin, 0.0))
+    assert cb.reference(scene, [3.0], ()).y[0, :2] == pytest.approx(true, abs=1e-11)
+    for name, setting in (("contact-rkn6", {"step": 0.02}), ("scipy-dop853", {"rtol": 1e-12})):
+        run = cb.solve(scene, name, engine="python", save_at=[1.0, 3.0], **setting)
+        assert end(run) == pytest.approx(true, abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("ask", "says"),
+    [
+        (lambda: pulse(breaks=(2.0, 1.0)), "breaks = (2.0, 1.0): must be increasing"),
+        (lambda: pulse(breaks=(1.0, math.nan)), "must be increasing finite times"),
+        (lambda: pulse(breaks="soon"), "increasing finite times"),
+        (lambda: cb.prepare(jumping(), "rk4", step=0.1, engine="python")(t=1.0), "scene.with_(t=1)"),
+        (
+            lambda: cb.lyapunov(pulse(breaks=(1.0,)), "contact-strang", step=0.1, every=1.0, intervals=4),
+            "its breaks",
+        ),
+        (lambda: cb.scipy.Contact("contact-strang", pulse(breaks=(1.0,))), "none of its breaks"),
+    ],
+)
+def test_breaks_are_refused_where_they_are_none_or_cannot_be_kept(ask, says):
+    assert says in refusal(ask)
+
+
+def test_members_of_an_ensemble_take_the_steps_of_a_run():
+    scene = pulse(breaks=(13.0, 13.6), t_end=15.0)
+    found = cb.ensemble(scene, "contact-rkn6", {"q": [[0.0, 0.5]], "p": [[0.0, 0.1]]}, step=0.05, keep=True)
+    runs = cb.prepare(scene, "contact-rkn6", step=0.05, save_at=[15.0])
+    for k, start in enumerate(({"q": (0.0,), "p": (0.0,)}, {"q": (0.5,), "p": (0.1,)})):
+        assert found.final.q[0][k] == pytest.approx(runs(**start).q[-1, 0], abs=1e-13)

@@ -142,6 +142,7 @@ def ensemble(
         raise BadInput(f"executor = {excerpt(executor)}: must be an executor, as in concurrent.futures")
     chunk = None if chunk is None else whole("chunk", chunk, 10**12)
     y0, own = members(scene, request.carry, initial_conditions, {} if parameters is None else parameters)
+    run.require_clock(y0)
     names = [ENERGY, *decaying(scene, request.carry)]
     end, n = request.save_at[-1], y0.shape[1]
     rows: dict[int, np.ndarray] = {}

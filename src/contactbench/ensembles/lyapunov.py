@@ -143,6 +143,10 @@ def lyapunov(
     scene, _ = lookup(scene, method)
     every, settle = positive("every", every), whole("settle", settle, MOST_INTERVALS)
     count = whole("intervals", intervals, MOST_INTERVALS)
+    if scene.breaks_until(math.inf):
+        raise BadInput(
+            f"scene {scene.name!r}: its breaks end steps once, and every interval has the same steps"
+        )
     run = prepare(scene, method, step=step, rtol=rtol, carry=carry, save_at=[every])
     if isinstance(run, Refused):
         raise BadInput(run.why)

@@ -262,6 +262,9 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     step = step_map(scene, method, carry)
     if step.scene.has_users_functions:
         verify(step.scene)
+    if step.scene.breaks_until(math.inf):
+        why = "equal steps end at none of its breaks; leave them out, and go from one to the next"
+        raise BadInput(f"scene {step.scene.name!r}: {why}")
     made, carried, many = step.scene, step.carry, step.many
 
     def rhs(t: float, y: Any) -> np.ndarray:

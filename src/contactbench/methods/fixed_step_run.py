@@ -215,7 +215,10 @@ class FixedStepRun(Prepared):
         super().__post_init__()
         r = self.request
         self.numbers = np.array(r.scene.numbers())
-        self.marks = np.diff(self.later, prepend=0.0)
+        breaks = [time for time, _ in self.breaks if 0 < time < self._end]
+        #: where intervals of equal steps end, at least
+        self.ends = np.union1d(self.later, breaks) if breaks else self.later
+        self.marks = np.diff(self.ends, prepend=0.0)
         self.first_step = self.method_.counts(r.scene, 1, r.carry)
         self.each_step = self.method_.per_step(r.scene, r.carry)
         self.kind = self.method_.kind_on(r.scene)
@@ -228,12 +231,30 @@ class FixedStepRun(Prepared):
         #: which intervals of equal steps end at saved times: all of them, but of prescribed steps
         self.saved: Any = slice(None)
         if self.request.steps is not None:
-            self.h, self.n, self.saved = plateaus(self.request.steps, self.later)
+            self.h, self.n, self.saved = plateaus(self.request.steps, self.ends)
         else:
             self.n = self.division(step)
             self.h = self.marks / self.n
+        if self.breaks:
+            self.bridge()
         self.steps_taken = step, float(self.h.max())
         self.totals, self.needed = self.cost(self.n), total(self.n)
+
+    def bridge(self) -> None:
+        """Make a step of its own of the few roundings around every break, so that others end this side of it.
+
+        The sums of steps that are a run's own time are as exact as so many roundings.
+        """
+        reached = np.arange(len(self.n))[self.saved]
+        self.saved = reached[np.searchsorted(self.ends, self.later)]
+        ends = np.append(0.0, np.cumsum(self.h * self.n))
+        for time, exact in reversed(self.breaks):
+            k = int(np.argmin(np.abs(ends - time)))
+            around = slice(max(k - 1, 0), k + 1)
+            margins = exact * np.maximum(self.n[around], 1)
+            self.h[around] -= margins / self.n[around]
+            self.h, self.n = np.insert(self.h, k, margins.sum()), np.insert(self.n, k, 1)
+            self.saved[self.saved >= k - 1 + (k == 0)] += 1
 
     @property
     def until(self) -> np.ndarray:
@@ -252,7 +273,7 @@ class FixedStepRun(Prepared):
         return Counts(steps, evaluations, 0, 0, self.kind)
 
     def division(self, step: float) -> np.ndarray:
-        return steps_in(self.marks, self.later, step)
+        return steps_in(self.marks, self.ends, step)
 
     @abstractmethod
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
@@ -321,7 +342,7 @@ class FixedStepRun(Prepared):
         """As in `Prepared`: the flows are applied once more, in plain floats, from where each interval starts."""
         r = self.request
         y = y[1:] if self.saves_start else y
-        if r.steps is not None:
+        if len(self.n) > len(self.later):
             y = self.intervals(y0, self.h, self.n)
         starts = np.concatenate([y0[None], y[:-1]])
         logs = [
@@ -394,7 +415,7 @@ class NumbaLoop(FixedStepRun):
             return
         self.bare = last_state(self.run, *self.ahead, len(self.start), self.size)  # type: ignore
         affordable = self.needed <= self.request.max_steps and not self.loop.is_long(self.needed)
-        if self.request.steps is None and self.loop.program.watched and affordable:
+        if isinstance(self.saved, slice) and self.loop.program.watched and affordable:
             self.at_once = self.watched(*self.ahead)  # type: ignore
 
     def divides_often(self) -> None:

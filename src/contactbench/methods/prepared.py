@@ -121,6 +121,8 @@ class Prepared(ABC):
         self.start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
         self._motion, self._clock, self._end = r.scene.motion, r.scene.clock, float(r.save_at[-1])
         self._saves = len(r.save_at)
+        #: times since the start that no step straddles, and how exact they are
+        self.breaks = r.scene.breaks_until(self._end)
         self.saves_start = r.save_at[0] == 0
         #: the saved times > 0
         self.later = r.save_at[1:] if self.saves_start else r.save_at
@@ -131,6 +133,7 @@ class Prepared(ABC):
             return solution
         if data:
             require_slope(self.request.scene, self.request.scene.unpack(y0.tolist(), self.request.carry))
+            self.require_clock(y0)
         try:
             out = self.integrate(y0)
         except BaseException as error:
@@ -186,6 +189,14 @@ class Prepared(ABC):
                 found[name] = (at, None) if length is None else (slice(at, at + length), length)
             at += length or 1
         return found
+
+    def require_clock(self, y0: np.ndarray) -> None:
+        """Raise `BadInput` for states (d, …) that begin at another time, where steps end at breaks."""
+        if self.breaks and np.any(other := y0[self._clock] != self.start[self._clock]):
+            begins = float(np.ravel(y0[self._clock])[np.argmax(other)])
+            raise BadInput(
+                f"t = {begins:g}: steps that end at breaks begin with the scene: scene.with_(t={begins:g})"
+            )
 
     @abstractmethod
     def integrate(self, y0: np.ndarray) -> Outcome:

@@ -23,7 +23,7 @@ from contactbench.solution import Status
 
 #: error aimed at, as a part of the tolerance
 AIM = 0.4
-#: first pilot: this many steps over the whole span
+#: first pilot: this many steps over the whole span, or between breaks
 FIRST = 4
 #: gaps larger than this are not asymptotic
 TRUSTED_GAP = 0.05
@@ -58,7 +58,10 @@ class ChosenStep(Prepared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        first = replace(self.request, step=self._end / FIRST)
+        # between two breaks lies something that steps as long as their distance do not see
+        times = [0.0, *(time for time, _ in self.breaks if 0 < time < self._end), self._end]
+        self.first = float(np.diff(times).min()) / FIRST
+        first = replace(self.request, step=self.first)
         self.run = self.engine_run(self.method, first, self.method_)
         self.run.divides_often()
         self.compile_s = self.run.compile_s
@@ -95,7 +98,7 @@ class ChosenStep(Prepared):
     def choose(self, y0: np.ndarray) -> tuple[float, list[Pilot]]:
         r, order = self.request, self.method_.order
         assert r.rtol is not None
-        target, step, gap, finer = AIM * r.rtol, self._end / FIRST, math.inf, 2.0
+        target, step, gap, finer = AIM * r.rtol, self.first, math.inf, 2.0
         pilots: list[Pilot] = []
         while (steps := total(self.run.division(step))) <= r.max_steps:
             before = pilots[-1] if pilots else None
@@ -127,7 +130,7 @@ class ChosenStep(Prepared):
         run.divide(step)
         size = step if math.isclose(run.needed * step, self._end) else self._end / run.needed
         y, counts = run.take(y0)
-        return Pilot(run.needed, size, step, counts.evaluations or 0, y)
+        return Pilot(run.needed, size, step, counts.evaluations or 0, y[run.saved])
 
     def between(self, pilots: list[Pilot], finest: float, target: float) -> float:
         """The step between two pilots at which the error, measured against the finest, is the target."""

@@ -74,6 +74,8 @@ class Peer(Adaptive):
 
     def prepare(self, request: Request) -> Prepared:
         try:
+            if request.scene.breaks_until(float(request.save_at[-1])):
+                return Pieces(self.name, request, self)
             return self.run(self.name, request, self)
         except ImportError as why:
             return Refused(self.name, request, str(why))
@@ -122,6 +124,70 @@ class PeerRun(Scaled):
         if scene.clock is not None:
             v = np.insert(v, scene.clock, np.where(np.isnan(y[:, :1]), np.nan, 0.0), axis=2)
         return y[:, :d], np.moveaxis(v, 1, 2)
+
+
+@dataclass
+class Pieces(Prepared):
+    """A run from break to break, each piece one of its own; a few roundings around a break go by its slopes there."""
+
+    method_: Peer
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        times, begin, skipped = self.request.save_at, 0.0, 0.0
+        #: runs, when they begin, how long the solver has not run before, which saved times and states are theirs
+        self.pieces = list[tuple[Prepared, float, float, slice, np.ndarray]]()
+        for time, exact in [*self.breaks, (self._end, 0.0)]:
+            end, last = min(time, self._end) - exact, time >= self._end - exact
+            own = slice(
+                *np.searchsorted(times, [begin if begin else -1.0, times[-1] if last else time], "right")
+            )
+            if end > begin:
+                inside = np.maximum(np.minimum(times[own], end) - begin, 0.0)
+                save_at, which = np.unique(np.append(inside, end - begin), return_inverse=True)
+                inner = replace(self.request, save_at=save_at)
+                run = self.method_.run(self.method, inner, self.method_)
+                self.pieces.append((run, begin, skipped, own, which[:-1]))
+            if last:
+                break
+            begin, skipped = time + exact, time + exact - max(end, 0.0)
+        self.compile_s = sum(run.compile_s for run, *_ in self.pieces)
+
+    def over(self, y: np.ndarray, time: float) -> np.ndarray:
+        """Return the state so much later, between the two sides of a break."""
+        scene, carry = self.request.scene, self.request.carry
+
+        def slope(y: np.ndarray) -> np.ndarray:
+            return np.array(scene.pack(scene.rhs(scene.unpack(y.tolist(), carry))))
+
+        return y + time / 2 * (slope(y) + slope(y + time * slope(y))) if time else y
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        y = y0
+        for run, _, skipped, *_ in self.pieces:
+            y = run.bare(self.over(y, skipped))
+        return y
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        y, states, totals = y0, np.full((self._saves, len(y0)), np.nan), list[Counts]()
+        for run, started, skipped, own, which in self.pieces:
+            out = run.integrate(self.over(y, skipped))
+            states[own], y = out.y[which], out.y[-1]
+            totals.append(out.counts)
+            begin = started
+            if out.status is not Status.ok:
+                break
+        columns = [*zip(*totals, strict=True)][:-1]
+        counts = Counts._make([*(None if None in each else sum(each) for each in columns), totals[0].kind])
+        if out.status is Status.ok and (counts.steps or 0) <= self.request.max_steps:
+            return self.finish(y0, states, counts)
+        status, message = out.status, f"{out.message} (of the piece from t = {begin:.6g})"
+        if out.status is Status.ok:
+            status, message = Status.budget, f"max_steps = {self.request.max_steps} spent"
+            states[:] = np.nan
+        reached = int(np.argmin(np.append(np.isfinite(states).all(axis=1), False)))
+        found = self.finish(y0, states[:reached], counts, status, message)
+        return replace(found, end_time=max(found.end_time, begin + out.end_time))
 
 
 class Bundle(NamedTuple):

@@ -420,6 +420,10 @@ class Comparison:
         #: what the reference itself may be off by, relative to the largest state: no error below is claimed
         self.floor = max(10.0**-truth.digits, float(np.finfo(float).eps))
         self.confirmed = confirmed(truth, self.left(CHECK))
+        if self.confirmed == 0:
+            raise BadInput(
+                f"no reference for scene {scene.name!r}: a second engine confirms none of its digits"
+            )
         self.bar.update()
         self.scouts = [Scout(self.question, name) for name in methods]
         self.times: dict[int, dict[str, Any]] = {}

@@ -164,6 +164,10 @@ class System(ABC):
         """The component of the packed state that is the time, where there is one."""
         return None
 
+    def breaks_until(self, end: float) -> list[tuple[float, float]]:
+        """Return times since the start, from 0 to an end, that no step straddles, and how exact they are."""
+        return []
+
     def without_clock(self, y: Sequence[Any]) -> Sequence[Any]:
         """Return a packed state less the time, as a solver integrates it that has a time of its own."""
         return y if self.clock is None else [*y[: self.clock], *y[self.clock + 1 :]]

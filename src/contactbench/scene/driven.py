@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import signature
 from typing import Any, ClassVar, NamedTuple
 
-from contactbench.errors import BadInput, excerpt, finite, function, is_number, require_number
+import numpy as np
+
+from contactbench.errors import BadInput, array, excerpt, finite, function, is_number, require_number
 from contactbench.numbers import quadrature
 from contactbench.scene.algebra import Vector, scaled, times
 from contactbench.scene.base import Check, optional
@@ -52,6 +55,14 @@ def driven_drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) ->
     return drift_damp(scene, x, constant, xp)._replace(t=x.t + h)
 
 
+def increasing(name: str, value: Any) -> tuple[float, ...]:
+    """Return increasing finite numbers as a tuple; a single number is one of them."""
+    times = np.array(array(name, value, "increasing finite times"), ndmin=1)
+    if times.ndim != 1 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
+        raise BadInput(f"{name} = {excerpt(value)}: must be increasing finite times, such as (13.3,)")
+    return tuple(times.tolist())
+
+
 @dataclass(frozen=True, kw_only=True)
 class Driven(Mechanical):
     """H = ‖p‖²/2m + V(q, t) + γ(t) s, with the time as one more component of the state, t' = 1.
@@ -75,6 +86,11 @@ class Driven(Mechanical):
         Damping, where it is constant.
     rate
         ``γ(t, **parameters) -> number`` where it is not.
+    breaks
+        Increasing times at which force or damping changes abruptly or a pulse sits, such as (13.3,); of a pulse its
+        middle and both ends.  No step of any method straddles one: each starts afresh there, a few roundings behind
+        it, so that it does not matter what a function returns at its jump.  Substeps that lead far out of a step do
+        see the other side: processors (contact-rkn8) and contact-yoshida6 are of order two over a jump (measured).
     span
         ``(t, h, xp, **parameters) -> (G, φ)`` where it is known in closed form: G = ∫_t^{t+h} γ and
         φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.  By default both come
@@ -92,6 +108,7 @@ class Driven(Mechanical):
     t: float = 0.0
     rate: Callable[..., Any] | None = None
     span: Callable[..., tuple[Any, Any]] | None = None
+    breaks: tuple[float, ...] = ()
 
     kind: ClassVar[str] = "driven"
     functions: ClassVar[dict[str, tuple[str, ...]]] = {
@@ -111,6 +128,7 @@ class Driven(Mechanical):
         **Mechanical.checks,
         "rate": optional(function),
         "span": optional(function),
+        "breaks": increasing,
     }
 
     def __post_init__(self) -> None:
@@ -139,6 +157,10 @@ class Driven(Mechanical):
         except ValueError:  # a function written in C has no signature
             pass
         require_number("rate", self._value("rate"))
+
+    def breaks_until(self, end: float) -> list[tuple[float, float]]:
+        found = ((b - self.t, 4 * math.ulp(max(abs(b), abs(self.t), abs(b - self.t)))) for b in self.breaks)
+        return [(time, exact) for time, exact in found if -exact < time < end + exact]
 
     @property
     def clock(self) -> int:

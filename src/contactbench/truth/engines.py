@@ -112,8 +112,8 @@ NEVER = math.inf
 #: seconds after which the rest of a computation is foreseen
 FORESEEN = 2.0
 MAX_STEPS = 1_000_000
-#: a step this small against the whole span means a singularity ahead, not a fast motion
-COLLAPSE = 1e-12
+#: a step this small against the longest taken means a singularity ahead; where none could be taken, against the span
+COLLAPSE, NO_STEP = 1e-12, 1e-36
 #: how many times the size of a state, one at least, no step reaches
 BEYOND = 1e30
 
@@ -185,11 +185,13 @@ def taylor(
     collapse: float = COLLAPSE,
     start: list[str] | None = None,
     deadline: float = NEVER,
+    stops: Sequence[float] = (),
 ) -> Rows:
     """Return states at increasing times ≥ 0 (decimal strings) by heyoka's Taylor series, as mpmath numbers.
 
-    start : packed initial state as decimal strings, by default the scene's own.  Raises `BlowUp` when
-    a step falls below `collapse` of the span, `OutOfTime` after the deadline (a time of `perf_counter`).
+    start : packed initial state as decimal strings, by default the scene's own.  stops : times that are among the
+    others, at which a step ends.  Raises `BlowUp` when a step falls below `collapse` of the longest, `OutOfTime` after
+    the deadline (a time of `perf_counter`).
     Biscani, Izzo, Mon. Not. R. Astron. Soc. 504, 2614 (2021), doi:10.1093/mnras/stab1032.
     """
     import heyoka
@@ -198,26 +200,38 @@ def taylor(
     origin_state = own if start is None else [heyoka.real(x, bits) for x in start]
     kind = {"fp_type": heyoka.real, "prec": bits, "compact_mode": True}
     integrator = heyoka.taylor_adaptive(system, np.array(origin_state), **kind)
-    origin = [] if float(times[0]) == 0 else ["0.0"]
-    grid = np.array([heyoka.real(t, bits) for t in [*origin, *times]])
-    end = float(times[-1])
-    watch = Stopwatch(scene, end, deadline)
+    end, watch, longest, steps = float(times[-1]), Stopwatch(scene, float(times[-1]), deadline), 0.0, 0
+    context, limits, due = decimal_context(bits * 3 // 10 + 5), heyoka.taylor_outcome, 0.0
 
     def keep_going(integrator: Any) -> bool:
-        t, shortest = float(integrator.time), collapse * end
-        return not watch.is_over(t) and (end - t <= shortest or float(integrator.last_h) > shortest)
+        nonlocal longest
+        t, last = float(integrator.time), float(integrator.last_h)
+        longest = max(longest, last)
+        return not watch.is_over(t) and (t >= due or last > collapse * longest)
 
-    context = decimal_context(bits * 3 // 10 + 5)
-    outcome, *_, states = integrator.propagate_grid(grid, callback=keep_going, max_steps=MAX_STEPS)
-    if outcome == heyoka.taylor_outcome.step_limit:
-        raise BadInput(f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed")
-    if outcome != heyoka.taylor_outcome.time_limit:
-        watch.check(float(integrator.time))
-        if math.isnan(float(integrator.time)):
-            why = f"its Taylor series is not finite at the start; {NO_SERIES}"
-            raise BadInput(f"no reference for scene {scene.name!r}: {why}")
-        raise BlowUp(scene, context.mpf(str(integrator.time)))
-    return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]
+    ends, rows, left = {*stops, end}, list[Any](), list[str]()
+    for time in times:
+        left += [time] if float(time) else []
+        if float(time) not in ends:
+            continue
+        grid, due = np.array([integrator.time, *(heyoka.real(t, bits) for t in left)]), float(time)
+        outcome, *_, taken, _, states = integrator.propagate_grid(
+            grid, callback=keep_going, max_steps=MAX_STEPS - steps
+        )
+        steps += taken
+        if outcome == limits.step_limit or steps >= MAX_STEPS:
+            raise BadInput(
+                f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed"
+            )
+        if outcome != limits.time_limit:
+            watch.check(float(integrator.time))
+            if math.isnan(float(integrator.time)):
+                why = f"its Taylor series is not finite at the start; {NO_SERIES}"
+                raise BadInput(f"no reference for scene {scene.name!r}: {why}")
+            raise BlowUp(scene, context.mpf(str(integrator.time)))
+        rows += list(states[len(rows) > 0 :])
+        left = []
+    return [[context.mpf(str(x)) for x in row] for row in rows[len(rows) - len(times) :]]
 
 
 def heyoka_reads_rhs(scene: Scene, y: list[Any], carry: tuple[str, ...]) -> bool:
@@ -258,8 +272,46 @@ def extrapolation(
         return np.array(twin.pack(twin.rhs(twin.unpack(y.tolist(), carry))))
 
     start, watch = np.array(twin.pack(twin.initial(carry))), Stopwatch(scene, float(times[-1]), deadline)
-    found = extrapolate(slope, start, list(map(context.mpf, times)), most, tolerance, watch, collapse)
-    return [y.tolist() for y in found]
+    breaks = scene.breaks_until(float(times[-1]))
+
+    def solve(y: np.ndarray, times: list[Any], begin: Any) -> list[np.ndarray]:
+        return extrapolate(slope, y, times, most, tolerance, watch, collapse, begin)
+
+    return [y.tolist() for y in across_breaks(solve, slope, start, list(map(context.mpf, times)), breaks)]
+
+
+Breaks = Sequence[tuple[float, float]]  #: times, and how exact they are
+
+
+def sides(breaks: Breaks, end: float) -> list[float]:
+    """Return the times just before and just behind breaks, as far as they are between 0 and an end."""
+    return [side for time, exact in breaks for side in (time - exact, time + exact) if 0 < side < end]
+
+
+def across_breaks(
+    solve: Callable[..., list[np.ndarray]],
+    slope: Callable[[np.ndarray], np.ndarray],
+    y: np.ndarray,
+    times: Sequence[Any],
+    breaks: Breaks,
+) -> list[np.ndarray]:
+    """Return states at increasing times, `sides` of breaks among them, by `solve(y, times, begin)`.
+
+    Over a break itself nothing converges: there a state moves by the mean of the slopes on both sides.
+    """
+    rows, begin, group = list[np.ndarray](), 0 * times[-1], list[Any]()
+    for time in times:
+        before = group[-1] if group else begin
+        if before < time and any(b - m <= float(before) and float(time) <= b + m for b, m in breaks):
+            rows += solve(y, group, begin)
+            y = rows[-1] if rows else y
+            ahead = y + (time - before) * slope(y)  # which has the other time
+            y = y + (time - before) / 2 * (slope(y) + slope(ahead))
+            rows.append(y)
+            begin, group = time, []
+        else:
+            group.append(time)
+    return rows + solve(y, group, begin)
 
 
 def extrapolate(
@@ -270,9 +322,12 @@ def extrapolate(
     tolerance: Any,
     watch: Stopwatch,
     collapse: float = COLLAPSE,
+    begin: Any = 0,
 ) -> list[np.ndarray]:
     """Return the states at increasing times, arrays of any kind of numbers; raises as `extrapolation` does."""
-    now, trial, rows = 0 * times[-1], times[-1], []
+    if not times:
+        return []
+    now, trial, rows, longest = begin + 0 * times[-1], times[-1] - begin, [], NO_STEP / collapse * times[-1]
     for time in times:
         while now < time:
             step = min(trial, time - now)
@@ -283,10 +338,10 @@ def extrapolate(
                 column, result = most, None
             if result is None:
                 trial = step / 2
-                if trial < collapse * times[-1]:
+                if trial < collapse * longest:
                     raise BlowUp(watch.scene, now)
                 continue
-            now, y = (time if step == time - now else now + step), result
+            now, y, longest = (time if step == time - now else now + step), result, max(longest, step)
             if column < 0.7 * most:
                 trial = max(trial, step * 3 / 2)
         rows.append(y)

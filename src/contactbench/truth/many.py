@@ -7,7 +7,7 @@ as far as they agree.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -16,12 +16,15 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.engines import OutOfTime, Stopwatch, extrapolate
+from contactbench.scene.many import Many
+from contactbench.truth.engines import OutOfTime, Stopwatch, across_breaks, extrapolate
 
 #: numbers of a state up to which its components are solved to 30 digits
 FEW = 128
 #: of the two solvers in double precision
 TIGHTEST, COLUMNS = 1e-13, 12
+#: pairs of solvers: the second, implicit, of SciPy alone, where the motion is too stiff for the first
+PAIRS = (("DOP853", ""), ("Radau", "LSODA"))
 #: how many they are, how much longer than foreseen one may take: it is seen at the beginning of the other only,
 #: and how many times its budget one may be foreseen to need: there is nobody to go on
 SOLVERS, UNEVEN, PATIENCE = 2, 1.5, 4.0
@@ -29,41 +32,76 @@ SOLVERS, UNEVEN, PATIENCE = 2, 1.5, 4.0
 Slope = Callable[[np.ndarray], np.ndarray]
 
 
-def doubles(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> tuple[np.ndarray, int]:
-    """Return states (k, size) at increasing times, and how many digits of them two solvers agree on."""
+def doubles(
+    scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float, stops: Sequence[float] = ()
+) -> tuple[np.ndarray, int]:
+    """Return states (k, size) at increasing times, and how many digits of them two solvers agree on.
+
+    stops : times at which a step ends.
+    """
 
     def slope(y: np.ndarray) -> np.ndarray:
         return np.asarray(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry))))
 
-    start, found, begun = np.array(scene.pack(scene.initial(carry))), list[Any](), perf_counter()
-    for solver in (by_dop853, partial(extrapolate, most=COLUMNS, tolerance=TIGHTEST)):
-        spent, left = perf_counter() - begun, SOLVERS - len(found)
-        try:
+    start, times = np.array(scene.pack(scene.initial(carry))), sorted({*t.tolist(), *stops})
+    saved, breaks = np.searchsorted(times, t), scene.breaks_until(times[-1])
+    gragg = partial(extrapolate, most=COLUMNS, tolerance=TIGHTEST)
+
+    def agreed(pair: tuple[str, str]) -> tuple[np.ndarray, int]:
+        found, begun = list[np.ndarray](), perf_counter()
+        for name in pair:
+            solver, spent, left = (
+                partial(by_scipy, name=name) if name else gragg,
+                perf_counter() - begun,
+                SOLVERS - len(found),
+            )
             watch = Stopwatch(scene, float(t[-1]), deadline, PATIENCE)
-            with np.errstate(all="ignore"):
-                rows = solver(slope, start, t.tolist(), watch=watch)
-        except OutOfTime as why:
-            raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
-        if not np.isfinite(rows[-1]).all():
-            raise BadInput(f"no reference for scene {scene.name!r}: it cannot be followed to t = {t[-1]:g}")
-        found.append(np.array(rows))
-    one, other = found
-    gap = np.abs(one - other).max() / np.abs(one).max()
-    return one, max(0, math.floor(-math.log10(max(gap, 1e-15))))
+
+            def solve(y: np.ndarray, times: list[float], begin: float, solver=solver, watch=watch) -> Any:
+                return solver(slope, y, times, watch=watch, begin=begin)
+
+            try:
+                with np.errstate(all="ignore"):
+                    rows = np.array(across_breaks(solve, slope, start, times, breaks))[saved]
+            except OutOfTime as why:
+                raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
+            if not np.isfinite(rows[-1]).all():
+                raise BadInput(
+                    f"no reference for scene {scene.name!r}: it cannot be followed to t = {t[-1]:g}"
+                )
+            found.append(rows)
+        one, other = found
+        gap = np.abs(one - other).max() / np.abs(one).max()
+        return one, max(0, math.floor(-math.log10(max(gap, 1e-15))))
+
+    explicit, implicit = PAIRS
+    try:
+        y, digits = agreed(explicit)
+    except OutOfTime:
+        if isinstance(scene, Many):  # a dense Jacobian
+            raise
+        y, digits = agreed(implicit)
+    if not digits:
+        raise BadInput(
+            f"no reference for scene {scene.name!r}: two solvers agree on no digit at t = {t[-1]:g}"
+        )
+    return y, digits
 
 
-def by_dop853(slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch) -> list[np.ndarray]:
-    """Return the states at increasing times by SciPy's DOP853 at its tightest, stopping at each; nan is a failure."""
+def by_scipy(
+    slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch, begin: float, name: str
+) -> list[np.ndarray]:
+    """Return the states at increasing times by SciPy's solver at its tightest, stopping at each; nan is a failure."""
     from scipy.integrate import solve_ivp
 
     def checked(time: float, y: np.ndarray) -> np.ndarray:
         watch.check(time)
         return slope(y)
 
-    rows, now = [], 0.0
+    rows, now = [], begin
     for time in times:
         if time > now:
-            run = solve_ivp(checked, (now, time), y, "DOP853", [time], rtol=TIGHTEST, atol=TIGHTEST)
+            run = solve_ivp(checked, (now, time), y, name, [time], rtol=TIGHTEST, atol=TIGHTEST)
             y, now = run.y[:, -1] if run.success else math.nan * y, time
         rows.append(y)
     return rows

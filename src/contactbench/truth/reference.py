@@ -41,6 +41,7 @@ from contactbench.truth.engines import (
 )
 from contactbench.truth.frozen import digest, entries, frozen
 from contactbench.truth.many import FEW, doubles
+from contactbench.truth.survey import Survey
 
 #: bits of the lower of two precisions, tried in turn until enough digits agree
 LIVE_BITS = (140, 300, 600)
@@ -48,8 +49,8 @@ LIVE_BITS = (140, 300, 600)
 LIVE_SECONDS = 300.0
 #: by how much, in double precision, a closed form may be off
 CLOSE = 1e-6
-#: the part of them for high precision; two solvers have the rest
-HIGH = 0.6
+#: the part of them for high precision, two solvers have the rest; and of either for the survey, without time in a force
+HIGH, SURVEY = 0.6, 0.3
 
 
 @dataclass(frozen=True, repr=False)
@@ -152,7 +153,9 @@ def reference(
 
 def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
     unique, back = np.unique(t, return_inverse=True)
-    y, digits = doubles(scene, unique, carry, perf_counter() + seconds)
+    deadline = perf_counter() + seconds
+    stops = [] if isinstance(scene, Many) else surveyed(scene, carry, float(unique[-1]), deadline).stops
+    y, digits = doubles(scene, unique, carry, deadline, stops)
     return Reference(scene, carry, t, y[back], [], digits, "two solvers")
 
 
@@ -252,6 +255,27 @@ def solves_on_arrays(scene: Many, end: float) -> bool:
     return True
 
 
+_surveys: Cache[Survey] = Cache(64)
+
+
+def surveyed(scene: Scene, carry: tuple[str, ...], end: float, deadline: float) -> Survey:
+    """Return the survey of a motion, whose stops are known."""
+
+    def make() -> Survey:
+        now, share = perf_counter(), SURVEY if scene.clock is None else 1.0
+        survey = Survey(scene, carry, end, now + share * (deadline - now))
+        survey.stops  # noqa: B018
+        return survey
+
+    survey = _surveys.get(key(scene.identity, digest(scene), carry, end), make)
+    survey.deadline = deadline
+    return survey
+
+
+#: digits at most of a motion with breaks, which are floats with another float on either side
+BROKEN = 14
+
+
 # -- live --------------------------------------------------------------------------------------------
 def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> tuple:
     """Return decimals, digits and source from two precisions of heyoka or, without it, extrapolation.
@@ -260,10 +284,13 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
     Where entries decay below 10⁻²⁰, columns known in closed form are taken from there, relative digits and all.
     """
     unique, back = np.unique(t, return_inverse=True)
-    times = [repr(x) for x in unique.tolist()]
+    survey = surveyed(scene, carry, float(unique[-1]), deadline)
+    every = np.union1d(unique, survey.stops)
+    times, saved = [repr(x) for x in every.tolist()], np.searchsorted(every, unique).tolist()
     start = scene.pack(scene.initial(carry))
     exact: list | None = None
-    for rows, other in computations(scene, times, carry, deadline):
+    for pair in computations(scene, times, carry, deadline, survey.stops):
+        rows, other = ([part[k] for k in saved] for part in pair)
         size = max(abs(x) for row in [*rows, start] for x in row)
         if exact is None:
             faint = any(0 < abs(x) < 1e-20 * size for row in rows for x in row)
@@ -279,25 +306,31 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
             f"no reference for scene {scene.name!r} at t = {t.max():g}: "
             "two high precisions disagree, the trajectory is too sensitive to its initial data"
         )
+    survey.check(every.tolist(), np.array(pair[0], dtype=float))
+    most = BROKEN if survey.breaks else 40
     columns = []
     for known, column, error, scale in zip(exact, zip(*rows, strict=True), errors, sizes, strict=True):
-        digits = matching_digits(error / scale, 40)
+        digits = matching_digits(error / scale, most)
         columns.append(known or ([rounded(x, place(scale, digits)) for x in column], digits))
     decimals = list(zip(*(column for column, _ in columns), strict=True))
     return [list(decimals[k]) for k in back], min(digits for _, digits in columns), "live"
 
 
 def computations(
-    scene: Scene, times: list[str], carry: tuple[str, ...], deadline: float = NEVER
+    scene: Scene,
+    times: list[str],
+    carry: tuple[str, ...],
+    deadline: float = NEVER,
+    stops: Sequence[float] = (),
 ) -> Iterator[tuple[Rows, Rows]]:
     """Return pairs (more, less precise) of solutions, each pair more precise than the one before."""
     try:
         if importlib.util.find_spec("heyoka") is not None:
             for bits in LIVE_BITS:
-                rows = taylor(scene, times, carry, bits + bits // 4, deadline=deadline)
+                rows = taylor(scene, times, carry, bits + bits // 4, deadline=deadline, stops=stops)
                 if not heyoka_reads_rhs(scene, rows[-1], carry):
                     break
-                yield rows, taylor(scene, times, carry, bits, deadline=deadline)
+                yield rows, taylor(scene, times, carry, bits, deadline=deadline, stops=stops)
         for digits in (28, 70):
             rows = extrapolation(scene, times, carry, digits + 8, deadline=deadline)
             yield rows, extrapolation(scene, times, carry, digits, deadline=deadline)
@@ -317,11 +350,15 @@ def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
     if not found.decimals or (found.source == "live" and importlib.util.find_spec("heyoka") is None):
         return None
     scene = found.scene.unrolled() if isinstance(found.scene, Many) else found.scene
-    times, digits = [repr(x) for x in found.t.tolist()], 20
+    digits, deadline = 20, perf_counter() + seconds
     try:
-        rows = extrapolation(scene, times, found.carry, digits, deadline=perf_counter() + seconds)
+        stops = surveyed(scene, found.carry, float(found.t.max()), deadline).stops
+        every = np.union1d(found.t, stops)
+        times = [repr(x) for x in every.tolist()]
+        computed = extrapolation(scene, times, found.carry, digits, deadline=deadline)
     except BadInput:
         return None
+    rows = [computed[k] for k in np.searchsorted(every, found.t).tolist()]
     context = decimal_context(digits + 15)
     own = [[context.mpf(x) for x in row] for row in found.decimals]
     return agreeing_digits(rows, own, digits)

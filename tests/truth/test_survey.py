@@ -1,0 +1,159 @@
+"""The survey of a motion: what an engine would step over is found, and a wrong truth is refused."""
+
+import importlib
+import itertools
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import refusal
+from contactbench.numbers.functions import exp, sin
+from contactbench.truth.many import doubles
+from contactbench.truth.reference import confirmed
+from contactbench.truth.survey import Survey, stops_between
+
+
+def bell(x):
+    return exp(-(x * x))
+
+
+def at_rest(width, **changes):
+    own = {"gamma": 0.1, "q": (0.0,), "p": (0.0,), "t_end": 20.0}
+    potential = lambda q, t: q[0] ** 2 / 2 - q[0] * bell((t - 13.3) / width)  # noqa: E731
+    return cb.Driven(name="pulse", potential=potential, **own | changes)
+
+
+def response(width):
+    """Return (q, p) at 20: the pulse's convolution with the motion after a push, by the trapezoidal rule."""
+    x = np.linspace(-7, 7, 2001)
+    left, omega = 6.7 - width * x, np.sqrt(1 - 0.05**2)
+    decay, c, s = np.exp(-0.05 * left), np.cos(omega * left), np.sin(omega * left)
+    pushed = np.array([decay * s / omega, decay * (c - 0.05 * s / omega)])
+    return pushed @ np.exp(-x * x) * width * (x[1] - x[0])
+
+
+@pytest.mark.parametrize("width", [0.9, 0.3, 0.01, 3e-4])
+def test_a_pulse_that_finds_the_motion_at_rest_is_in_the_truth(width):
+    """Both precisions of heyoka and extrapolation step over it by themselves."""
+    found = cb.reference(at_rest(width), [20.0], ())
+    assert found.y[0, :2] == pytest.approx(response(width), abs=1e-13)
+    assert found.digits >= 20
+
+
+@pytest.mark.slow
+def test_a_second_engine_confirms_a_pulse():
+    assert confirmed(cb.reference(at_rest(0.3), [20.0], ())) >= 15
+
+
+def test_a_narrow_barrier_is_in_the_truth_of_a_scene_without_time():
+    """A free particle is slowed for a moment: ∫ (1/√(1 − 2V) − 1) dq behind a flight at speed one."""
+    scene = cb.Mechanical(
+        name="barrier", potential=lambda q: 0.1 * bell((q[0] - 3) / 0.01), q=(0.0,), p=(1.0,), t_end=6.0
+    )
+    x = np.linspace(-0.08, 0.08, 4001)
+    late = (1 / np.sqrt(1 - 0.2 * np.exp(-((x / 0.01) ** 2))) - 1).sum() * (x[1] - x[0])
+    found = cb.reference(scene, [6.0], ())
+    assert late > 1e-3
+    assert found.y[0] == pytest.approx([6.0 - late, 1.0], abs=1e-12)
+
+
+def test_states_that_do_not_lead_to_each_other_are_refused(monkeypatch):
+    """Engines that step over the pulse after all."""
+    monkeypatch.setattr(Survey, "density", 0.0, raising=False)
+    scene, module = at_rest(0.3, gamma=0.11), importlib.import_module("contactbench.truth.reference")
+    plain = module.taylor
+    monkeypatch.setattr(module, "taylor", lambda *a, stops, **k: plain(*a, **k))
+    assert "two engines disagree before t = " in refusal(lambda: cb.reference(scene, [20.0], ()))
+
+
+def test_two_solvers_that_agree_on_no_digit_are_refused(monkeypatch):
+    module = importlib.import_module("contactbench.truth.many")
+    monkeypatch.setattr(module, "by_scipy", lambda slope, y, times, **_: [y + 1.0 for _ in times])
+    scene = cb.SCENES["oscillator"]
+    assert "agree on no digit" in refusal(lambda: doubles(scene, np.array([1.0]), (), np.inf))
+
+
+def test_compare_refuses_a_reference_of_which_no_digit_is_confirmed(monkeypatch):
+    module = importlib.import_module("contactbench.race.comparison")
+    monkeypatch.setattr(module, "confirmed", lambda truth, seconds: 0)
+    assert "confirms none" in refusal(lambda: cb.compare("oscillator", methods=["rk4"], budget=5.0))
+
+
+@pytest.mark.parametrize("width", [1e-4, 0.0])
+def test_a_step_in_time_is_followed_or_to_be_named(width):
+    """A force of 1 from t = 2 on, free motion: q = (t − 2)²/2; a jump is one of floats."""
+    rise = (lambda t: cb.math.tanh((t - 2.0) / width) / 2 + 0.5) if width else lambda t: float(t > 2.0)
+    scene = cb.Driven(
+        name="step",
+        potential=lambda q, t: -q[0] * rise(t),
+        gradient=lambda q, t: (-rise(t),),
+        q=(0.0,),
+        p=(0.0,),
+        t_end=5.0,
+    )
+    if not width:
+        assert "jumps at t = 2 after the start: name the time in breaks=" in refusal(
+            lambda: cb.reference(scene, [5.0], ())
+        )
+        scene = scene.with_(breaks=(2.0,))
+    (found,) = cb.reference(scene, [5.0], ()).y
+    assert found[:2] == pytest.approx([4.5, 3.0], abs=width**2 + 1e-11)
+
+
+def test_a_well_that_moves_past_the_particle_is_seen():
+    """Behind it q = q₀ + v t with a kick that 2000 steps of DOP853 to the width resolve."""
+    from scipy.integrate import solve_ivp
+
+    width = 0.01
+    V = lambda q, t: -0.1 * bell((q[0] - 5 * sin(t)) / width)  # noqa: E731
+    scene = cb.Driven(name="moving", potential=V, q=(0.5,), p=(0.0,), t_end=4.0)
+
+    def slope(t, y):
+        x = (y[0] - 5 * np.sin(t)) / width
+        return y[1], -0.2 * x / width * np.exp(-x * x)
+
+    run = solve_ivp(slope, (0, 4.0), [0.5, 0.0], "DOP853", rtol=1e-12, atol=1e-14, max_step=4e-4)
+    assert cb.reference(scene, [4.0], ()).y[0, :2] == pytest.approx(run.y[:, -1], abs=1e-10)
+
+
+def test_stops_come_before_a_step_could_be_many_times_too_long():
+    ends = [0.0, 1.0, 2.0, 2.1, 2.2, 2.3, 3.5, 5.0]
+    stops = stops_between(ends)
+    for a, b in zip([0.0, *stops], [*stops, 5.0], strict=True):
+        inside = [y - x for x, y in itertools.pairwise(ends) if a <= x and y <= b]
+        assert len(inside) == 1 or b - a <= 8.0 * min(inside) * (1 + 1e-12)
+
+
+# -- fast motion is no blow-up -----------------------------------------------------------------------
+@pytest.mark.parametrize(("rate", "span"), [(1e7, 1e6), (1e5, 3e7)])
+def test_a_stiff_motion_has_the_truth_of_two_implicit_solvers(rate, span):
+    """q = e^{−t/γ}, to 1/γ²; explicit solvers would take 10¹² steps."""
+    scene = cb.Mechanical(
+        name="overdamped", potential=lambda q: q[0] ** 2 / 2, gamma=rate, q=(1.0,), p=(0.0,), t_end=span
+    )
+    t = min(span, 3 * rate)
+    found = cb.reference(scene, [t], (), seconds=60)
+    assert found.source == "two solvers"
+    assert found.y[0, 0] == pytest.approx(np.exp(-t / rate), rel=1e-9)
+
+
+@pytest.mark.parametrize("omega", [1e7, 3e9])
+def test_a_fast_motion_that_cannot_be_afforded_is_said_to_be_that(omega):
+    scene = cb.Mechanical(
+        name="fast", potential=lambda q: omega**2 * q[0] ** 2 / 2, gamma=0.1, q=(1.0,), p=(0.0,), t_end=1e7
+    )
+    with pytest.raises(
+        cb.truth.OutOfTime if hasattr(cb, "truth") else ValueError, match="in the time it was given"
+    ):
+        cb.reference(scene, [1e7], (), seconds=8)
+
+
+@pytest.mark.parametrize("digits", [12, 30])
+def test_extrapolation_takes_fast_motion_for_no_singularity(digits):
+    """10¹³ periods lie ahead; 1e-12 of the span is not a step of it."""
+    engines = importlib.import_module("contactbench.truth.engines")
+    scene = cb.SCENES["oscillator"].with_(omega=1e9, gamma=0.0, q=(1.0,), p=(0.0,), t_end=1e5)
+    for engine, setting in ((engines.extrapolation, digits), (engines.taylor, 140)):
+        with pytest.raises(engines.OutOfTime):
+            engine(scene, ["100000.0"], (), setting, deadline=engines.perf_counter() + 1.0)
