@@ -101,7 +101,7 @@ def parameters(form, k, c):
 
 
 STYLES = [attributes, global_numbers, closure, potential_alone, parameters]
-METHOD_NAMES = ["contact-strang", "contact-rkn6", "contact-bm4", "rk4", "contact-adaptive", "heyoka-taylor"]
+METHOD_NAMES = ["contact-strang", "contact-rkn6", "contact-bm4", "rk4", "heyoka-taylor"]
 METHOD_NAMES += ["scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-dop853"]
 
 

@@ -250,7 +250,7 @@ INTERPRETED = """
 import json
 import contactbench as cb
 cases = {
-    "rk4": {"step": 0.1}, "contact-strang": {"step": 0.1}, "contact-adaptive": {"rtol": 1e-3},
+    "rk4": {"step": 0.1}, "contact-strang": {"step": 0.1},
     "cvode-adams": {"rtol": 1e-3}, "scipy-dop853": {"rtol": 1e-3}, "cyrk-dop853": {"rtol": 1e-3},
 }
 runs = {name: cb.solve("particle", name, **given) for name, given in cases.items()}
@@ -265,7 +265,7 @@ def test_where_numba_does_not_compile_python_computes():
     done = run(sys.executable, "-c", INTERPRETED, NUMBA_DISABLE_JIT="1")
     assert done.returncode == 0, done.stderr
     runs = json.loads(done.stdout)
-    by_python = dict.fromkeys(("rk4", "contact-strang", "contact-adaptive", "scipy-dop853"), "python")
+    by_python = dict.fromkeys(("rk4", "contact-strang", "scipy-dop853"), "python")
     compiled = {"cyrk-dop853": "c++", "contact-exact": "numba", "numba": "numba", "c": "c"}
     by_python |= {"cvode-adams": "c+python"}
     assert {name: engine for name, (engine, status, _) in runs.items() if status == "ok"} == by_python

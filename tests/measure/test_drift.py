@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, USER, by_name, few_slow, saved
+from cases import ALL_SCENES, by_name, few_slow, saved
 from cases import pairs as of_methods
 from contactbench.measure.law import round_off_bound
 from contactbench.measure.laws import row
@@ -37,29 +37,6 @@ drift = cb.LAWS["contact_drift"]
 
 
 # -- the map a user gets, and the map of the steps taken -------------------------------------------
-@pytest.mark.parametrize(("rtol", "true"), [(1e-2, 1.35e-5), (1e-4, 1.2e-7), (1e-6, 1.2e-9)])
-def test_the_map_with_adaptive_steps_is_no_contact_map_and_the_steps_frozen_are(rtol, true):
-    """Figures of an independent check, by differences of the solver on `central`."""
-    solution = cb.solve(CENTRAL, "contact-adaptive", rtol=rtol, save_at=[20.0])
-    assert true / 2 < drift(solution) < 2 * true
-    assert cb.LAWS["contact_drift_frozen"](solution) < 1e-13
-    assert cb.LAWS["distribution_drift_frozen"](solution) < 1e-13
-    assert "choice" in solution.differential.source
-    assert "frozen" in solution.frozen_differential.source
-
-
-@pytest.mark.parametrize("rtol", [1e-2, 1e-4])
-@pytest.mark.parametrize("scene", [CENTRAL, cb.SCENES["particle"], USER], ids=lambda s: s.name)
-@pytest.mark.quick(scene="central")
-def test_derivative_through_the_choice_of_steps_agrees_with_differences(scene, rtol):
-    run = cb.prepare(scene, "contact-adaptive", rtol=rtol, save_at=saved(scene))
-    solution = run()
-    exact, found = pullback(solution, solution.differential), differenced(run)
-    assert np.all(np.linalg.norm(found.values - exact.values, axis=1) <= found.uncertainty.max())
-    frozen = pullback(solution, solution.frozen_differential)
-    assert np.abs(frozen.values - exact.values).max() > 1e-7 * rtol  # and it is another derivative
-
-
 @pytest.mark.parametrize("method", FIXED)
 @pytest.mark.quick(method=("contact-strang", "contact-rkn6", "herglotz2", "rk4"))
 def test_fixed_steps_have_one_derivative(method):

@@ -199,7 +199,6 @@ PROMISES = [
     ("lane_emden_5", "contact-rkn4", {"step": 0.2}, MAP | OWN),
     ("quadratic_damping", "contact-rkn4", {"step": 0.2}, OWN),
     ("central", "herglotz2", {"step": 0.05}, OWN),
-    ("central", "contact-adaptive", {"rtol": 1e-6}, {"momentum_law"}),
     ("central", "rk4", {"step": 0.05}, set()),
     ("central", "cyrk-vern8", {"rtol": 1e-8}, set()),
 ]

@@ -6,7 +6,8 @@ import pytest
 
 import contactbench as cb
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import PythonLoop
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.loops import Plain
 from contactbench.numbers.protocol import abilities
 from contactbench.plugins import OWN
 from contactbench.testing import METHOD_RULES, MethodCase, Violation, check_method, method_cases
@@ -41,24 +42,28 @@ def changed(kind, **methods):
 
 def remember(run, y0):
     run.calls = getattr(run, "calls", 0) + 1
-    out = PythonLoop.integrate(run, y0)
+    out = FixedStepRun.integrate(run, y0)
     return replace(out, y=out.y * (1 + 1e-9 * run.calls))
 
 
 def start_elsewhere(run, y0):
-    out = PythonLoop.integrate(run, y0)
+    out = FixedStepRun.integrate(run, y0)
     return replace(out, y=out.y + 1e-9 * (len(out.y) > 1))
 
 
 def spend_more(run, y0):
     run.needed = 0
-    return PythonLoop.integrate(run, y0)
+    return FixedStepRun.integrate(run, y0)
 
 
-TIMED_ELSEWHERE = changed(PythonLoop, bare=lambda run, y0: PythonLoop.bare(run, y0) * (1 + 1e-9))
-DERIVES_WRONGLY = changed(PythonLoop, sensitivity=lambda run, y0: 1.001 * PythonLoop.sensitivity(run, y0))
+TIMED_ELSEWHERE = changed(
+    FixedStepRun,
+    shorten=lambda run, loop: None,
+    bare=lambda run, y0: FixedStepRun.bare(run, y0) * (1 + 1e-9),
+)
+DERIVES_WRONGLY = changed(FixedStepRun, sensitivity=lambda run, y0: 1.001 * FixedStepRun.sensitivity(run, y0))
 OTHER_STEPS = changed(
-    PythonLoop, intervals=lambda run, y0, h, n: PythonLoop.intervals(run, y0, h * (1 + 1e-9), n)
+    FixedStepRun, intervals=lambda run, y0, h, n: FixedStepRun.intervals(run, y0, h * (1 + 1e-9), n)
 )
 
 
@@ -72,11 +77,11 @@ class Broken(FixedStep):
     evaluations: int = 4
     about: str = "planted"
     engines: tuple[str, ...] = ("python",)
-    run: type[PythonLoop] = PythonLoop
+    run: type[FixedStepRun] = FixedStepRun
 
     def prepare(self, request):
         if request.engine == "python" and request.step is not None:
-            return self.run(self.name, request, self)
+            return self.run(self.name, request, self, Plain(self, request))
         return super().prepare(request)
 
 
@@ -90,11 +95,11 @@ BROKEN = [
     (1, Broken(family="ours")),
     (1, Broken(engines=("python", "abacus"))),
     (2, changed(Broken, refuses=lambda method, scene: "")()),
-    (3, Broken(run=changed(PythonLoop, integrate=remember))),
-    (4, Broken(run=changed(PythonLoop, integrate=start_elsewhere))),
+    (3, Broken(run=changed(FixedStepRun, integrate=remember))),
+    (4, Broken(run=changed(FixedStepRun, integrate=start_elsewhere))),
     (5, Broken(run=TIMED_ELSEWHERE)),
     (6, Broken(order=5)),
-    (7, Broken(run=changed(PythonLoop, integrate=spend_more))),
+    (7, Broken(run=changed(FixedStepRun, integrate=spend_more))),
     (8, Broken(evaluations=3)),
     (8, Broken(kind="gradient", evaluations=3)),
     (9, Broken(engines=("python", "numba"), step=by_engine)),

@@ -334,7 +334,7 @@ def test_a_blow_up_ends_as_diverged_without_warnings(method):
         assert np.isnan(run.y[-1]).all()
 
 
-@pytest.mark.parametrize("method", ["rk4", "cvode-adams", "contact-adaptive"])
+@pytest.mark.parametrize("method", ["rk4", "cvode-adams"])
 def test_a_mechanical_scene_of_too_many_components_is_refused(method):
     data = {"q": (1.0,) * 300, "p": (0.0,) * 300, "t_end": 1.0}
     scene = cb.Mechanical(name="large", potential=lambda q: q[0] * q[-1], **data)

@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, FIXED, REPOSITORY, pairs, random_state, run
-from contactbench.methods.fixed_step_run import loop_of
+from contactbench.methods.loops import loop_of
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
 from contactbench.solution import Status
@@ -123,9 +123,9 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
         options = {"step": 0.06, "save_at": [0.5, 0.75, 2.0], "carry": carry}
         run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("numba", "python"))
         spans = list(zip(plain.h.tolist(), plain.n.tolist(), strict=True))
-        written = plain.as_written([*plain.start.tolist(), *[0.0] * plain.counted], spans)
+        written = plain.loop.as_written([*plain.start.tolist(), *[0.0] * method.iterates], spans)
         written = np.array(written)[:, : len(plain.start)]
-        assert plain.program is not None
+        assert plain.loop.program is not None
         for solution in run(), plain():
             counts = plain.totals
             if method.iterates:

@@ -11,7 +11,7 @@ import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES
-from contactbench.methods.fixed_step_run import LONG
+from contactbench.methods.loops import LONG
 from contactbench.methods.prepared import Prepared
 
 PARTICLE = cb.SCENES["particle"]
@@ -92,7 +92,7 @@ def long_run(save_at):
     run = cb.prepare(
         PARTICLE.with_(t_end=1e9), "contact-strang", step=1e-3, carry=(), save_at=save_at, max_steps=10**13
     )
-    assert run.loop.is_long(run.needed)
+    assert run.loop.loop.is_long(run.needed)
     return run
 
 

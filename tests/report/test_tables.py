@@ -297,7 +297,7 @@ def test_the_glossary_has_every_method_scene_and_column():
     text = markdown.parts(glossary({"methods": cb.METHODS, "scenes": cb.SCENES}))
     for name in (*cb.METHODS, *cb.SCENES):
         assert re.search(rf"^\| {re.escape(name)} ", text, re.M), name
-    for name, steps in (("contact-exact", "exact"), ("contact-adaptive", "adaptive"), ("rk4", "fixed")):
+    for name, steps in (("contact-exact", "exact"), ("cvode-adams", "adaptive"), ("rk4", "fixed")):
         (line,) = re.findall(rf"^\| {name} .*$", text, re.M)
         assert f"| {steps} " in line
     assert all(f"`{column}`" in text for each in TABLES.values() for column in each.columns)

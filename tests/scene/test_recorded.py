@@ -35,7 +35,6 @@ RUNS = [
     ("contact-strang", {"rtol": 1e-6}),
     ("rk4", {"step": 0.01}),
     ("herglotz2", {"step": 0.001}),
-    ("contact-adaptive", {"rtol": 1e-8}),
     ("cvode-adams", {"rtol": 1e-10}),
     ("cvode-bdf", {"rtol": 1e-9, "engine": "c+python"}),
     ("cyrk-dop853", {"rtol": 1e-10}),
@@ -100,7 +99,7 @@ def test_a_step_map_that_changes_is_another_method(engine, weighted):
     assert drifts[0] == drifts[2] < drifts[1] / 10
 
 
-@pytest.mark.parametrize("method", ["contact-rkn6", "contact-strang", "contact-adaptive", "herglotz2"])
+@pytest.mark.parametrize("method", ["contact-rkn6", "contact-strang", "herglotz2"])
 def test_flows_refuse_a_kind_that_writes_its_equations_anew(method):
     class Heavy(Mechanical):
         def dissipation(self, s):

@@ -18,7 +18,7 @@ from contactbench.claims.integrator import ORDER
 from contactbench.claims.ledger import Evidence, at_most, claim
 from contactbench.measure.order import fit_order
 from contactbench.methods.contact import contact_method
-from contactbench.methods.fixed_step_run import trajectory
+from contactbench.methods.loops import trajectory
 from contactbench.scene import Mechanical
 from contactbench.splitting.composition import Composition, palindrome
 from contactbench.splitting.modified import flow_of, logarithm

@@ -30,7 +30,7 @@ from contactbench.measure.order import fit_order
 from contactbench.measure.pullback import growth
 from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS, solve
-from contactbench.methods.fixed_step_run import trajectory
+from contactbench.methods.loops import trajectory
 from contactbench.scenes import SCENES
 from contactbench.splitting.modified import modified_hamiltonian
 from contactbench.truth import decimal_context, distance, reference, with_decimals

@@ -19,7 +19,7 @@ from contactbench.ensembles.members import ENERGY, Statistic, decaying, members,
 from contactbench.errors import BadInput, excerpt, positive, switch, whole
 from contactbench.methods.base import METHODS, lookup, make_request
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import Division
+from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.prepared import Refused
 from contactbench.scene import BodyState, DrivenState, Scene, State
 from contactbench.solution import Counts, Status
@@ -129,7 +129,7 @@ def ensemble(
     request = make_request(scene, chosen, step, save_at=times, carry=carry)
     if isinstance(request, Refused):
         raise BadInput(request.why)
-    run = Division(method, request, chosen)
+    run = FixedStepRun(method, request, chosen)
     if engine is not None and not (isinstance(engine, str) and engine in ENGINES):
         raise BadInput(f"engine = {excerpt(engine)}: an ensemble runs on {' or '.join(ENGINES)}")
     if run.needed > request.max_steps:

@@ -17,8 +17,9 @@ from contactbench.ensembles.members import Watch, furthest
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import Division, FixedStepRun, identity, loop_of
+from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import rolled
+from contactbench.methods.loops import identity, loop_of
 from contactbench.methods.many import SHARED, FieldLoop
 from contactbench.methods.many import loop_of as many_loop
 from contactbench.methods.prepared import Request
@@ -66,7 +67,7 @@ class Task:
         try:
             chosen = METHODS[self.method]
             assert isinstance(chosen, FixedStep)
-            run = Division(self.method, self.request, chosen)
+            run = FixedStepRun(self.method, self.request, chosen)
             parts = list(self.chunks(run, y0, own, y0.shape[1], cores=1))
         except Exception as error:
             return error

@@ -21,7 +21,8 @@ from contactbench.ensembles.members import furthest, members, within
 from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.base import lookup, prepare
-from contactbench.methods.fixed_step_run import FixedStepRun, loop_of
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.loops import loop_of
 from contactbench.methods.many import loop_of as many_loop
 from contactbench.methods.prepared import Refused
 from contactbench.numbers.protocol import CannotRecord

@@ -18,7 +18,8 @@ from scipy.integrate import DenseOutput, OdeSolver
 from scipy.integrate._ivp.common import warn_extraneous
 
 from contactbench.errors import BadInput, excerpt, positive
-from contactbench.methods.fixed_step_run import Loop, identity, steps_in
+from contactbench.methods.fixed_step_run import steps_in
+from contactbench.methods.loops import Loop, identity
 from contactbench.methods.one_step import OneStep, step_map
 from contactbench.methods.prepared import NO_NUMBER
 from contactbench.numbers.control import repeat

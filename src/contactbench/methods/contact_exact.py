@@ -8,14 +8,14 @@ evaluation counts as the rotations it costs, few where the attitude is not carri
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from contactbench.methods.base import CALLBACKS, METHODS, Method
-from contactbench.methods.fixed_step_run import NumbaLoop, PythonLoop
-from contactbench.methods.jax_engine import CompiledRun
+from contactbench.methods.jax_engine import Traced
+from contactbench.methods.loops import Plain, Recorded, StepLoop
 from contactbench.methods.prepared import Outcome, Prepared, Request
 from contactbench.numbers.control import Repeat, XlaNumbers
 from contactbench.scene import Scene
@@ -29,31 +29,26 @@ def evolve(scene: Any, x: Any, t: Any, xp: Any) -> Any:
     return flow.apply(scene, x, flow.constants(scene, t, xp), xp)
 
 
+@dataclass
 class ExactRun(Prepared):
-    """A step from the initial state to every saved time, each a fixed-step run of its own."""
+    """A step from the initial state to every saved time; together : the loop takes them side by side."""
+
+    loop: StepLoop
+    together: bool
 
     sensitivity_source = "forward-mode AD through the closed form"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.connect()
-
-    def connect(self) -> None:
-        r, method = self.request, METHODS[self.method]
-        run = {"numba": NumbaLoop, "python": WrittenLoop}[r.engine]
-        to = [replace(r, save_at=self.later[k : k + 1], step=t) for k, t in enumerate(self.later.tolist())]
-        self.runs = [run(self.method, request, method) for request in to]
-        self.compile_s = self.runs[0].compile_s
+        one = np.ones(len(self.later), dtype=np.int64)
+        parts = [slice(None)] if self.together else [slice(k, k + 1) for k in range(len(self.later))]
+        self.steps = [(self.later[part], one[part]) for part in parts]
+        self.ready = [self.loop.ready(*step) for step in self.steps]
+        self.bare = self.loop.last(self.ready[-1])  # type: ignore
+        self.compile_s = self.loop.seconds
 
     def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         return -self.request.scene.conformal_rate * self.request.save_at
-
-    def states_at(self, y0: np.ndarray) -> np.ndarray:
-        """Packed states at the `later` times, NaN where there are no numbers; shape (k, d)."""
-        return np.array([run.bare(y0) for run in self.runs])
-
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        return self.runs[-1].bare(y0)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         needed = len(self.later)
@@ -62,38 +57,23 @@ class ExactRun(Prepared):
             return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.budget, message)
         each = FREE_COST if "R" in self.request.carry else MOMENTUM_COST
         counts = Counts(needed, needed * each, 0, 0, "rotation")
-        return self.finish(y0, self.from_start(y0, self.states_at(y0)), counts)
+        y = np.concatenate([self.loop.take(y0, ready)[0] for ready in self.ready])
+        return self.finish(y0, self.from_start(y0, y), counts)
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        columns = np.array(self.tangents(y0)).T
-        return self.from_start(columns, np.concatenate([run.sensitivity(y0) for run in self.runs]))
+        tangents = self.tangents(y0)
+        columns = [np.concatenate([self.loop.tangent(y0, v, *step) for step in self.steps]) for v in tangents]
+        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
 
 
-class WrittenLoop(PythonLoop):
-    """The closed form as it is written, whose series end where plain numbers no longer change."""
-
-    def record(self) -> None:
-        """Nothing: recorded, the series would have the fixed length of arrays."""
-
-
-class ExactJax(ExactRun, CompiledRun):
-    def connect(self) -> None:
-        self.compile(self.states, self.together(self.request.scene.numbers(), self.times()))
+class AtOnce(Traced):
+    """The closed form by a program of JAX: a step is a time from the initial state, all of them side by side."""
 
     def states(self, y0: Any, fixed: Any) -> Any:
-        numbers, times = self.apart(fixed)
-        r, xp = self.request, XlaNumbers()
-        scene = r.scene.with_numbers(list(numbers))
-        x = scene.unpack(list(y0), r.carry)
+        numbers, times, _ = self.xla.apart(fixed)
+        scene, xp = self.scene.with_numbers(list(numbers)), XlaNumbers()
+        x = scene.unpack(list(y0), self.carry)
         return jax.vmap(lambda t: jnp.stack(scene.pack(evolve(scene, x, t, xp))))(times)
-
-    def states_at(self, y0: np.ndarray) -> np.ndarray:
-        return self.call(y0)[: self._saves][-len(self.later) :]
-
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        return self.call(y0)[self._saves - 1]
-
-    sensitivity = CompiledRun.sensitivity
 
 
 @dataclass(frozen=True)  # its fields are its definition
@@ -133,7 +113,12 @@ class ExactMethod(Method):
         return "rotation"
 
     def prepare(self, request: Request) -> Prepared:
-        return (ExactJax if request.engine == "jax" else ExactRun)(self.name, request)
+        loops = {"numba": Recorded, "jax": AtOnce, "python": Plain}
+        options = (
+            {"recorded": False} if request.engine == "python" else {}
+        )  # its series end where nothing changes
+        loop = loops[request.engine](self, request, **options)
+        return ExactRun(self.name, request, loop, request.engine == "jax")
 
 
 METHODS.add(ExactMethod())

@@ -22,9 +22,10 @@ from contactbench.errors import (
     whole,
 )
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
-from contactbench.methods.fixed_step_run import FixedStepRun, NumbaLoop, PythonLoop
-from contactbench.methods.jax_engine import JaxLoop
-from contactbench.methods.many import MANY_RUNS
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.jax_engine import Traced
+from contactbench.methods.loops import Plain, Recorded, StepLoop
+from contactbench.methods.many import SITE_LOOPS
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
@@ -36,7 +37,7 @@ Piece = Callable[[Any, Any, Any, Any, Repeat], Any]  # (scene, x, h, xp, repeat)
 Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
 
 #: who takes the steps; an engine gets its loop here
-RUNS: dict[str, type[FixedStepRun]] = {"numba": NumbaLoop, "jax": JaxLoop, "python": PythonLoop}
+LOOPS: dict[str, type[StepLoop]] = {"numba": Recorded, "jax": Traced, "python": Plain}
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class FixedStep(Method):
     #: what is counted: "rhs", "gradient" or "rotation"
     kind: str = "rhs"
     about: str = ""
-    engines: tuple[str, ...] = tuple(RUNS)
+    engines: tuple[str, ...] = tuple(LOOPS)
     family: str = "established"
     contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
     symmetric: bool = False
@@ -68,13 +69,11 @@ class FixedStep(Method):
     )
 
     def prepare(self, request: Request) -> Prepared:
-        run = self.runs_on(request.scene)[request.engine]
+        loops = SITE_LOOPS if request.scene.by_sites else LOOPS
+        loop = loops[request.engine](self, request)
         if request.step is not None:
-            return run(self.name, request, self)
-        return ChosenStep(self.name, request, self, run)
-
-    def runs_on(self, scene: Scene) -> dict[str, type[FixedStepRun]]:
-        return MANY_RUNS if scene.by_sites else RUNS
+            return FixedStepRun(self.name, request, self, loop)
+        return ChosenStep(self.name, request, self, loop)
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         """n ≥ 1 steps of size h."""

@@ -14,12 +14,10 @@ from typing import Any
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import CountedNumbaLoop, CountedPythonLoop, FixedStepRun
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.scene import Mechanical, Scene, State, dot, shifted
 
-RUNS: dict[str, type[FixedStepRun]] = {"numba": CountedNumbaLoop, "python": CountedPythonLoop}
 #: iterations that may differ by more than the one before
 FIRST = 3
 #: iterations after which a step has none, and the last increment that is none, relative to what is iterated
@@ -57,11 +55,8 @@ class Implicit(FixedStep):
     """A method whose step returns x and iterations; each : evaluations of an iteration, one more comes first."""
 
     each: int = field(kw_only=True)
-    engines: tuple[str, ...] = tuple(RUNS)
+    engines: tuple[str, ...] = ("numba", "python")
     iterates = True
-
-    def runs_on(self, scene: Scene) -> dict[str, type[FixedStepRun]]:
-        return RUNS
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         return self.advance_counted(scene, x, h, n, xp, repeat)[0]

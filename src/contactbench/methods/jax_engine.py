@@ -1,17 +1,16 @@
-"""Runs on JAX: one compiled program per structure, its forward derivative, and the loop over fixed steps."""
+"""Programs of JAX: one compiled per structure, its forward derivative, and the loop over fixed steps."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Hashable
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from contactbench.methods.fixed_step_run import FixedStepRun, identity
-from contactbench.methods.prepared import Prepared, stopwatch
+from contactbench.methods.loops import StepLoop, identity
+from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.control import Repeat, XlaNumbers
 from contactbench.scene import Cache, key
 from contactbench.trace.recording import reason_of
@@ -20,31 +19,27 @@ from contactbench.xla import jax, jnp, lax
 _programs: Cache[tuple[Any, float]] = Cache(1024)
 
 
-class CompiledRun(Prepared):
-    """A run whose saved states are a JAX function of the packed initial state and all other numbers.
+class Xla:
+    """A compiled JAX function of a packed initial state and of all other numbers of a run.
 
     So a program is compiled once per scene structure and `capacity` for saved times, then shared.
+
+    identity, key : what the program depends on, besides the fields carried and the capacity.  capacities : numbers of
+    saved times a program is compiled for; the next larger one serves all in between.  everywhere : how arguments lie
+    on several devices; None on one.
     """
 
-    #: numbers of saved times a program is compiled for; the next larger one serves all in between
-    capacities: ClassVar[tuple[int, ...]] = (1, 64, 1024)
-
-    #: all arguments but the initial state, on the device; made by `together`, taken `apart` in the program
-    fixed: Any
-    #: how arguments lie on several devices; None on one
-    everywhere: Any = None
-
-    def key(self) -> tuple[Any, ...]:
-        """What the program depends on besides the identity and the fields carried."""
-        return (self.method, self.capacity)
-
-    @property
-    def identity(self) -> Hashable | None:
-        return self.request.scene.identity
-
-    @abstractmethod
-    def states(self, y0: Any, fixed: Any) -> Any:
-        """Saved states (k, d), traceable."""
+    def __init__(
+        self,
+        request: Request,
+        identity: Hashable | None,
+        key: tuple[Any, ...],
+        capacities: tuple[int, ...] = (1, 64, 1024),
+        everywhere: Any = None,
+    ) -> None:
+        self.request, self.identity, self.key = request, identity, key
+        self.capacities, self.everywhere = capacities, everywhere
+        self.seconds = 0.0
 
     def together(self, *vectors: Any) -> np.ndarray:
         """Several arguments as one: what a short call costs is the number of its arguments."""
@@ -54,42 +49,34 @@ class CompiledRun(Prepared):
     def apart(self, fixed: Any) -> list[Any]:
         return [fixed[i:j] for i, j in pairwise([0, *self.borders, len(fixed)])]
 
-    @staticmethod
-    def flat(function: Callable[..., tuple[Any, Any, Any]]) -> Callable[..., Any]:
-        """A function that returns saved states, facts about the run, and its last state, all in one vector."""
-        return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
-
-    def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], list[float]]:
-        rest = vector[self.capacity * d :].tolist()
-        return vector[: self._saves * d].reshape(-1, d), rest[:-d], rest[-d:]
-
     def room(self, saves: int) -> int:
         if self.request.scene.by_sites:  # its states are large
             return saves
         return next((size for size in self.capacities if size >= saves), saves)
 
-    @cached_property
-    def capacity(self) -> int:
-        return self.room(self._saves)
-
     def times(self) -> np.ndarray:
         """The saved times as a program takes them: the end again and again beyond those asked for."""
         times = self.request.save_at
-        return np.pad(times, (0, self.capacity - len(times)), mode="edge")
+        return np.pad(times, (0, self.room(len(times)) - len(times)), mode="edge")
 
-    def call(self, y0: np.ndarray, fixed: Any = None) -> np.ndarray:
-        """What the program returns, from an initial state; the scene's own is moved to the device once."""
-        start = self._start_on_device if y0 is self.start else y0
-        return np.asarray(self.program(start, self.fixed if fixed is None else fixed))
+    def place(self, fixed: np.ndarray) -> Any:
+        """Return arguments on the device: converting them at every call would cost as much as a short run."""
+        return jax.device_put(fixed, self.everywhere)
 
     @cached_property
-    def _start_on_device(self) -> Any:
-        return jax.device_put(self.start, self.everywhere)
+    def start_on_device(self) -> Any:
+        return self.place(self.request.start)
 
-    def compile(self, states: Callable[..., Any], fixed: np.ndarray) -> None:
-        # on the device once: converting them at every call would cost as much as a short run
-        self.fixed = jax.device_put(fixed, self.everywhere)
-        self.program, self.compile_s = self.compiled("run", states, self._start_on_device, self.fixed)
+    def compile(self, function: Callable[[Any, Any], Any], fixed: Any, capacity: int) -> None:
+        self.fixed, self.capacity = fixed, capacity
+        self.program, self.seconds = self.compiled("run", function, self.start_on_device, fixed)
+
+    def call(self, y0: np.ndarray, fixed: Any = None) -> np.ndarray:
+        """Return what the program does from an initial state; the scene's own is moved to the device once."""
+        start = self.start_on_device
+        if y0 is not self.request.start:
+            start = y0 if self.everywhere is None else self.place(y0)
+        return np.asarray(self.program(start, self.fixed if fixed is None else fixed))
 
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
         """The program for a purpose, and the seconds it took to make; `CannotRecord` where it branches on values."""
@@ -101,19 +88,19 @@ class CompiledRun(Prepared):
             except jax.errors.JAXTypeError as error:
                 raise reason_of(error) from error
 
-        return _programs.get(key(self.identity, purpose, self.request.carry, *self.key()), make)
+        rest = purpose, self.request.carry, *self.key, self.capacity
+        return _programs.get(key(self.identity, *rest), make)
 
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return self.derivative(y0, self.states, "steps")[: self._saves]
+    def derivative(
+        self, states: Callable[[Any, Any], Any], y0: np.ndarray, v: np.ndarray, fixed: Any
+    ) -> np.ndarray:
+        """Return the derivative of the states along v."""
 
-    def derivative(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
         def push(y0: Any, v: Any, fixed: Any) -> Any:
             return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
 
-        tangents = self.tangents(y0)
-        program, _ = self.compiled(f"sensitivity, {which}", push, y0, tangents[0], self.fixed)
-        columns = [np.asarray(program(y0, v, self.fixed)) for v in tangents]
-        return np.stack(columns, axis=-1)
+        program, _ = self.compiled("sensitivity, steps", push, y0, v, fixed)
+        return np.asarray(program(y0, v, fixed))
 
 
 def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
@@ -126,54 +113,59 @@ def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
 rolled = Repeat(compiled_loop, over_stages=True)
 
 
-class JaxLoop(FixedStepRun, CompiledRun):
-    sensitivity_source = "forward-mode AD through the numerical map"
+class Traced(StepLoop):
+    """By a program of JAX, which has room for a fixed number of intervals."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.compile(self.states, self.fixed)
+    derivative = "forward-mode AD through the numerical map"
+    #: how arguments lie on several devices
+    everywhere: Any = None
 
-    @cached_property
-    def capacity(self) -> int:  # type: ignore[override]
-        return self.room(len(self.n))
-
-    def divide(self, step: float) -> None:
-        super().divide(step)
-        self.fixed = self.spans(self.h, self.n)
-
-    def spans(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        padded = np.zeros((2, self.capacity))
-        padded[:, : len(n)] = h, n
-        return self.together(self.numbers, *padded)
+    def __init__(self, method: Any, request: Request) -> None:
+        super().__init__(method, request)
+        self.xla = Xla(
+            request, identity(method, self.scene, self.carry), self.key(), everywhere=self.everywhere
+        )
 
     def key(self) -> tuple[Any, ...]:
-        return (self.capacity,)
+        return ()
 
-    @cached_property
-    def identity(self) -> Hashable | None:  # type: ignore[override]
-        return identity(self.method_, self.request.scene, self.request.carry)
+    @property
+    def seconds(self) -> float:  # type: ignore[override]
+        return self.xla.seconds
+
+    def record_tangent(self) -> None:
+        """Nothing: the program is differentiated."""
+
+    def ready(self, h: np.ndarray, n: np.ndarray) -> tuple[int, Any]:
+        if not hasattr(self.xla, "program"):
+            room = self.xla.room(len(n))
+            self.xla.compile(self.states, self.spans(h, n, room), room)
+        return len(n), self.spans(h, n, self.xla.capacity)
+
+    def spans(self, h: np.ndarray, n: np.ndarray, room: int) -> Any:
+        padded = np.zeros((2, room))
+        padded[:, : len(n)] = h, n
+        return self.xla.place(self.xla.together(self.numbers, *padded))
+
+    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+        k, fixed = ready
+        return self.xla.call(y0, fixed)[:k], None
 
     def start_of(self, scene: Any, y0: Any) -> Any:
-        return scene.unpack(scene.entries(y0), self.request.carry)
+        return scene.unpack(scene.entries(y0), self.carry)
 
     def states(self, y0: Any, fixed: Any) -> Any:
-        numbers, h, n = self.apart(fixed)
-        r, xp = self.request, XlaNumbers()
-        scene = r.scene.with_numbers(list(numbers))
+        """Saved states (k, d), traceable."""
+        numbers, h, n = self.xla.apart(fixed)
+        scene, xp = self.scene.with_numbers(list(numbers)), XlaNumbers()
 
         def interval(x: Any, span: Any) -> Any:
             h, n = span
-            x = self.method_.advance(scene, x, h, n, xp, rolled)
+            x = self.method.advance(scene, x, h, n, xp, rolled)
             return x, jnp.stack(scene.pack(x))
 
         return lax.scan(interval, self.start_of(scene, y0), (h, n.astype(int)))[1]
 
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        derivative = self.derivative(y0, self.states, "steps")[: len(self.n)]
-        return self.from_start(np.array(self.tangents(y0)).T, derivative[self.saved])
-
-    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return self.call(y0, None if n is self.n else self.spans(h, n))[: len(n)]
-
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        return self.call(y0)[len(self.n) - 1]
+    def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        k, fixed = self.ready(h, n)
+        return self.xla.derivative(self.states, y0, v, fixed)[:k]

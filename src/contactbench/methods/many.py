@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.fixed_step_run import FixedStepRun, Loop, is_fixed
-from contactbench.methods.jax_engine import JaxLoop
-from contactbench.methods.prepared import NO_NUMBER, stopwatch
+from contactbench.methods.jax_engine import Traced
+from contactbench.methods.loops import Loop, StepLoop, is_fixed
+from contactbench.methods.prepared import NO_NUMBER, Request, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.scene import Cache, State, key
 from contactbench.scene.many import Many
@@ -211,62 +211,62 @@ def slopes_of(scene: Many, carry: tuple[str, ...]) -> FieldLoop:
     return _loops.get(known, lambda: FieldLoop(lambda scene, x, *_: scene.rhs(x), scene, packing))
 
 
-class SweepLoop(FixedStepRun):
-    """Sweeps over the sites, compiled by LLVM."""
+class Sweeps(StepLoop):
+    """By sweeps over the sites, compiled by LLVM."""
 
-    sensitivity_source = "forward-mode AD through the numerical map"
+    derivative = "forward-mode AD through the numerical map"
 
-    def __post_init__(self) -> None:
-        self.loop = loop_of(self.method_, self.request.scene, self.request.carry)
+    def __init__(self, method: Any, request: Request) -> None:
+        super().__init__(method, request)
+        self.loop = loop_of(method, self.scene, self.carry)
         self.loop.compiled  # noqa: B018, now
-        self.compile_s = self.loop.seconds
-        super().__post_init__()
+
+    @property
+    def seconds(self) -> float:  # type: ignore[override]
+        return self.loop.seconds
 
     @cached_property
-    def tangent_loop(self) -> FieldLoop:  # type: ignore[override]
-        return loop_of(self.method_, self.request.scene, self.request.carry, tangent=True)
+    def tangents(self) -> FieldLoop:  # type: ignore[override]
+        return loop_of(self.method, self.scene, self.carry, tangent=True)
 
-    def paths(self, loop: FieldLoop, y: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return loop.paths(self.request.scene, self.numbers, y, h, n)
+    def ready(self, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return h, n
 
-    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return self.paths(self.loop, y0[None], h, n)[:, 0]
+    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+        return self.loop.paths(self.scene, self.numbers, y0[None], *ready)[:, 0], None
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        return self.intervals(y0, self.h, self.n)[-1]
-
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        tangents = self.tangents(y0)
-        columns = [self.paths(self.tangent_loop, np.stack([y0, v]), self.h, self.n)[:, 1] for v in tangents]
-        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1)[self.saved])
+    def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return self.tangents.paths(self.scene, self.numbers, np.stack([y0, v]), h, n)[:, 1]
 
 
-class ArrayLoop(SweepLoop):
-    """The step map on NumPy's arrays."""
+class Arrays(Sweeps):
+    """By the step map on NumPy's arrays."""
 
-    sensitivity_source = "forward-mode AD through the same steps, compiled"
+    derivative = StepLoop.derivative
+    seconds = 0.0  # type: ignore[assignment]
 
-    def __post_init__(self) -> None:
-        FixedStepRun.__post_init__(self)
+    def __init__(self, method: Any, request: Request) -> None:
+        StepLoop.__init__(self, method, request)
 
-    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        r, out = self.request, np.full((len(n), len(y0)), math.nan)
-        x = r.scene.unpack(y0, r.carry)
+    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+        h, n = ready
+        out = np.full((len(n), len(y0)), math.nan)
+        x = self.scene.unpack(y0, self.carry)
         with suppress(*NO_NUMBER), np.errstate(all="ignore"):
             for k, (step, count) in enumerate(zip(h.tolist(), n.tolist(), strict=True)):
-                x = self.method_.advance(r.scene, x, step, count, math)
-                out[k] = r.scene.pack(x)
-        return out
+                x = self.method.advance(self.scene, x, step, count, math)
+                out[k] = self.scene.pack(x)
+        return out, None
 
 
-class MeshLoop(JaxLoop):
-    """The compiled steps; many sites are divided evenly among all devices, on one CPU where threads would do so."""
+class Meshes(Traced):
+    """By JAX; many sites are divided evenly among all devices, on one CPU where threads would do so."""
 
     @cached_property
     def mesh(self) -> Any:
         from jax.sharding import Mesh
 
-        devices, sites = jax.devices(), self.request.scene.sites  # type: ignore[attr-defined]
+        devices, sites = jax.devices(), self.scene.sites  # type: ignore[attr-defined]
         even = sites >= SHARED and len(devices) > 1 and sites % len(devices) == 0
         alone = jax.process_count() == 1 and devices[0].platform == "cpu" and threads_for(sites) == 1
         return Mesh(np.array(devices), ("sites",)) if even and not alone else None
@@ -281,11 +281,7 @@ class MeshLoop(JaxLoop):
         return self.along()
 
     def key(self) -> tuple[Any, ...]:
-        return (*super().key(), self.mesh)
-
-    def call(self, y0: np.ndarray, fixed: Any = None) -> np.ndarray:
-        given = (y0 if y0 is self.start or self.mesh is None else jax.device_put(y0, self.everywhere)), fixed
-        return super().call(*given)
+        return (self.mesh,)
 
     def start_of(self, scene: Any, y0: Any) -> Any:
         x, divided = super().start_of(scene, y0), self.along("sites")
@@ -299,4 +295,4 @@ class MeshLoop(JaxLoop):
         return y if self.mesh is None else lax.with_sharding_constraint(y, self.everywhere)
 
 
-MANY_RUNS: dict[str, type[FixedStepRun]] = {"numba": SweepLoop, "jax": MeshLoop, "python": ArrayLoop}
+SITE_LOOPS: dict[str, type[StepLoop]] = {"numba": Sweeps, "jax": Meshes, "python": Arrays}

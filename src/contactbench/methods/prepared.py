@@ -50,6 +50,11 @@ class Request:
         scales = scales_of(self.scene, start, float(self.save_at[-1]))
         return replace(self, scales=scales, atol=self.rtol * scales if takes_atol else None)
 
+    @cached_property
+    def start(self) -> np.ndarray:
+        """The scene's own initial state, packed."""
+        return np.array(self.scene.pack(self.scene.initial(self.carry)), dtype=float)
+
     @property
     def control(self) -> str:
         return "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
@@ -117,8 +122,7 @@ class Prepared(ABC):
 
     def __post_init__(self) -> None:
         r = self.request
-        #: the scene's own initial state, packed
-        self.start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
+        self.start = r.start
         self._motion, self._clock, self._end = r.scene.motion, r.scene.clock, float(r.save_at[-1])
         self._saves = len(r.save_at)
         #: times since the start that no step straddles, and how exact they are

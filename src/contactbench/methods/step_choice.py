@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.methods.fixed_step_run import FixedStepRun, total
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.loops import StepLoop, total
 from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.solution import Status
 
@@ -54,7 +55,7 @@ class ChosenStep(Prepared):
 
     #: a `FixedStep`
     method_: Any
-    engine_run: type[FixedStepRun]
+    loop: StepLoop
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -62,8 +63,8 @@ class ChosenStep(Prepared):
         times = [0.0, *(time for time, _ in self.breaks if 0 < time < self._end), self._end]
         self.first = float(np.diff(times).min()) / FIRST
         first = replace(self.request, step=self.first)
-        self.run = self.engine_run(self.method, first, self.method_)
-        self.run.divides_often()
+        self.loop.divides_often()
+        self.run = FixedStepRun(self.method, first, self.method_, self.loop)
         self.compile_s = self.run.compile_s
         self.alone = Lock()  # one run to divide: calls from several threads take turns
         self.sensitivity_source = self.run.sensitivity_source

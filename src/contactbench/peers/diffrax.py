@@ -12,31 +12,38 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
-from contactbench.methods.jax_engine import CompiledRun
+from contactbench.methods.jax_engine import Xla
 from contactbench.methods.prepared import Outcome
 from contactbench.peers.base import Peer, Scaled
 from contactbench.solution import Counts, Status
 
 
 @dataclass
-class DiffraxRun(Scaled, CompiledRun):
+class DiffraxRun(Scaled):
     sensitivity_source = "forward-mode AD, accepted steps frozen"
-    #: one program for two saved times and for 1024: it takes up to 50 µs longer than one for 64 (measured), and
-    #: a program takes seconds to compile
-    capacities = (1, 1024)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        self.final_only = len(r.save_at) == 1
-        fixed = self.together(r.scene.numbers(), [r.rtol], np.array(r.atol, ndmin=1), self.times())
-        self.compile(self.flat(self._solve), fixed)
+        self.final_only = self._saves == 1
+        key = self.method_, r.max_steps, np.size(r.atol)
+        # one program for two saved times and for 1024: it takes up to 50 µs longer than one for 64 (measured), and
+        # a program takes seconds to compile
+        self.xla = xla = Xla(r, r.scene.identity, key, capacities=(1, 1024))
+        fixed = xla.together(r.scene.numbers(), [r.rtol], np.array(r.atol, ndmin=1), xla.times())
+        xla.compile(self._flat, xla.place(fixed), xla.room(self._saves))
+        self.compile_s = xla.seconds
 
-    def key(self) -> tuple[Any, ...]:
-        return (self.method_, self.capacity, self.request.max_steps, np.size(self.request.atol))
+    def _flat(self, y0: Any, fixed: Any) -> Any:
+        """Return saved states, facts about the run, and its last state, all in one vector."""
+        from contactbench.xla import jnp
 
-    def states(self, y0: Any, fixed: Any) -> Any:
-        return self._solve(y0, fixed)[0]
+        return jnp.concatenate([jnp.ravel(part) for part in self._solve(y0, fixed)])
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        states = lambda y0, fixed: self._solve(y0, fixed)[0]  # noqa: E731
+        columns = [self.xla.derivative(states, y0, v, self.xla.fixed) for v in self.tangents(y0)]
+        return np.stack(columns, axis=-1)[: self._saves]
 
     def _solve(self, y0: Any, fixed: Any) -> Any:
         import diffrax
@@ -44,7 +51,7 @@ class DiffraxRun(Scaled, CompiledRun):
 
         from contactbench.xla import jax, jnp
 
-        numbers, (rtol,), atol, times = self.apart(fixed)
+        numbers, (rtol,), atol, times = self.xla.apart(fixed)
         r, implicit = self.request, self.method_.implicit
         scene = r.scene.with_numbers(list(numbers))
 
@@ -106,11 +113,13 @@ class DiffraxRun(Scaled, CompiledRun):
         return packed(solution.ys[1], times), info, packed(solution.ys[0], times[-1:])[0]
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        return self.call(y0)[-len(y0) :]
+        return self.xla.call(y0)[-len(y0) :]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        y, info, last = self.unflat(self.call(y0), len(y0))
+        found, d = self.xla.call(y0), len(y0)
+        facts, last = found[self.xla.capacity * d : -d].tolist(), found[-d:]
+        y, info = found[: self._saves * d].reshape(-1, d), facts
         accepted, rejected, successful, exhausted, collapsed, time = info
         accepted, rejected = int(accepted), int(rejected)
         # explicit methods are first-same-as-last: stages per attempt, and the very first slope; diffrax does not say
@@ -126,7 +135,7 @@ class DiffraxRun(Scaled, CompiledRun):
         status = Status.budget if exhausted else Status.failed
         why = "step below the resolution of time" if collapsed else "the nonlinear solve failed"
         message = f"max_steps = {r.max_steps} spent" if exhausted else f"diffrax: {why} (t = {time:.6g})"
-        return self.finish(y0, y[:reached], counts, status, message, (time, np.array(last)))
+        return self.finish(y0, y[:reached], counts, status, message, (time, last))
 
 
 for _solver, _order, _stages, _implicit, _about in (

@@ -15,7 +15,7 @@ from contactbench.measure.laws import LAWS
 from contactbench.measure.order import march, order_at
 from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method, prepare
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import trajectory
+from contactbench.methods.loops import trajectory
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
