@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -47,7 +47,7 @@ LIVE_BITS = (140, 300, 600)
 #: seconds that a live reference may take unless more are allowed
 LIVE_SECONDS = 300.0
 #: the part of them for high precision; two solvers have the rest
-HIGH = 0.6
+HIGH = 0.5
 
 
 @dataclass(frozen=True, repr=False)
@@ -116,21 +116,21 @@ def reference(
     OutOfTime
         A `BadInput`, where it would take too long.
     """
-    scene = scene_of(scene)
+    begun, scene = perf_counter(), scene_of(scene)
     if not is_real(seconds) or not hasattr(seconds, "__float__") or seconds != seconds:
         raise BadInput(f"seconds = {excerpt(seconds)}: must be a number")
     carry = scene.carry(carry)
     t = checked_times(times)
     verify(scene)
     verify_along(scene)
-
-    begun = perf_counter()
+    in_doubles = isinstance(scene, Many) and (scene.motion > FEW or scene.exact is not None)
 
     def make() -> Reference:
-        if isinstance(scene, Many):
-            return of_many(scene, t, carry, seconds)
-        stored = closed_form(scene, t, carry) or frozen(scene, t, carry)
-        decimals, digits, source = stored or live(scene, t, carry, begun + HIGH * seconds)
+        if isinstance(scene, Many) and in_doubles:
+            return of_many(scene, t, carry, begun + seconds)
+        single = scene.unrolled() if isinstance(scene, Many) else scene
+        stored = closed_form(single, t, carry) or frozen(single, t, carry)
+        decimals, digits, source = stored or live(single, t, carry, begun + HIGH * seconds)
         y = np.array([[float(x) for x in row] for row in decimals])
         t.setflags(write=False)
         y.setflags(write=False)  # shared by every caller through the cache
@@ -140,26 +140,24 @@ def reference(
     try:
         return _cache.get(key(identity, digest(scene), scene.exact, carry, t.tobytes()), make)
     except (OutOfTime, DoublesOnly):
-        if isinstance(scene, Many):
+        if in_doubles:
             raise
     try:
-        return by_two_solvers(scene, t, carry, begun + seconds - perf_counter())
+        return by_two_solvers(scene, t, carry, begun + seconds)
     except OutOfTime as why:
         raise OutOfTime(str(why), why.needed / (1 - HIGH)) from why
 
 
-def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
+def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> Reference:
     unique, back = np.unique(t, return_inverse=True)
-    y, digits = doubles(scene, unique, carry, perf_counter() + seconds)
+    y, digits = doubles(scene, unique, carry, deadline)
     return Reference(scene, carry, t, y[back], [], digits, "two solvers")
 
 
-def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
-    """Return the truth of a scene of many sites: of few of them component by component, to many digits."""
-    if scene.motion <= FEW and scene.exact is None:
-        return replace(reference(scene.unrolled(), t, carry, seconds), scene=scene)
+def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> Reference:
+    """Return the truth of a scene of many sites in double precision."""
     if scene.exact is None:
-        return by_two_solvers(scene, t, carry, seconds)
+        return by_two_solvers(scene, t, carry, deadline)
     states = [scene.exact(scene, time, np) for time in t.tolist()]
     rows = [scene.pack(x if "s" in carry else x._replace(s=None)) for x in states]
     return Reference(scene, carry, t, np.array(rows), [], 13, "closed form")
@@ -274,15 +272,20 @@ def computations(
     scene: Scene, times: list[str], carry: tuple[str, ...], deadline: float = NEVER
 ) -> Iterator[tuple[Rows, Rows]]:
     """Return pairs (more, less precise) of solutions, each pair more precise than the one before."""
+
+    def half() -> float:
+        """Return by when the first of a pair is over: the other takes about as long."""
+        return (perf_counter() + deadline) / 2
+
     try:
         if importlib.util.find_spec("heyoka") is not None:
             for bits in LIVE_BITS:
-                rows = taylor(scene, times, carry, bits + bits // 4, deadline=deadline)
+                rows = taylor(scene, times, carry, bits + bits // 4, deadline=half())
                 if not heyoka_reads_rhs(scene, rows[-1], carry):
                     break
                 yield rows, taylor(scene, times, carry, bits, deadline=deadline)
         for digits in (28, 70):
-            rows = extrapolation(scene, times, carry, digits + 8, deadline=deadline)
+            rows = extrapolation(scene, times, carry, digits + 8, deadline=half())
             yield rows, extrapolation(scene, times, carry, digits, deadline=deadline)
     except BadInput:
         raise
