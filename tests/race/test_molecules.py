@@ -1,5 +1,6 @@
 """A race of every method on molecules of many kinds ends in its time, with winners, or reasons where there are none."""
 
+from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
@@ -40,9 +41,7 @@ def data(size, seed, stretch, heat):
 
 def lattice(n, bond, seed, stretch, heat, boundary="free", t_end=30.0):
     q, p = data(n, seed, stretch, heat)
-    return cb.Lattice(
-        name="chain", n=n, boundary=boundary, bond=bond, q=q, p=p, gamma=0.1, t_end=t_end
-    )
+    return cb.Lattice(name="chain", n=n, boundary=boundary, bond=bond, q=q, p=p, gamma=0.1, t_end=t_end)
 
 
 def bodies(n, dimensions, pair, rest, seed, stretch, heat, t_end=10.0):
@@ -58,7 +57,7 @@ def bodies(n, dimensions, pair, rest, seed, stretch, heat, t_end=10.0):
 def mechanical(n, pair, rest, seed, stretch, heat, t_end=30.0):
     """n atoms on a line, neighbours bound to each other: pair(r) at the distance r."""
     q, p = data(n, seed, stretch, heat)
-    potential = lambda q: sum(pair(b - a) for a, b in zip(q, q[1:], strict=False))  # noqa: E731
+    potential = lambda q: sum(pair(b - a) for a, b in pairwise(q))  # noqa: E731
     q = tuple((rest * np.arange(n) + q).tolist())
     return cb.Mechanical(name="line", potential=potential, q=q, p=tuple(p.tolist()), gamma=0.1, t_end=t_end)
 

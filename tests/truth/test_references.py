@@ -6,6 +6,8 @@ import json
 import math
 import shutil
 import time
+from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -288,7 +290,9 @@ def test_a_trial_step_onto_a_singularity_is_halved():
 
 
 # -- time ------------------------------------------------------------------------------------------
-engines, references = (importlib.import_module(f"contactbench.truth.{name}") for name in ("engines", "reference"))
+engines, references = (
+    importlib.import_module(f"contactbench.truth.{name}") for name in ("engines", "reference")
+)
 
 
 def test_functions_end_where_an_argument_is_beyond_any_scale():
@@ -327,12 +331,15 @@ def test_extrapolation_looks_at_the_clock_before_every_slope(monkeypatch):
     assert now[0] <= 7.0
 
 
-def test_hot_bonds_neither_hang_nor_abort():
-    bonds = lambda q: sum((1 - cb.math.exp(a + 1 - b)) ** 2 for a, b in zip(q, q[1:], strict=False))  # noqa: E731
-    hot = Mechanical(name="hot", potential=bonds, q=(0.0, 2.0, 1.5, 4.0), p=(3.0, -3.0, 3.0, -3.0), t_end=30.0)
+def test_bonds_whose_trial_steps_diverge_neither_hang_nor_abort():
+    """Three Morse bonds; the midpoint rule with a step of 6 takes e^r to numbers of any length."""
+    bonds = lambda q: sum((1 - cb.math.exp(a + 1 - b)) ** 2 for a, b in pairwise(q))  # noqa: E731
+    noise, p = np.random.default_rng(0).standard_normal((2, 4))
+    q = np.arange(4) + noise
+    hot = Mechanical(name="hot", potential=bonds, q=tuple(q), p=tuple(p), gamma=0.1, t_end=30.0).recorded()
     begun = time.perf_counter()
-    with pytest.raises(engines.OutOfTime):
-        truth.extrapolation(hot.recorded(), ["30.0"], (), 20, deadline=begun + 1.0)
+    with suppress(engines.OutOfTime):
+        truth.extrapolation(hot, ["6.0", "30.0"], (), 20, deadline=begun + 2.0)
     assert time.perf_counter() - begun < 4.0
 
 
@@ -356,3 +363,16 @@ def test_the_first_of_two_precisions_has_half_of_a_time_that_begins_with_the_cal
     begun = time.perf_counter()
     assert reference(mine(lambda q: q[0] ** 2 / 2), [1.0], (), seconds=8.0).source == "two solvers"
     assert deadlines[0] - begun == pytest.approx(0.25 + 8.0 * references.HIGH / 2, abs=0.2)
+
+
+def test_no_step_is_begun_that_nothing_could_interrupt(monkeypatch):
+    """A right-hand side of a tenth of a second means steps of ten."""
+    monkeypatch.setattr(references, "taylor", lambda *_, **__: pytest.fail("begun"))
+
+    def slow(q):
+        time.sleep(0.1 * (not isinstance(q[0], float)))
+        return (q[0],)
+
+    scene = mine(lambda q: q[0] ** 2 / 2, slow)
+    with pytest.raises(engines.OutOfTime):
+        truth.live(scene, np.array([1.0]), (), deadline=time.perf_counter() + 15.0)

@@ -110,7 +110,8 @@ def compare(
 
     Each method is tried from its coarsest setting to the one that reaches the smallest error, on the first
     of its engines that can run the scene; the settings that reach the errors are then timed in turns, as bare
-    calls, each eight times or more (on a machine that is too busy for it fewer).  Times are compared within a kind of engine: compiled, or calling back into Python.
+    calls, each eight times or more, fewer on a machine too busy for that.  Times are compared within a kind of engine:
+    compiled, or calling back into Python.
     Ctrl-C ends it with what there is.
 
     Parameters
@@ -346,6 +347,7 @@ class Scout:
             return prepare(scene, name, save_at=[end], **setting, **options)
 
         *earlier, end = ends(scene).tolist()
+
         def solved(run: Any) -> Solution:
             if perf_counter() > self.question.deadline:
                 raise OutOfTime("")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -44,6 +45,8 @@ from contactbench.truth.many import FEW, doubles
 
 #: bits of the lower of two precisions, tried in turn until enough digits agree
 LIVE_BITS = (140, 300, 600)
+#: right-hand sides, in numbers of so many digits, that take about as long as the first step of a Taylor series
+FIRST_STEP, LIVE_DIGITS = 100, 50
 #: seconds that a live reference may take unless more are allowed
 LIVE_SECONDS = 300.0
 #: the part of them for high precision; two solvers have the rest
@@ -277,7 +280,16 @@ def computations(
         """Return by when the first of a pair is over: the other takes about as long."""
         return (perf_counter() + deadline) / 2
 
+    def foresee() -> None:
+        """Raise `OutOfTime` where the first step alone, which nothing can interrupt, would take too long."""
+        twin, begun = with_decimals(scene, decimal_context(LIVE_DIGITS).mpf), perf_counter()
+        with suppress(ArithmeticError):
+            twin.rhs(twin.initial(carry))
+        if FIRST_STEP * (perf_counter() - begun) > half() - begun:
+            raise OutOfTime(f"no reference for scene {scene.name!r} in high precision: a step takes too long")
+
     try:
+        foresee()
         if importlib.util.find_spec("heyoka") is not None:
             for bits in LIVE_BITS:
                 rows = taylor(scene, times, carry, bits + bits // 4, deadline=half())
