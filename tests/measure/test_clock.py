@@ -112,3 +112,15 @@ def test_a_slow_phase_changes_no_verdict(slow, clear):
         halves = first["time_halves_ratio"], second["time_halves_ratio"]
         found = verdict(first["time_min_s"] / second["time_min_s"], margin(halves, 1.04))
         assert found is (expected if clear else Verdict.undecided)
+
+
+def test_no_visit_begins_after_the_limit(machine):
+    visits = []
+
+    def visit(rounds):
+        machine.now[0] += 1.0
+        visits.append(rounds)
+        return Visit([1.0])
+
+    Race([SimpleNamespace(warm_up=lambda: 1.0, visit=visit)] * 2).go(2.0, limit=4.5)
+    assert len(visits) == 5

@@ -9,6 +9,7 @@ from cases import pairs
 from chains import chain
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_until
+from contactbench.methods.step_choice import ChosenStep, Pilot
 from contactbench.xla import jax, jnp
 
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step]
@@ -252,3 +253,27 @@ def test_jax_compiles_vectorises_and_differentiates_it():
 
     difference = (end(0.1 + 1e-5) - end(0.1 - 1e-5)) / 2e-5
     assert float(jax.grad(end)(0.1)) == pytest.approx(difference, rel=1e-7)
+
+
+def test_a_pilot_that_is_not_finite_is_followed_by_finer_ones(monkeypatch):
+    """The second of pilots at halving steps; the step is no longer than those of finite ones."""
+    pilot, steps = ChosenStep.pilot, []
+
+    def broken(run, y0, step):
+        steps.append(step)
+        found = pilot(run, y0, step)
+        return found._replace(y=found.y * np.nan) if len(steps) == 3 else found
+
+    monkeypatch.setattr(ChosenStep, "pilot", broken)
+    run = cb.solve("oscillator", "gauss4", rtol=1e-6)
+    assert run.ok
+    assert run.step < steps[2]
+    assert cb.LAWS["solution_error"](run) < 1e-6
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [1e200, np.inf, np.nan])
+def test_pilots_beyond_any_scale_are_infinitely_far_apart(size):
+    pilots = [Pilot(n, 1.0, 1.0, n, np.array([[size, x]])) for n, x in ((4, 0.0), (8, size))]
+    run = cb.prepare("oscillator", "gauss4", rtol=1e-6)
+    assert run.distance(*pilots) == np.inf

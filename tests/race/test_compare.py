@@ -207,6 +207,24 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
     assert "no compiler found" in found["reason"][0]
 
 
+def test_a_turn_is_given_up_when_it_goes_on_for_too_long():
+    """Between the runs of a setting; no setting of it is a row."""
+    race = Comparison(cb.SCENES["particle"], ["rk4", "herglotz2"], (1e-2,), 60.0, False)
+    for each in race.scouts:
+        each.question = replace(race.question, deadline=0.0)
+    race.scout()
+    assert [each.attempts for each in race.scouts] == [[], []]
+    assert [each.why for each in race.scouts] == [("budget", "no time was left to begin it")] * 2
+
+
+def test_what_compiles_as_slowly_as_others_of_its_engine_did_is_begun_in_time_only():
+    race = Comparison(cb.SCENES["particle"], ["rk4", "herglotz2"], (1e-2,), 60.0, False)
+    race.scouts[0].compile_s, race.scouts[0].why = 100.0, ("failed", "")
+    race.scout()
+    assert race.scouts[1].why[0] == "budget"
+    assert "compiling it takes about 1e+02 s" in race.scouts[1].why[1]
+
+
 # -- verdicts --------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("times", "halves", "expected"),

@@ -2,6 +2,7 @@
 
 import math
 import re
+import time
 
 import heyoka
 import numpy as np
@@ -11,7 +12,7 @@ import contactbench as cb
 from cases import ALL_SCENES, TILTED, USER, by_name, random_state
 from chains import SMALL
 from contactbench.peers.heyoka import taylor_system
-from contactbench.scene import State, rotation_matrix, verify
+from contactbench.scene import State, definition, rotation_matrix, verify
 from contactbench.scene.definition import verify_along, verify_at
 from contactbench.testing import SCENE_RULES, Violation, check_scene
 from contactbench.xla import jax, jnp
@@ -180,3 +181,20 @@ def test_a_part_that_is_wrong_away_from_the_start_is_refused_along_the_motion(sc
     with pytest.raises(cb.BadInput, match=re.escape(says)):
         verify_at(scene, run.y)
     assert math.isfinite(run.y[-1, 0])
+
+
+def test_the_motion_is_followed_for_what_is_compared_and_not_for_long(monkeypatch):
+    """Three thousand evaluations of a slow force would take half a minute."""
+    bare = cb.Mechanical(name="bare", potential=lambda q: q[0] ** 4, q=(1.0,), p=(0.0,), t_end=1e3).recorded()
+    monkeypatch.setattr(definition, "_motion", lambda scene: pytest.fail("it has no gradient to compare"))
+    verify_along(bare)
+    monkeypatch.undo()
+    monkeypatch.setattr(definition, "FOLLOWED_SECONDS", 0.1)
+
+    def slow(q):
+        time.sleep(0.01)
+        return (4 * q[0] ** 3,)
+
+    begun = time.perf_counter()
+    verify_along(bare.with_(gradient=slow))
+    assert time.perf_counter() - begun < 10.0

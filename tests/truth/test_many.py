@@ -1,5 +1,6 @@
 """The truth of many sites: modes of a ring in closed form, and two solvers that agree as far as they say."""
 
+import importlib
 from time import perf_counter
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 import contactbench as cb
 from chains import bodies, chain, masses
-from contactbench.truth import many
+from contactbench.truth import OutOfTime, many
 
 RING = cb.SCENES["linear_ring"]
 TIMES = [0.0, 0.7, 5.0]
@@ -85,3 +86,19 @@ def test_what_leaves_has_no_reference():
 def test_a_reference_out_of_time_says_so():
     with pytest.raises(cb.BadInput, match="allow it more"):
         cb.reference(chain(3000, t_end=1e4), [1e4], seconds=0.5)
+
+
+def test_where_high_precision_is_late_two_solvers_take_all_sites_at_once(monkeypatch):
+    module, solved = importlib.import_module("contactbench.truth.reference"), []
+
+    def late(*_, **__):
+        raise OutOfTime("late")
+
+    def doubles(scene, *more):
+        solved.append(scene)
+        return many.doubles(scene, *more)
+
+    monkeypatch.setattr(module, "live", late)
+    monkeypatch.setattr(module, "doubles", doubles)
+    assert cb.reference(chain(6), [0.9]).source == "two solvers"
+    assert isinstance(solved[0], cb.Lattice)

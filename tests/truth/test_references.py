@@ -5,6 +5,9 @@ import importlib.util
 import json
 import math
 import shutil
+import time
+from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -330,3 +333,92 @@ def test_a_trial_step_onto_a_singularity_is_halved():
     scene = mine(lambda q: 1 / q[0], q=4.0, p=-8.0, t_end=8.0).recorded()
     (row,) = truth.extrapolation(scene, ["8.0"], (), 20)
     assert row[1] ** 2 / 2 + 1 / row[0] == pytest.approx(32.25, rel=1e-18)
+
+
+# -- time ------------------------------------------------------------------------------------------
+engines, references = (
+    importlib.import_module(f"contactbench.truth.{name}") for name in ("engines", "reference")
+)
+
+
+def test_functions_end_where_an_argument_is_beyond_any_scale():
+    """The digits of e^x for x = 2^(10^12) have no room in any memory: mpmath would end the process."""
+    context = truth.decimal_context(30)
+    for name in ("exp", "sinh", "cosh", "tanh", "sin", "cos", "tan"):
+        with pytest.raises(OverflowError):
+            getattr(cb.math, name)(-(context.mpf(2) ** 10**12))
+    assert cb.math.exp(context.mpf(-(10**40))) > 0
+
+
+def test_a_step_ends_where_the_state_is_beyond_any_scale():
+    seen = []
+
+    def slope(y):
+        seen.append(abs(y[0]))
+        return y**2
+
+    y, step = (truth.decimal_context(40).mpf(x) for x in ("1e3", "10"))
+    engines.extrapolated(slope, np.array([y]), step, 12, 1e-20, lambda: None)
+    assert max(seen) < 1e4 * engines.BEYOND
+
+
+def test_extrapolation_looks_at_the_clock_before_every_slope(monkeypatch):
+    """The first step, all of the span, would have 930 slopes of a second each."""
+    now = [0.0]
+    monkeypatch.setattr(engines, "perf_counter", lambda: now[0])
+
+    def slope(y):
+        now[0] += 1.0
+        return -y
+
+    watch = engines.Stopwatch(PLAIN, 1.0, 5.0)
+    with pytest.raises(engines.OutOfTime):
+        engines.extrapolate(slope, np.array([1.0]), [1.0], 30, 0.0, watch)
+    assert now[0] <= 7.0
+
+
+def test_bonds_whose_trial_steps_diverge_neither_hang_nor_abort():
+    """Three Morse bonds; the midpoint rule with a step of 6 takes e^r to numbers of any length."""
+    bonds = lambda q: sum((1 - cb.math.exp(a + 1 - b)) ** 2 for a, b in pairwise(q))  # noqa: E731
+    noise, p = np.random.default_rng(0).standard_normal((2, 4))
+    q = np.arange(4) + noise
+    hot = Mechanical(name="hot", potential=bonds, q=tuple(q), p=tuple(p), gamma=0.1, t_end=30.0).recorded()
+    begun = time.perf_counter()
+    with suppress(engines.OutOfTime):
+        truth.extrapolation(hot, ["6.0", "30.0"], (), 20, deadline=begun + 2.0)
+    assert time.perf_counter() - begun < 4.0
+
+
+@pytest.mark.parametrize(("t", "late"), [(3.5, True), (4.5, False)])
+def test_high_precision_gives_way_as_soon_as_it_is_seen_to_be_late(t, late):
+    """After three of eight seconds at 3.5 of 10 it would take 8.6, at 4.5 it takes 6.7."""
+    watch = engines.Stopwatch(PLAIN, 10.0, time.perf_counter() + 5.0)
+    watch.begun -= 3.0
+    assert watch.is_over(t) is late
+
+
+def test_the_first_of_two_precisions_has_half_of_a_time_that_begins_with_the_call(monkeypatch):
+    deadlines = []
+
+    def taylor(*_, deadline):
+        deadlines.append(deadline)
+        raise engines.OutOfTime("late")
+
+    monkeypatch.setattr(references, "taylor", taylor)
+    monkeypatch.setattr(references, "verify_along", lambda scene: time.sleep(0.5))
+    begun = time.perf_counter()
+    assert reference(mine(lambda q: q[0] ** 2 / 2), [1.0], (), seconds=8.0).source == "two solvers"
+    assert deadlines[0] - begun == pytest.approx(0.25 + 8.0 * references.HIGH / 2, abs=0.2)
+
+
+def test_no_step_is_begun_that_nothing_could_interrupt(monkeypatch):
+    """A right-hand side of a tenth of a second means steps of ten."""
+    monkeypatch.setattr(references, "taylor", lambda *_, **__: pytest.fail("begun"))
+
+    def slow(q):
+        time.sleep(0.1 * (not isinstance(q[0], float)))
+        return (q[0],)
+
+    scene = mine(lambda q: q[0] ** 2 / 2, slow)
+    with pytest.raises(engines.OutOfTime):
+        truth.live(scene, np.array([1.0]), (), deadline=time.perf_counter() + 15.0)

@@ -102,8 +102,11 @@ class Race:
             self.visits[i].append(self.calls[i].visit(rounds[i] if rounds else ROUNDS))
             yield i
 
-    def go(self, budget: float) -> None:
-        """Make `VISITS` visits, and more within so many seconds; where time is short a visit has fewer rounds."""
+    def go(self, budget: float, limit: float = math.inf) -> None:
+        """Make `VISITS` visits, and more within so many seconds; where time is short a visit has fewer rounds.
+
+        After `limit` seconds it ends as it is.
+        """
         start = perf_counter()
         lengths = [call.warm_up() for call in self.calls]
         share = max(0.0, start + budget - perf_counter()) / VISITS / max(1, len(lengths))
@@ -113,7 +116,8 @@ class Race:
             if visit >= VISITS and perf_counter() + sweep > start + budget:
                 break
             for _ in self.sweep(rounds):
-                pass
+                if perf_counter() > start + limit:
+                    return
 
 
 def time_columns(visits: Sequence[Visit]) -> dict[str, Any]:

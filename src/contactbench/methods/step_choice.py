@@ -114,7 +114,7 @@ class ChosenStep(Prepared):
                 wider, gap = gap, self.distance(before, pilots[-1])
                 if gap < ROUND_OFF:  # exact, or as good as it gets
                     return step, pilots
-                rate = math.log(wider / gap) / math.log(coarser) if math.isfinite(wider) else 0.0
+                rate = math.log(wider / gap) / math.log(coarser) if math.isfinite(wider + gap) else 0.0
                 settled = gap < TRUSTED_GAP and rate > order - LEEWAY
                 # an order seen to be higher, as the next term of the error makes it, counts in part
                 finest = gap / (finer ** min(max(rate, order), order + LEEWAY) - 1)
@@ -149,8 +149,9 @@ class ChosenStep(Prepared):
     def distance(self, coarse: Pilot, fine: Pilot) -> float:
         """max ‖coarse − fine‖ / max ‖fine‖ of (q, p) or M over the saved times; infinite unless both are finite."""
         a, b = (pilot.y[:, : self._motion] / self.units for pilot in (coarse, fine))
-        size = float(np.linalg.norm(b, axis=1).max())
-        gap = float(np.linalg.norm(a - b, axis=1).max())
+        with np.errstate(all="ignore"):
+            size = float(np.linalg.norm(b, axis=1).max())
+            gap = float(np.linalg.norm(a - b, axis=1).max())
         if not (math.isfinite(size) and math.isfinite(gap)):
             return math.inf
         return gap / size if size > 0 else 0.0

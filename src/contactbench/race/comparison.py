@@ -52,6 +52,8 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 BUDGET = 60.0
 #: by when, in parts of the budget, the reference, its check, the scouting and the laws are over
 REFERENCE, CHECK, SCOUTING, LAWS = 0.4, 0.42, 0.6, 0.8
+#: how much longer the rounds may take that every run is to have
+LATE = 0.05
 #: seconds for the reference at least, which it takes to compile it on a loaded machine: without one there is no race
 LEAST_REFERENCE = 5.0
 #: calls of a run in the shortest race: to warm up, and a round of each visit
@@ -108,7 +110,8 @@ def compare(
 
     Each method is tried from its coarsest setting to the one that reaches the smallest error, on the first
     of its engines that can run the scene; the settings that reach the errors are then timed in turns, as bare
-    calls, each eight times or more.  Times are compared within a kind of engine: compiled, or calling back into Python.
+    calls, each eight times or more, fewer on a machine too busy for that.  Times are compared within a kind of engine:
+    compiled, or calling back into Python.
     Ctrl-C ends it with what there is.
 
     Parameters
@@ -144,7 +147,7 @@ def compare(
     BadInput
         For a wrong argument, and where no reference can be computed.
     """
-    scene, _ = lookup(scene, next(iter(METHODS)))
+    begun, (scene, _) = perf_counter(), lookup(scene, next(iter(METHODS)))
     given = items_of("methods", METHODS if methods is None else methods, "a list of names")
     if not given:
         raise BadInput("methods = []: must be names, at least one; None for all")
@@ -161,7 +164,7 @@ def compare(
     switch("progress", progress)
     truth = None if reference is None else users_reference(scene, reference)
     names = list(dict.fromkeys(given))
-    return Comparison(scene, names, wanted, positive("budget", budget), progress, truth).frame()
+    return Comparison(scene, names, wanted, positive("budget", budget), progress, truth, begun).frame()
 
 
 def reference_within(scene: Scene, budget: float, seconds: float) -> Reference:
@@ -200,6 +203,7 @@ class Question:
     truth: Reference
     errors: tuple[float, ...]
     longest: float
+    deadline: float  #: a turn of a method that goes on then is given up
 
     def error(self, solutions: Sequence[Solution]) -> float:
         scene, carry = self.scene, carry_of(self.scene)
@@ -343,16 +347,22 @@ class Scout:
             return prepare(scene, name, save_at=[end], **setting, **options)
 
         *earlier, end = ends(scene).tolist()
+
+        def solved(run: Any) -> Solution:
+            if perf_counter() > self.question.deadline:
+                raise OutOfTime("")
+            return run()
+
         start = perf_counter()
         run = prepared(end)
         if isinstance(run, Refused):
             raise Unsupported(run.why)
         self.engine = run.request.engine
         if first:
-            run()  # the first call of a program may compile yet
+            solved(run)  # the first call of a program may compile yet
             self.compile_s = perf_counter() - start
         start = perf_counter()
-        solution = run()
+        solution = solved(run)
         seconds = perf_counter() - start
         if solution.ok and solution.counts.steps:  # one that diverges is run again and again, to find where
             each = seconds / solution.counts.steps
@@ -360,7 +370,7 @@ class Scout:
         error, worst = math.nan, solution
         if solution.ok:
             options["engine"] = self.engine
-            runs = [prepared(t)() for t in earlier] + [solution]
+            runs = [solved(prepared(t)) for t in earlier] + [solution]
             worst = next((each for each in runs if not each.ok), solution)
             if worst.ok:
                 error = self.question.error(runs)
@@ -409,14 +419,15 @@ class Comparison:
         budget: float,
         progress: bool,
         truth: Reference | None = None,
+        begun: float | None = None,
     ) -> None:
-        self.begun, self.budget = perf_counter(), budget
+        self.begun, self.budget = begun or perf_counter(), budget
         self.bar = tqdm(total=len(methods) + 3, disable=None if progress else True, unit="", leave=False)
         self.interrupted = False
         self.bar.set_description("reference")
         seconds = max(self.left(REFERENCE), LEAST_REFERENCE)
         truth = truth or reference_within(scene, budget, seconds)
-        self.question = Question(scene, truth, errors, RUN_SHARE * budget)
+        self.question = Question(scene, truth, errors, RUN_SHARE * budget, self.begun + LAWS * budget)
         #: what the reference itself may be off by, relative to the largest state: no error below is claimed
         self.floor = max(10.0**-truth.digits, float(np.finfo(float).eps))
         self.confirmed = confirmed(truth, self.left(CHECK))
@@ -481,13 +492,18 @@ class Comparison:
             # the others go first
             each = min(turns, key=lambda one: PATIENCE * self.budget if one in slow else one.spent)
             self.bar.set_description(each.method.name)
-            expected = COMPILING[each.engine] if each in slow else 0.0
+            seen = (one.compile_s for one in self.scouts if one.engine == each.engine)
+            expected = 0.0 if each.attempts else max(COMPILING.get(each.engine, 0.0), *seen)
             if expected > left:
                 each.why = ("budget", f"compiling it takes about {expected:.2g} s, {left:.2g} s were left")
                 del turns[each]
                 continue
             begun, compiled = perf_counter(), each.compile_s
-            if next(turns[each], self) is self:  # it is done
+            try:
+                done = next(turns[each], self) is self
+            except OutOfTime:
+                break
+            if done:
                 del turns[each]
                 self.bar.update()
             each.spent += perf_counter() - begun - (each.compile_s - compiled)
@@ -562,7 +578,7 @@ class Comparison:
             timed = [attempt for attempt, seconds in zip(attempts, spent, strict=True) if seconds <= given]
             race = Race([Call(partial(attempt.run.bare, attempt.run.start)) for attempt in timed])
             try:
-                race.go(0.0 if self.interrupted else given)
+                race.go(0.0 if self.interrupted else given, given + LATE * self.budget)
             finally:
                 visited = zip(timed, race.visits, strict=True)
                 self.times |= {id(attempt): time_columns(visits) for attempt, visits in visited if visits}

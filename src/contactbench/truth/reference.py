@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -45,12 +46,14 @@ from contactbench.truth.survey import Survey
 
 #: bits of the lower of two precisions, tried in turn until enough digits agree
 LIVE_BITS = (140, 300, 600)
+#: right-hand sides, in numbers of so many digits, that take about as long as the first step of a Taylor series
+FIRST_STEP, LIVE_DIGITS = 100, 50
 #: seconds that a live reference may take unless more are allowed
 LIVE_SECONDS = 300.0
 #: by how much, in double precision, a closed form may be off
 CLOSE = 1e-6
 #: the part of them for high precision, two solvers have the rest; and of either for the survey, without time in a force
-HIGH, SURVEY = 0.6, 0.3
+HIGH, SURVEY = 0.5, 0.3
 
 
 @dataclass(frozen=True, repr=False)
@@ -119,21 +122,22 @@ def reference(
     OutOfTime
         A `BadInput`, where it would take too long.
     """
-    scene = scene_of(scene)
+    begun, scene = perf_counter(), scene_of(scene)
     if not is_real(seconds) or not hasattr(seconds, "__float__") or seconds != seconds:
         raise BadInput(f"seconds = {excerpt(seconds)}: must be a number")
     carry = scene.carry(carry)
     t = checked_times(times)
     verify(scene)
     verify_along(scene)
-
-    begun = perf_counter()
+    exact = isinstance(scene, Many) and scene.exact is not None and solves_on_arrays(scene, float(t.max()))
+    in_doubles = isinstance(scene, Many) and (scene.motion > FEW or exact)
 
     def make() -> Reference:
-        if isinstance(scene, Many):
-            return of_many(scene, t, carry, seconds)
-        stored = closed_form(scene, t, carry) or frozen(scene, t, carry)
-        decimals, digits, source = stored or live(scene, t, carry, begun + HIGH * seconds)
+        if isinstance(scene, Many) and in_doubles:
+            return of_many(scene, t, carry, begun + seconds, exact)
+        single = scene.unrolled() if isinstance(scene, Many) else scene
+        stored = closed_form(single, t, carry) or frozen(single, t, carry)
+        decimals, digits, source = stored or live(single, t, carry, begun + HIGH * seconds)
         y = np.array([[float(x) for x in row] for row in decimals])
         t.setflags(write=False)
         y.setflags(write=False)  # shared by every caller through the cache
@@ -143,29 +147,25 @@ def reference(
     try:
         return _cache.get(key(identity, digest(scene), scene.exact, carry, t.tobytes()), make)
     except (OutOfTime, DoublesOnly):
-        if isinstance(scene, Many):
+        if in_doubles:
             raise
     try:
-        return by_two_solvers(scene, t, carry, begun + seconds - perf_counter())
+        return by_two_solvers(scene, t, carry, begun + seconds)
     except OutOfTime as why:
         raise OutOfTime(str(why), why.needed / (1 - HIGH)) from why
 
 
-def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
+def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> Reference:
     unique, back = np.unique(t, return_inverse=True)
-    deadline = perf_counter() + seconds
     stops = [] if isinstance(scene, Many) else surveyed(scene, carry, float(unique[-1]), deadline).stops
     y, digits = doubles(scene, unique, carry, deadline, stops)
     return Reference(scene, carry, t, y[back], [], digits, "two solvers")
 
 
-def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
-    """Return the truth of a scene of many sites: of few of them component by component, to many digits."""
-    exact = scene.exact is not None and solves_on_arrays(scene, float(t.max()))
-    if scene.motion <= FEW and not exact:
-        return replace(reference(scene.unrolled(), t, carry, seconds), scene=scene)
+def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], deadline: float, exact: bool) -> Reference:
+    """Return the truth of a scene of many sites in double precision; exact : by its closed form."""
     if not exact:
-        return by_two_solvers(scene, t, carry, seconds)
+        return by_two_solvers(scene, t, carry, deadline)
     states = [scene.exact(scene, time, np) for time in t.tolist()]  # type: ignore[misc]
     rows = [scene.pack(x if "s" in carry else x._replace(s=None)) for x in states]
     return Reference(scene, carry, t, np.array(rows), [], 13, "closed form")
@@ -324,15 +324,29 @@ def computations(
     stops: Sequence[float] = (),
 ) -> Iterator[tuple[Rows, Rows]]:
     """Return pairs (more, less precise) of solutions, each pair more precise than the one before."""
+
+    def half() -> float:
+        """Return by when the first of a pair is over: the other takes about as long."""
+        return (perf_counter() + deadline) / 2
+
+    def foresee() -> None:
+        """Raise `OutOfTime` where the first step alone, which nothing can interrupt, would take too long."""
+        twin, begun = with_decimals(scene, decimal_context(LIVE_DIGITS).mpf), perf_counter()
+        with suppress(ArithmeticError):
+            twin.rhs(twin.initial(carry))
+        if FIRST_STEP * (perf_counter() - begun) > half() - begun:
+            raise OutOfTime(f"no reference for scene {scene.name!r} in high precision: a step takes too long")
+
     try:
+        foresee()
         if importlib.util.find_spec("heyoka") is not None:
             for bits in LIVE_BITS:
-                rows = taylor(scene, times, carry, bits + bits // 4, deadline=deadline, stops=stops)
+                rows = taylor(scene, times, carry, bits + bits // 4, deadline=half(), stops=stops)
                 if not heyoka_reads_rhs(scene, rows[-1], carry):
                     break
                 yield rows, taylor(scene, times, carry, bits, deadline=deadline, stops=stops)
         for digits in (28, 70):
-            rows = extrapolation(scene, times, carry, digits + 8, deadline=deadline)
+            rows = extrapolation(scene, times, carry, digits + 8, deadline=half())
             yield rows, extrapolation(scene, times, carry, digits, deadline=deadline)
     except BadInput:
         raise
