@@ -109,6 +109,8 @@ class SweepLowering(llvm.Lowering):
                 self.rows = {"row": self.row(self.value(row))}
                 self.copy(self.out, j, *self.sites_of(begin, end), False)
         with b.if_then(self.leader):
+            size = b.mul(self.length, self.whole(blocks))
+            last += [b.add(size, self.whole(k)) for k in range(len(scalars) - len(last))]
             for place, value in zip(last, scalars, strict=True):
                 b.store(self.floating(self.value(value)), b.gep(self.out, [place]))
             b.store(b.fadd(b.load(self.data), self.double(1.0)), self.data)
