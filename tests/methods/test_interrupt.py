@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from contactbench.methods import many
 from contactbench.peers import cyrk, heyoka, sundials
 
 PEERS = {"cvode-adams": sundials, "cvode-bdf": sundials, "heyoka-taylor": heyoka, "cyrk-dop853": cyrk}
@@ -39,6 +40,19 @@ def test_pieces_change_nothing(method, save_at, monkeypatch):
 def test_an_interrupt_ends_a_long_run(method, save_at):
     scene = cb.SCENES["particle"].with_(gamma=0.0, t_end=1e9)
     run = cb.prepare(scene, method, rtol=1e-9, save_at=save_at, max_steps=5 * 10**7)  # for some ten seconds
+    ends_at_once(run)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_interrupt_ends_a_long_run_of_many_sites(threads, monkeypatch):
+    monkeypatch.setattr(many.FieldLoop, "threads", lambda *_: threads)
+    scene = cb.SCENES["fput"].with_(n=10**5, t_end=1e5)
+    run = cb.prepare(scene, "contact-strang", step=0.05, save_at=[1e5], carry=("s",))  # for minutes
+    ends_at_once(run)
+    assert not [each for each in threading.enumerate() if each.daemon and each.name.startswith("Thread-")]
+
+
+def ends_at_once(run):
     begun, timer = time.monotonic(), threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])
     timer.start()
     try:

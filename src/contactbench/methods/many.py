@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, cached_property
+from threading import Thread, current_thread, main_thread
 from time import monotonic
 from typing import Any
 
@@ -29,6 +30,7 @@ from contactbench.trace.sweeps import (
     LINE,
     OUT,
     PAD,
+    STOP,
     WHOLE,
     Packing,
     compile_sweeps,
@@ -38,6 +40,8 @@ from contactbench.xla import jax, lax
 
 #: sites from which on all cores share a sweep
 SHARED = 50_000
+#: steps times sites that take about a hundredth of a second or more, and seconds between two looks at signals
+LONG, LOOK = 1e7, 0.1
 #: numbers that a loop sees of a state: ‖q‖² + ‖p‖², H0, and the size of the terms of H0
 SEEN = 3
 #: steps and rounds of the measurement whether threads are faster than one, and how much faster they are to be
@@ -163,11 +167,17 @@ class FieldLoop(Loop):
         return {"w": w, "fields": fields, "sums": sums} | whole
 
     def call(
-        self, scene: Many, arrays: dict[str, np.ndarray], y: np.ndarray, out: np.ndarray, threads: int
+        self,
+        scene: Many,
+        arrays: dict[str, np.ndarray],
+        y: np.ndarray,
+        out: np.ndarray,
+        threads: int,
+        long: bool = False,
     ) -> bool:
         """Run the compiled function on some threads; return whether one of them was late and left out.
 
-        Such a thread may look at the arrays later, which live as long as its call.
+        Such a thread may look at the arrays later, which live as long as its call.  A long run hears Ctrl-C.
         """
         arrays = arrays | {"sync": np.zeros(LINE * threads, dtype=np.int64)}
         data = [self.data(scene, arrays, rank, threads) for rank in range(threads)]
@@ -177,7 +187,18 @@ class FieldLoop(Loop):
 
         for each in data[1:]:
             others(threads - 1).submit(work, each, arrays)
-        work(data[0])
+        if not long or current_thread() is not main_thread():
+            work(data[0])
+        else:  # this one looks at signals
+            leader = Thread(target=work, args=(data[0],), daemon=True)
+            leader.start()
+            try:
+                while leader.is_alive():
+                    leader.join(LOOK)
+            except BaseException:  # Ctrl-C, a time limit
+                arrays["sync"][STOP] = 1
+                leader.join()
+                raise
         return bool((arrays["sync"][LINE::LINE] == OUT).any())
 
     def threads(self, scene: Many, numbers: np.ndarray, y: np.ndarray, h: float) -> int:
@@ -208,16 +229,16 @@ class FieldLoop(Loop):
         arrays, out = self.arrays(scene, numbers, h, n), np.empty((len(n), y.size + self.seen))
         which = arrays["shape"][len(self.program.shape) : -2].copy()
         y = np.ascontiguousarray(y, dtype=float)
-        threads = self.threads(scene, numbers, y, h[0])
+        threads, long = self.threads(scene, numbers, y, h[0]), np.asarray(n) > LONG / scene.sites
         for k, (row, after) in enumerate(zip(which, out, strict=True)):
             place = len(self.program.shape)
             arrays["shape"][place : place + 3] = row, watch and k == 0, watch
             if threads > 1:
-                late = self.call(scene, arrays, y, after, threads)
+                late = self.call(scene, arrays, y, after, threads, long[k])
                 REST.note(late)
                 threads = 1 if late else threads
             else:
-                self.call(scene, arrays, y, after, 1)
+                self.call(scene, arrays, y, after, 1, long[k])
             y = after
         return out
 
