@@ -325,6 +325,9 @@ class ArrayLoop(SweepLoop):
     def __post_init__(self) -> None:
         FixedStepRun.__post_init__(self)
 
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        return FixedStepRun.integrate(self, y0)
+
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         r, out = self.request, np.full((len(n), len(y0)), math.nan)
         x = r.scene.unpack(y0, r.carry)
