@@ -42,6 +42,8 @@ from contactbench.xla import jax, lax
 SHARED = 50_000
 #: steps times sites that take about a hundredth of a second or more, and seconds between two looks at signals
 LONG, LOOK = 1e7, 0.1
+#: bytes that are kept from one run to the next
+SPARE = 2**26
 #: numbers that a loop sees of a state: ‖q‖² + ‖p‖², H0, and the size of the terms of H0
 SEEN = 3
 #: steps and rounds of the measurement whether threads are faster than one, and how much faster they are to be
@@ -125,6 +127,8 @@ class FieldLoop(Loop):
     ) -> None:
         elapsed = stopwatch()
         self.seen = 2 * SEEN * watch
+        #: fields of an earlier run, by the number of sites: to make new ones takes as long as some steps
+        self.spare: dict[int, list[np.ndarray]] = {}
         self.boundary, self.packing = scene.boundary, packing
         #: whether all threads are faster than one, by the number of sites and of threads
         self.shares: dict[tuple[int, int], bool] = {}
@@ -156,7 +160,11 @@ class FieldLoop(Loop):
         """The arrays that the compiled function works on, by name; fields has the constants after the state."""
         program, sites, constants = self.program, scene.sites, scene.constants.values()
         w, shape = self.rows(numbers, np.asarray(h, dtype=float), np.asarray(n))
-        fields = np.zeros((program.rows, stride_of(sites)))
+        fields: Any = None
+        with suppress(IndexError):
+            fields = self.spare.get(sites, []).pop()
+        if fields is None:
+            fields = np.zeros((program.rows, stride_of(sites)))
         first = 2 * self.packing.dimensions * self.packing.blocks
         for row, constant in zip(fields[first:, : sites + 2 * PAD], constants, strict=False):
             row[PAD:-PAD] = constant
@@ -240,6 +248,8 @@ class FieldLoop(Loop):
             else:
                 self.call(scene, arrays, y, after, 1, long[k])
             y = after
+        if arrays["fields"].nbytes <= SPARE:
+            self.spare = {scene.sites: [arrays["fields"]]}
         return out
 
 
