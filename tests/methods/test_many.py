@@ -13,7 +13,8 @@ import cases
 import contactbench as cb
 from chains import BOUNDARIES, SMALL, bodies, chain, masses
 from contactbench.methods import many
-from contactbench.methods.prepared import stopwatch
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import total
 from contactbench.peers.base import Peer
@@ -97,13 +98,33 @@ def test_a_force_may_be_constant(boundary, onsite):
     assert gap(states(scene.unrolled(), "contact-strang"), states(scene, "contact-strang")) < ROUND_OFF
 
 
+@pytest.mark.parametrize("carry", [(), ("s",)])
+@pytest.mark.parametrize("step", [0.1, 1.5, 1.9, 2.05, 3.0])
+def test_a_run_that_its_loop_vouches_for_ends_as_one_that_is_looked_at(step, carry):
+    scene = chain(64, t_end=60.0)
+    run = cb.prepare(scene, "contact-strang", step=step, carry=carry, save_at=[30.0, 60.0])
+    mine, y0 = run(), run.start
+    theirs = Prepared.audit(run, y0, FixedStepRun.integrate(run, y0))
+    assert (mine.status, mine.message, mine.end_time) == (theirs.status, theirs.message, theirs.end_time)
+    np.testing.assert_array_equal(mine.y, theirs.y)
+
+
+def test_a_good_run_is_not_looked_at_again(monkeypatch):
+    """For that took as long as the run."""
+    run = cb.prepare(chain(64), "contact-strang", step=0.1)
+    for name in ("energy", "energy_terms"):
+        monkeypatch.setattr(type(run.request.scene), name, lambda *_: pytest.fail("computed"))
+    monkeypatch.setattr(run, "first_divergence", lambda *_: pytest.fail("searched"))
+    assert run().ok
+
+
 # -- threads -------------------------------------------------------------------------------------------
 def end_by(run, count):
     """The end of a run by so many threads, and whether one of them was late."""
     scene, y = run.request.scene, run.start[None]
-    out = np.full_like(y, np.nan)
+    out = np.full(y.size + run.loop.seen, np.nan)
     late = run.loop.call(scene, run.loop.arrays(scene, run.numbers, run.h, run.n), y, out, count)
-    return out, late
+    return out[: y.size], late
 
 
 @pytest.mark.parametrize("boundary", BOUNDARIES)
@@ -114,7 +135,7 @@ def test_any_number_of_threads_gives_the_same_bits(boundary, carry):
         run = cb.prepare(scene, method, step=0.1, carry=carry, save_at=[scene.t_end])
         alone = run.bare(run.start)
         for count in (2, 3):
-            np.testing.assert_array_equal(end_by(run, count)[0][0], alone)
+            np.testing.assert_array_equal(end_by(run, count)[0], alone)
 
 
 class Late:
@@ -140,7 +161,7 @@ def test_a_thread_that_is_late_is_left_out(seconds, monkeypatch):
     for each in pool.began:
         each.join(10)
         assert not each.is_alive()
-    np.testing.assert_array_equal(out[0], alone)
+    np.testing.assert_array_equal(out, alone)
 
 
 def test_threads_are_used_where_they_were_faster_and_none_was_late(monkeypatch):
@@ -148,7 +169,7 @@ def test_threads_are_used_where_they_were_faster_and_none_was_late(monkeypatch):
     run = cb.prepare(scene, "contact-strang", step=0.1, save_at=[0.5, 1.0])
     monkeypatch.setattr(many, "REST", rest)
     monkeypatch.setattr(many, "threads_for", lambda sites: 2)
-    monkeypatch.setattr(run.loop, "call", lambda *given: used.append(given[-1]) or late)
+    monkeypatch.setattr(run.loop, "call", lambda *given: used.append(given[4]) or late)
     late = True
     run.bare(run.start)  # not even measured
     assert (used[-2:], run.loop.shares) == ([1, 1], {})

@@ -27,6 +27,7 @@ from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Cache, key
 from contactbench.trace.compiled import compile_function
+from contactbench.trace.form import lines
 
 ENGINES = ("numba", "jax")
 #: trajectories in a task of an executor, whose number of workers is not known
@@ -35,6 +36,8 @@ TASK = 2**14
 ATTEMPTS = 3
 #: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
 LANES = 32
+#: the same of a loop of more lines than that, which LLVM takes seconds to compile
+FEW_LANES, LONG = 4, 2000
 #: numbers that are kept of scenes of many sites at a time, for every core
 AT_ONCE = 2**22
 #: chunks begun for every core before the first of them is asked for
@@ -130,10 +133,11 @@ def on_cores(
         cores = cores if scene.sites < SHARED else 1
         work, share = partial(one_by_one, run, loop, names), equal_share(y0.shape[1], cores, chunk, 1)
     else:
-        many = compile_function(loop.program.many, LANES)
+        lanes = lanes_of(loop)
+        many = compile_function(loop.program.many, lanes)
         rows, shape = loop.rows(numbers, run.h, run.n)
-        work = partial(side_by_side, run, many, rows, shape, names)
-        share = equal_share(y0.shape[1], cores, chunk)
+        work = partial(side_by_side, run, many, lanes, rows, shape, names)
+        share = equal_share(y0.shape[1], cores, chunk, lanes)
     ahead: deque[Future[Result]] = deque()
     threads = futures.ThreadPoolExecutor(cores)
     try:
@@ -149,6 +153,11 @@ def on_cores(
         threads.shutdown(cancel_futures=True)
 
 
+def lanes_of(loop: Any) -> int:
+    """How many trajectories its compiled loop integrates side by side."""
+    return LANES if sum(1 for _ in lines(loop.program.many.body)) <= LONG else FEW_LANES
+
+
 def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
     """Return the size of the fewest chunks of at most `chunk`, a multiple of `cores`; whole tiles if they fit."""
     share = -(-n // (cores * -(-n // (cores * chunk))))
@@ -157,12 +166,18 @@ def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
 
 
 def side_by_side(
-    run: FixedStepRun, many: Any, rows: np.ndarray, shape: np.ndarray, names: Sequence[str], y0: np.ndarray
+    run: FixedStepRun,
+    many: Any,
+    lanes: int,
+    rows: np.ndarray,
+    shape: np.ndarray,
+    names: Sequence[str],
+    y0: np.ndarray,
 ) -> Result:
     """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core."""
     r, m = run.request, y0.shape[1]
-    y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
-    part, place = np.array([0, y.shape[1] // LANES]), len(shape) - len(run.n)
+    y = np.pad(y0, ((0, 0), (0, -m % lanes)), mode="edge")  # the last trajectory again and again
+    part, place = np.array([0, y.shape[1] // lanes]), len(shape) - len(run.n)
     with np.errstate(all="ignore"):
         watch = Watch(r.scene, r.carry, names, furthest(r.scene, r.carry, y0, run._end), y0)
         marks = watch.begun

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.chunks import LANES
+from contactbench.ensembles.chunks import lanes_of
 from contactbench.ensembles.members import furthest, members, within
 from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.statistics import Average, blocks, jackknife
@@ -223,15 +223,16 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
             return ends[0, :, 0].T, ends[:, :, 1].swapaxes(1, 2), evaluations
 
         return follow
-    many = compile_function(loop.program.many, LANES)
+    lanes = lanes_of(loop)
+    many = compile_function(loop.program.many, lanes)
     rows, shape = loop.rows(numbers, run.h, run.n)
 
     def advance(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
         m, d, n = v.shape
         starts = np.concatenate([np.tile(x, m), np.concatenate(v, axis=1)])
-        starts = np.pad(starts, ((0, 0), (0, -m * n % LANES)), mode="edge")
+        starts = np.pad(starts, ((0, 0), (0, -m * n % lanes)), mode="edge")
         ends = np.empty((len(run.n), *starts.shape))
-        many(starts, rows, shape, ends, np.array([0, starts.shape[1] // LANES]))
+        many(starts, rows, shape, ends, np.array([0, starts.shape[1] // lanes]))
         end = ends[-1]
         return end[:d, :n], np.array(np.split(end[d:, : m * n], m, axis=1)), evaluations
 

@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, cached_property
+from threading import Thread, current_thread, main_thread
 from time import monotonic
 from typing import Any
 
@@ -17,8 +18,10 @@ from contactbench.methods.jax_engine import Traced
 from contactbench.methods.loops import Loop, StepLoop, is_fixed
 from contactbench.methods.prepared import NO_NUMBER, Request, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Cache, State, key
 from contactbench.scene.many import Many
+from contactbench.solution import DIVERGENCE
 from contactbench.trace.fields import FieldProgram, record_fields
 from contactbench.trace.sweeps import (
     ADDRESSES,
@@ -27,6 +30,7 @@ from contactbench.trace.sweeps import (
     LINE,
     OUT,
     PAD,
+    STOP,
     WHOLE,
     Packing,
     compile_sweeps,
@@ -36,23 +40,43 @@ from contactbench.xla import jax, lax
 
 #: sites from which on all cores share a sweep
 SHARED = 50_000
+#: steps times sites that take about a hundredth of a second or more, and seconds between two looks at signals
+LONG, LOOK = 1e7, 0.1
+#: bytes that are kept from one run to the next
+SPARE = 2**26
+#: numbers that a loop sees of a state: ‖q‖² + ‖p‖², H0, and the size of the terms of H0
+SEEN = 3
 #: steps and rounds of the measurement whether threads are faster than one, and how much faster they are to be
 PILOT, ROUNDS, GAIN = 4, 3, 0.9
 
 
-def field_program(advance: Callable[..., Any], scene: Many, packing: Packing) -> FieldProgram:
-    """Record ``advance(scene, x, h, n, xp, repeat)``, on dual numbers with two blocks; may raise `CannotRecord`."""
+def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, watch: bool) -> FieldProgram:
+    """Record ``advance(scene, x, h, n, xp, repeat)``, on dual numbers with two blocks; may raise `CannotRecord`.
+
+    watch : what is `SEEN` of the start and of the end follows the state, where that is asked for.
+    """
     (d, with_s, blocks), names = packing, tuple(scene.constants)
 
     def fields(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:
         if blocks > 1:
             f, s, xp = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else [], DualNumbers(xp)
         twin = scene.with_numbers(numbers)._replaced(**dict(zip(names, constants, strict=True)))
-        x = advance(twin, State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None), h, n, xp, repeat)
-        parts = [*x.q, *x.p], [x.s] if with_s else []
-        return [number(c) for part in parts for number in (value, slope)[:blocks] for c in part]
 
-    return record_fields(fields, len(scene.numbers()), 2 * d * blocks, with_s * blocks, len(names))
+        def see(k: int, x: Any) -> list[Any]:
+            def look(_: Any) -> list[Any]:
+                return [twin.product(x.q, x.q) + twin.product(x.p, x.p), twin.energy(x), twin.energy_terms(x)]
+
+            return repeat(xp.tape.looks[k], look, [0.0] * SEEN) if watch else []
+
+        start = State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None)
+        before = see(0, start)
+        x = advance(twin, start, h, n, xp, repeat)
+        parts = [*x.q, *x.p], [x.s] if with_s else []
+        end = [number(c) for part in parts for number in (value, slope)[:blocks] for c in part]
+        return [*end, *before, *see(1, x)]
+
+    seen = 2 * SEEN * watch
+    return record_fields(fields, len(scene.numbers()), 2 * d * blocks, with_s * blocks, len(names), seen)
 
 
 @cache
@@ -98,12 +122,17 @@ class FieldLoop(Loop):
 
     program: Any
 
-    def __init__(self, advance: Callable[..., Any], scene: Many, packing: Packing) -> None:
+    def __init__(
+        self, advance: Callable[..., Any], scene: Many, packing: Packing, watch: bool = False
+    ) -> None:
         elapsed = stopwatch()
+        self.seen = 2 * SEEN * watch
+        #: fields of an earlier run, by the number of sites: to make new ones takes as long as some steps
+        self.spare: dict[int, list[np.ndarray]] = {}
         self.boundary, self.packing = scene.boundary, packing
         #: whether all threads are faster than one, by the number of sites and of threads
         self.shares: dict[tuple[int, int], bool] = {}
-        super().__init__(field_program(advance, scene, packing), 0.0)  # type: ignore[arg-type]
+        super().__init__(field_program(advance, scene, packing, watch), 0.0)  # type: ignore[arg-type]
         self.seconds = elapsed()
 
     @cached_property
@@ -131,22 +160,32 @@ class FieldLoop(Loop):
         """The arrays that the compiled function works on, by name; fields has the constants after the state."""
         program, sites, constants = self.program, scene.sites, scene.constants.values()
         w, shape = self.rows(numbers, np.asarray(h, dtype=float), np.asarray(n))
-        fields = np.zeros((program.rows, stride_of(sites)))
+        fields: Any = None
+        with suppress(IndexError):
+            fields = self.spare.get(sites, []).pop()
+        if fields is None:
+            fields = np.zeros((program.rows, stride_of(sites)))
         first = 2 * self.packing.dimensions * self.packing.blocks
         for row, constant in zip(fields[first:, : sites + 2 * PAD], constants, strict=False):
             row[PAD:-PAD] = constant
             if self.boundary != "fixed":  # the neighbours beyond the ends
                 row[PAD - 1], row[-PAD] = constant[[-1, 0] if self.boundary == "ring" else [0, -1]]
         sums = np.zeros((2 * max(1, program.sums), -(-sites // CHUNK)))
-        whole = {"shape": shape.astype(np.int64), "sync": np.zeros(LINE, dtype=np.int64)}
+        whole = {"shape": np.append(shape, [0, 0]).astype(np.int64), "sync": np.zeros(LINE, dtype=np.int64)}
         return {"w": w, "fields": fields, "sums": sums} | whole
 
     def call(
-        self, scene: Many, arrays: dict[str, np.ndarray], y: np.ndarray, out: np.ndarray, threads: int
+        self,
+        scene: Many,
+        arrays: dict[str, np.ndarray],
+        y: np.ndarray,
+        out: np.ndarray,
+        threads: int,
+        long: bool = False,
     ) -> bool:
         """Run the compiled function on some threads; return whether one of them was late and left out.
 
-        Such a thread may look at the arrays later, which live as long as its call.
+        Such a thread may look at the arrays later, which live as long as its call.  A long run hears Ctrl-C.
         """
         arrays = arrays | {"sync": np.zeros(LINE * threads, dtype=np.int64)}
         data = [self.data(scene, arrays, rank, threads) for rank in range(threads)]
@@ -156,14 +195,25 @@ class FieldLoop(Loop):
 
         for each in data[1:]:
             others(threads - 1).submit(work, each, arrays)
-        work(data[0])
+        if not long or current_thread() is not main_thread():
+            work(data[0])
+        else:  # this one looks at signals
+            leader = Thread(target=work, args=(data[0],), daemon=True)
+            leader.start()
+            try:
+                while leader.is_alive():
+                    leader.join(LOOK)
+            except BaseException:  # Ctrl-C, a time limit
+                arrays["sync"][STOP] = 1
+                leader.join()
+                raise
         return bool((arrays["sync"][LINE::LINE] == OUT).any())
 
     def threads(self, scene: Many, numbers: np.ndarray, y: np.ndarray, h: float) -> int:
         """How many threads to use now: all where that was measured to be faster, else one."""
         most = threads_for(scene.sites)
         if most > 1 and (scene.sites, most) not in self.shares and monotonic() > REST.until:
-            arrays, out = self.arrays(scene, numbers, [h], [PILOT]), np.empty_like(y)
+            arrays, out = self.arrays(scene, numbers, [h], [PILOT]), np.empty(y.size + self.seen)
             times: dict[int, list[float]] = {1: [], most: []}
             for count in [1, most] * ROUNDS:
                 elapsed = stopwatch()
@@ -178,19 +228,28 @@ class FieldLoop(Loop):
 
     def paths(self, scene: Any, numbers: np.ndarray, y: np.ndarray, h: Any, n: Any) -> np.ndarray:
         """Packed states after each interval, (k, blocks, size), of a state and maybe its tangent, (blocks, size)."""
-        arrays, out = self.arrays(scene, numbers, h, n), np.empty((len(n), *y.shape))
-        which = arrays["shape"][len(self.program.shape) :].copy()
+        return self.steps(scene, numbers, y, h, n, False)[:, : y.size].reshape(len(n), *y.shape)
+
+    def steps(
+        self, scene: Any, numbers: np.ndarray, y: np.ndarray, h: Any, n: Any, watch: bool
+    ) -> np.ndarray:
+        """The same, flat, followed by what was seen of the first start and of every end."""
+        arrays, out = self.arrays(scene, numbers, h, n), np.empty((len(n), y.size + self.seen))
+        which = arrays["shape"][len(self.program.shape) : -2].copy()
         y = np.ascontiguousarray(y, dtype=float)
-        threads = self.threads(scene, numbers, y, h[0])
-        for row, after in zip(which, out, strict=True):
-            arrays["shape"][len(self.program.shape)] = row
+        threads, long = self.threads(scene, numbers, y, h[0]), np.asarray(n) > LONG / scene.sites
+        for k, (row, after) in enumerate(zip(which, out, strict=True)):
+            place = len(self.program.shape)
+            arrays["shape"][place : place + 3] = row, watch and k == 0, watch
             if threads > 1:
-                late = self.call(scene, arrays, y, after, threads)
+                late = self.call(scene, arrays, y, after, threads, long[k])
                 REST.note(late)
                 threads = 1 if late else threads
             else:
-                self.call(scene, arrays, y, after, 1)
+                self.call(scene, arrays, y, after, 1, long[k])
             y = after
+        if arrays["fields"].nbytes <= SPARE:
+            self.spare = {scene.sites: [arrays["fields"]]}
         return out
 
 
@@ -201,7 +260,13 @@ def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = Fal
     """The loop of a method; `CannotRecord`, also where numba is told not to compile."""
     packing = Packing(scene.dimensions, "s" in carry, 1 + tangent)
     known = (method, scene.equations) if is_fixed(method) and scene.identity is not None else None
-    return _loops.get(key(known, packing), lambda: FieldLoop(method.advance, scene, packing))
+
+    def make() -> FieldLoop:
+        with suppress(CannotRecord):  # an energy that is not as simple as its gradient
+            return FieldLoop(method.advance, scene, packing, watch=not tangent)
+        return FieldLoop(method.advance, scene, packing)
+
+    return _loops.get(key(known, packing), make)
 
 
 def slopes_of(scene: Many, carry: tuple[str, ...]) -> FieldLoop:
@@ -235,6 +300,25 @@ class Sweeps(StepLoop):
     def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
         return self.loop.paths(self.scene, self.numbers, y0[None], *ready)[:, 0], None
 
+    def vouched(
+        self, ready: Any, steps: int, starts: bool
+    ) -> Callable[[np.ndarray], np.ndarray | None] | None:
+        """As in `StepLoop`: looking at the states once more takes as long as a few steps."""
+        loop, bounds = self.loop, self.scene.bounds_energy
+        if not loop.seen:
+            return None
+
+        def vouched(y0: np.ndarray) -> np.ndarray | None:
+            found = loop.steps(self.scene, self.numbers, y0, *ready, True)
+            y, start, end = np.split(found, [len(y0), len(y0) + SEEN], axis=1)
+            with np.errstate(over="ignore"):
+                small, rises = end[:, 0] <= DIVERGENCE**2, end[-1, 1] > start[0, 1] + start[0, 2]
+            if not small.all() or not np.isfinite(end[:, 1]).all() or (rises and bounds):
+                return None
+            return np.concatenate([y0[None], y]) if starts else y
+
+        return vouched
+
     def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         return self.tangents.paths(self.scene, self.numbers, np.stack([y0, v]), h, n)[:, 1]
 
@@ -247,6 +331,9 @@ class Arrays(Sweeps):
 
     def __init__(self, method: Any, request: Request) -> None:
         StepLoop.__init__(self, method, request)
+
+    def vouched(self, ready: Any, steps: int, starts: bool) -> None:
+        return None
 
     def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
         h, n = ready

@@ -174,14 +174,17 @@ class CompiledPeer(PeerRun):
         """`FACTS` and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
         return self.calls.in_a_loop(np.ascontiguousarray(starts), *self.arguments)
 
+    def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`FACTS` and the state reached, and the saved states, of which those reached are filled."""
+        if self.final_only:
+            facts = self.calls.to_end(y0, *self.arguments)
+            return facts, facts[None, KNOWN:]
+        rows = np.empty((len(self.later), len(y0)))
+        return self.calls.at_times(y0, self.later, rows, *self.arguments), rows
+
     def integrate(self, y0: np.ndarray) -> Outcome:
         with self.alone:
-            if self.final_only:
-                facts = self.calls.to_end(y0, *self.arguments)
-                rows = facts[None, KNOWN:]
-            else:
-                rows = np.empty((len(self.later), len(y0)))
-                facts = self.calls.at_times(y0, self.later, rows, *self.arguments)
+            facts, rows = self.run(y0)
         flag, reached, saved, steps, evaluations, jacobians, rejected = facts[:KNOWN].tolist()
         counts = self.counts(int(steps), int(evaluations), int(jacobians), rejected)
         status, message = self.ending(int(flag))

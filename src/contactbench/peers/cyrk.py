@@ -12,6 +12,7 @@ takes no Jacobian: Radau and LSODA difference the right-hand side, and the calls
 
 from __future__ import annotations
 
+from threading import Thread
 from types import ModuleType
 from typing import Any
 
@@ -22,6 +23,8 @@ from contactbench.peers.base import Peer
 from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, CompiledPeer
 from contactbench.solution import Counts, Status
 
+#: steps of a short run, about a hundredth of a second; seconds between two looks at signals
+PIECE, LOOK = 10**4, 0.1
 #: evaluations before the first step: at the initial state, and to choose the step
 BEFORE = 2
 
@@ -33,6 +36,23 @@ class CyrkRun(CompiledPeer):
         r, method = self.request, int(cyrk.find_ode_method_int(self.method_.solver))
         where = self.functions.rhs, method, self.data, self.clock, self.end
         return cyrk, (*where, np.array([r.rtol]), np.array(r.atol, ndmin=1), r.max_steps)
+
+    def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By one call of C++, which nothing ends; a long one by another thread, which Ctrl-C leaves to itself."""
+        *given, most = self.arguments
+        self.arguments = (*given, min(PIECE, most))
+        try:
+            found = super().run(y0)
+        finally:
+            self.arguments = (*given, most)
+        if most <= PIECE or found[0][0] not in (TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR):
+            return found
+        again: list[Any] = []
+        worker = Thread(target=lambda: again.append(CompiledPeer.run(self, y0)), daemon=True)
+        worker.start()
+        while worker.is_alive():
+            worker.join(LOOK)
+        return again[0]
 
     def ending(self, flag: int) -> tuple[Status, str]:
         if flag == SUCCESS:

@@ -40,6 +40,9 @@ def taylor_system(
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile
 UNROLLED = 20
 
+#: steps between two looks at signals, about a hundredth of a second
+PIECE = 10**4
+
 #: one program per identity, numbers and tolerance, a megabyte or two each; a run has a copy of its own, with a
 #: state of its own
 _integrators: Cache[tuple[Any, float]] = Cache(32)
@@ -92,11 +95,22 @@ class TaylorRun(PeerRun):
             origin, start = self.split_clock(y0)
             ta.time, ta.state[:] = origin, start if self.units is None else start / self.units
             if len(r.save_at) == 1:
-                outcome, _, _, steps, *_ = ta.propagate_until(origin + self._end, max_steps=r.max_steps)
+                outcome, steps = limit.step_limit, 0
+                while outcome == limit.step_limit and steps < r.max_steps:  # in pieces, of the same steps
+                    most = min(PIECE, r.max_steps - steps)
+                    outcome, _, _, taken, *_ = ta.propagate_until(origin + self._end, max_steps=most)
+                    steps += taken
                 y = ta.state[None][: outcome == limit.time_limit].copy()
             else:
                 grid = origin + np.append(0.0, self.later)
-                outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=r.max_steps)
+                most = min(PIECE, r.max_steps)
+                outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=most)
+                if (
+                    steps == most < r.max_steps
+                ):  # once more, with a callback at every step: Python looks at signals
+                    ta.time, ta.state[:] = self.split_clock(y0)
+                    options = {"max_steps": r.max_steps, "callback": lambda _: True}
+                    outcome, _, _, steps, *_, y = ta.propagate_grid(grid, **options)
                 y = y[1:]
             time, state = float(ta.time) - origin, ta.state.copy()
         if self.units is not None:

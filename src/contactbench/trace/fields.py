@@ -92,6 +92,8 @@ class FieldTape(ProgramTape):
         self.known_at: dict[str, tuple[Owner, int, int]] = {}
         #: where each row is read: the owner of the sweep, its order, how many places off
         self.reads: dict[str, list[tuple[Owner, tuple[int, int], int]]] = {}
+        #: known at every call: how often, once or never, to look at the start and at the end
+        self.looks = [Recorded(self, f"look{k}", "i", self.whole) for k in range(2)]
         #: rows that a loop has taken over
         self.taken: set[str] = set()
 
@@ -329,9 +331,12 @@ def written(items: Sequence[Any]) -> list[Any]:
 
 
 def record_fields(
-    advance: Callable[..., list[Any]], numbers: int, fields: int, scalars: int, constants: int
+    advance: Callable[..., list[Any]], numbers: int, fields: int, scalars: int, constants: int, seen: int = 0
 ) -> FieldProgram:
-    """The program of ``advance(numbers, h, n, fields, scalars, constants, xp, repeat) -> [*fields, *scalars]``."""
+    """The program of ``advance(numbers, h, n, fields, scalars, constants, xp, repeat) -> [*fields, *scalars, *seen]``.
+
+    In `shape` follow the row of w, and whether to look at the start and at the end (`FieldTape.looks`).
+    """
     tape = FieldTape()
     given, h, n = tape.given(numbers)
     rows = [tape.row() for _ in range(fields + constants)]
@@ -340,7 +345,7 @@ def record_fields(
     loop = Repeat(tape.repeat, over_stages=True, joint_first=True)
     state = held[:fields], plain, held[fields:]
     end = attempt(lambda: advance(given, h, n, *state, RecordedArrays(tape), loop))
-    if len(end) != fields + scalars:
+    if len(end) != fields + scalars + seen:
         raise CannotRecord("a step to a state of another shape")
     kept = [tape.stored(x) for x in end[:fields]]
     values = [tape.read(x, tape.main) for x in end[fields:]]
@@ -349,6 +354,12 @@ def record_fields(
     known = len(tape.shape)
     most = max((len(s.sums) for s in sweeps(tape.main)), default=0)
     head = *tape.whole.statements, Assign("u", Element("shape", (known,), kind="i")), *tape.loads
+    head += (
+        *(
+            Assign(look.name, Element("shape", (known + k,), kind="i"))
+            for k, look in enumerate(tape.looks, 1)
+        ),
+    )
     first = Update(tuple(tape.reads), tuple(range(len(tape.reads))))
     body = *head, first, *written(tape.main.statements)
     run = Function("run", (), body, (tuple(kept), tuple(values)))

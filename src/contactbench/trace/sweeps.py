@@ -98,7 +98,7 @@ class SweepLowering(llvm.Lowering):
         with self.part() as (begin, end):
             for j in fields:
                 self.rows = {"row": self.row(self.whole(j))}
-                self.copy(self.y, j, *self.sites_of(begin, end), True)
+                self.copy(self.y, j, self.sites_of(begin, end), True)
                 self.ends(Sites((), (("row", 0.0),), ()), *self.sites_of(begin, end))
         for i, place in enumerate(last):
             self.values[f"x{i}"] = b.load(b.gep(self.y, [place]))
@@ -107,8 +107,10 @@ class SweepLowering(llvm.Lowering):
         with self.part() as (begin, end):
             for j, row in zip(fields, rows, strict=True):
                 self.rows = {"row": self.row(self.value(row))}
-                self.copy(self.out, j, *self.sites_of(begin, end), False)
+                self.copy(self.out, j, self.sites_of(begin, end), False)
         with b.if_then(self.leader):
+            size = b.mul(self.length, self.whole(blocks))
+            last += [b.add(size, self.whole(k)) for k in range(len(scalars) - len(last))]
             for place, value in zip(last, scalars, strict=True):
                 b.store(self.floating(self.value(value)), b.gep(self.out, [place]))
             b.store(b.fadd(b.load(self.data), self.double(1.0)), self.data)
@@ -118,13 +120,13 @@ class SweepLowering(llvm.Lowering):
         d, with_s, _ = self.packing
         return self.builder.add(self.builder.mul(self.sites, self.whole(2 * d)), self.whole(int(with_s)))
 
-    def copy(self, packed: Any, j: int, begin: Any, end: Any, inwards: bool) -> None:
+    def copy(self, packed: Any, j: int, sites: tuple[Any, Any], inwards: bool) -> None:
         from numba.core.cgutils import for_range
 
         b, whole, d = self.builder, self.whole, self.packing.dimensions
         block, half, component = j // (2 * d), j // d % 2, j % d
         first = b.add(b.mul(self.length, whole(block)), b.mul(self.sites, whole(half * d)))
-        with for_range(b, end, begin) as turn:
+        with for_range(b, sites[1], sites[0]) as turn:
             place = b.gep(packed, [b.add(first, b.add(b.mul(turn.index, whole(d)), whole(component)))])
             cell = b.gep(self.rows["row"], [b.add(turn.index, whole(PAD))])
             source, target = (place, cell) if inwards else (cell, place)

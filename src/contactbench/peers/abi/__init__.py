@@ -40,7 +40,7 @@ SOURCES = digest(
 
 def kept(function: Any) -> Any:
     """As numba's `njit`, kept."""
-    return keep(function, SOURCES)
+    return keep(function, SOURCES, nogil=True)
 
 
 def kept_c(*signature: Any) -> Any:

@@ -171,12 +171,18 @@ def facts(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-unty
 
 
 @kept
-def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    restart(start, memory, vector, y, data, clock, end)
+def on_to_end(memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
+    """So many more steps of a run that `to_end` has begun, at most: they are those of a single call."""
     set_max_steps(memory, max_steps)
     reached = np.zeros(1)
     flag = advance(memory, end, vector, reached.ctypes.data, NORMAL)
     return facts(memory, y, data, clock, flag, reached[0], flag >= 0)
+
+
+@kept
+def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
+    restart(start, memory, vector, y, data, clock, end)
+    return on_to_end(memory, vector, y, data, clock, end, max_steps)
 
 
 @kept
@@ -190,13 +196,9 @@ def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: 
 
 
 @kept
-def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
-
-    By single steps, those of `to_end`: in CVODE's other mode the first depends on the first time asked for.
-    """
-    restart(start, memory, vector, y, data, clock, end)
-    saved, flag, now = 0, np.int32(TOO_MUCH_WORK), np.zeros(1)
+def on_to_times(saved, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
+    """So many more steps of a run that `at_times` has begun and that has saved some states, at most."""
+    flag, now = np.int32(TOO_MUCH_WORK), np.zeros(1)
     for _ in range(max_steps):
         flag = advance(memory, end, vector, now.ctypes.data, ONE_STEP)
         if flag < 0:
@@ -213,6 +215,16 @@ def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):
             break
         flag = np.int32(TOO_MUCH_WORK)
     return facts(memory, y, data, clock, flag, now[0], saved)
+
+
+@kept
+def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
+    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
+
+    By single steps, those of `to_end`: in CVODE's other mode the first depends on the first time asked for.
+    """
+    restart(start, memory, vector, y, data, clock, end)
+    return on_to_times(0, times, out, memory, vector, y, data, clock, end, max_steps)
 
 
 class Memory:
