@@ -16,7 +16,7 @@ import numpy as np
 
 from contactbench.errors import BadInput, array, blame, excerpt, positive, text, whole
 from contactbench.methods.fixed_step_run import steps_in
-from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_slope, scales_of
+from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_slope
 from contactbench.methods.prescribed import end_times, steps_of, steps_until
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Mechanical, Scene, verify

@@ -106,7 +106,8 @@ def solve(
 ) -> Any:
     """Take the sequence of steps from x, and at each of the times the shortened step off it.
 
-    options : ε, the span, the budget of steps, and the scales of the motion.  pace(x) : what decides how long steps are, x or x without its tangent.
+    options : ε, the span, the budget of steps, and the scales of the motion.  pace(x) : what decides how long steps
+    are, x or x without its tangent.
     The loops of an engine: ``repeat_while(condition, body, x)``, and ``over(times, body, x)`` with a body that returns
     x and a row, NaN where not reached.
     Returns what `over` does of (x, time, density, steps).

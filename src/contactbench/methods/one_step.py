@@ -93,7 +93,9 @@ class OneStep:
         """Return whether numbers are those of the scene's structure, entry by entry."""
         known = [*numbers, 0.0]
         orders = self.scene.orders()
-        return reduce(and_, [known[i] < known[j] if strict else known[i] <= known[j] for i, j, strict in orders], True)
+        return reduce(
+            and_, [known[i] < known[j] if strict else known[i] <= known[j] for i, j, strict in orders], True
+        )
 
     def rebuilt(self, numbers: Sequence[Any]) -> Scene:
         """Return the scene of another structure that numbers make; `BadInput` where the method has no step on it."""
@@ -107,9 +109,10 @@ class OneStep:
         return scene
 
     def traced(self, y: Any, h: Any, numbers: Sequence[Any], xp: Any) -> Any:
-        """Step with numbers that may not be looked at; nan, derivatives too, where there is no step of that structure."""
-        scene = self.scene.with_numbers(numbers)
-        if "kappa" not in scene.coefficients or numbers[place := self.names.index("kappa")] is self.scene.kappa:
+        """Step with numbers that may not be looked at; nan, derivatives too, where there is no step of that kind."""
+        scene: Any = self.scene.with_numbers(numbers)
+        place = self.names.index("kappa") if "kappa" in scene.coefficients else None
+        if place is None or numbers[place] is self.scene.numbers()[place]:
             fits = self.fits(numbers)
             return self.advance(y, h, scene, xp, 0.0 if fits is True else xp.where(fits, 0.0, math.nan))
         general = scene._replaced(kappa_sign=None)
@@ -139,10 +142,11 @@ class OneStep:
             raise CannotRecord(why)
 
         d = len(self.labels)
-        def advance(y: Any, h: Any, numbers: Any, xp: Any) -> Any:
+
+        def whole(y: Any, h: Any, numbers: Any, xp: Any) -> Any:
             return self.advance(y, h, self.scene.with_numbers(numbers), xp)
 
-        recorded = formula(advance, (d, 0, len(self.names), "xp"), ())
+        recorded = formula(whole, (d, 0, len(self.names), "xp"), ())
         names = argument_names(recorded.arguments, ())
         arguments = (Unpack(names[:d], "y"), Update((names[d],), ("h",)), Unpack(names[d + 1 :], "numbers"))
         own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
@@ -151,7 +155,10 @@ class OneStep:
         default, orders = tuple(map(float, self.scene.numbers())), tuple(self.scene.orders())
         if not orders:
             return advance
-        zero, why = len(default), f"numbers: make scene {self.scene.name!r} another problem: step_map of that one"
+        zero, why = (
+            len(default),
+            f"numbers: make scene {self.scene.name!r} another problem: step_map of that one",
+        )
 
         @numba.njit
         def guarded(y, h, numbers=default):  # type: ignore[no-untyped-def]

@@ -134,7 +134,9 @@ def derives(case: SceneCase) -> None:
     verify(scene)
     verify_along(scene)
     for x in case.states:
-        given = scene.slopes(0.0 if scene.clock is None else x.t, scene.without_clock(scene.pack(x)), scene.carry())
+        given = scene.slopes(
+            0.0 if scene.clock is None else x.t, scene.without_clock(scene.pack(x)), scene.carry()
+        )
         case.near(given, scene.without_clock(scene.pack(scene.rhs(x))), "slopes are not those of rhs")
     for x in case.exact:
         rows = case.twin.jacobian(x)
