@@ -247,7 +247,7 @@ def on_devices(
 
     def begin(part: slice) -> Any:
         filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
-        values = list(r.scene.numbers())
+        values: list[Any] = list(r.scene.numbers())
         for place, each in own.items():
             values[place] = each[part]
         bound = furthest(r.scene.with_numbers(values), r.carry, y0[:, part], run._end)
@@ -292,7 +292,7 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
 
     def share(y0: Any, bound: Any, own: Any, numbers: Any, spans: Any) -> Any:
         tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, bound, own)]
-        y, measures, end = lax.map(lambda parts: one_tile(*parts, numbers, spans), tiles)
+        y, measures, end = lax.map(lambda a: one_tile(a[0], a[1], a[2], numbers, spans), tiles)
         return *(a.swapaxes(0, 1).reshape(a.shape[1], -1) for a in (y, measures)), end.reshape(-1)
 
     return share

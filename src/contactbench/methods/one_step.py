@@ -109,12 +109,10 @@ class OneStep:
         return scene
 
     def traced(self, y: Any, h: Any, numbers: Sequence[Any], xp: Any) -> Any:
-        """Step with numbers that may not be looked at; nan, derivatives too, where there is no step of that structure."""
-        scene = self.scene.with_numbers(numbers)
-        if (
-            "kappa" not in scene.coefficients
-            or numbers[place := self.names.index("kappa")] is self.scene.kappa
-        ):
+        """Step with numbers that may not be looked at; nan, derivatives too, where there is no step of that kind."""
+        scene: Any = self.scene.with_numbers(numbers)
+        place = self.names.index("kappa") if "kappa" in scene.coefficients else None
+        if place is None or numbers[place] is self.scene.numbers()[place]:
             fits = self.fits(numbers)
             return self.advance(y, h, scene, xp, 0.0 if fits is True else xp.where(fits, 0.0, math.nan))
         general = scene._replaced(kappa_sign=None)
@@ -145,10 +143,10 @@ class OneStep:
 
         d = len(self.labels)
 
-        def advance(y: Any, h: Any, numbers: Any, xp: Any) -> Any:
+        def whole(y: Any, h: Any, numbers: Any, xp: Any) -> Any:
             return self.advance(y, h, self.scene.with_numbers(numbers), xp)
 
-        recorded = formula(advance, (d, 0, len(self.names), "xp"), ())
+        recorded = formula(whole, (d, 0, len(self.names), "xp"), ())
         names = argument_names(recorded.arguments, ())
         arguments = (Unpack(names[:d], "y"), Update((names[d],), ("h",)), Unpack(names[d + 1 :], "numbers"))
         own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"

@@ -24,13 +24,14 @@ from contactbench.solution import Counts, Status
 
 
 def taylor_system(
-    scene: Scene, carry: tuple[str, ...], heyoka: Any, units: np.ndarray
+    scene: Scene, carry: tuple[str, ...], heyoka: Any, units: list[float]
 ) -> list[tuple[Any, Any]]:
     """Return the equations, each component in a unit of its own: heyoka knows one scale for all, one or the largest."""
     names = scene.without_clock(scene.labels(carry))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
     variables = variables if isinstance(variables, list) else [variables]
-    given = [Series(v) if unit == 1 else Series(v) * unit for v, unit in zip(variables, units, strict=True)]
+    series: list[Any] = [Series(v) for v in variables]
+    given = [y if unit == 1 else y * unit for y, unit in zip(series, units, strict=True)]
     slopes = map(bare, scene.slopes(Series(heyoka.time), given, carry))
     expressions = (heyoka.expression(s) if isinstance(s, float) else s for s in slopes)
     own = (s if unit == 1 else s / unit for s, unit in zip(expressions, units, strict=True))

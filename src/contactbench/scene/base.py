@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -469,9 +470,9 @@ class Scene(System):
         """
         own = [getattr(self, name) for name in self.coefficients]
         ends = np.cumsum([0, *(len(leaves(value)) for value in own)]).tolist()
-        pairs = zip(self.coefficients, zip(ends, ends[1:], strict=False), strict=False)
+        parts = zip(self.coefficients, pairwise(ends), strict=True)
         zero = len(self.numbers())
-        return [(zero, i, True) for name, part in pairs if name in self.reciprocals for i in range(*part)]
+        return [(zero, i, True) for name, part in parts if name in self.reciprocals for i in range(*part)]
 
     def decided_by(self, numbers: Sequence[Any]) -> Self:
         """Return the scene with other numbers, arrays too, and what they decide; `BadInput` for any not allowed."""

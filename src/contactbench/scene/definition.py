@@ -1,5 +1,6 @@
 """Verification of a user's scene: its gradient is the potential's, its Hessian the gradient's, its damping's slope
-and flow and its rate's integrals are right, its symmetry is there.  A wrong one would be integrated without a word, the reference included.
+and flow and its rate's integrals are right, its symmetry is there.  A wrong one would be integrated without a word,
+the reference included.
 
 Derivatives are compared with differences near the initial data and along the motion, not with dual numbers, since a
 user's functions may be ones that these cannot pass through.

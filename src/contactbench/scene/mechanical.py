@@ -112,10 +112,9 @@ class Canonical(Scene):
 
     def sizes(self, x: State, end: float) -> tuple[np.ndarray, Any]:
         far, fast = reach(self, x, end)
-        momenta = self.pack(
-            State(x.q, tuple(fast / each for each in self.velocity(tuple(1.0 + 0 * c for c in x.p))))
-        )
-        momenta = np.array(np.broadcast_arrays(*momenta), dtype=float)[len(momenta) // 2 :]
+        masses = tuple(1 / each for each in self.velocity(tuple(1.0 + 0 * c for c in x.p)))
+        flat = self.pack(State(x.q, tuple(fast * mass for mass in masses)))
+        momenta = np.array(np.broadcast_arrays(*flat), dtype=float)[len(flat) // 2 :]
         places = np.broadcast_to(far, momenta.shape)
         return np.concatenate([places, momenta]), in_order(far) * in_order(momenta.max(axis=0))
 

@@ -1,4 +1,4 @@
-"""How large a motion becomes, from its start alone: what a divergence and an absolute tolerance are measured against."""
+"""How large a motion becomes, from its start alone: what divergence and absolute tolerances are measured against."""
 
 from __future__ import annotations
 

@@ -1,0 +1,351 @@
+"""Values of any scale: the truth of a motion in other units is that of the motion itself, and so is its ending."""
+
+import math
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from contactbench.methods.prepared import METHODS
+from contactbench.xla import jax, jnp
+
+T = 12.0
+#: in units of size one: V(q), gamma, q, p
+POTENTIALS = {
+    "oscillator": lambda q: q[0] * q[0] / 2,
+    "quartic": lambda q: q[0] * q[0] * (0.5 + q[0] * q[0] / 4),
+    "plane": lambda q: q[0] * q[0] / 2 + q[1] * q[1] + q[0] * q[0] * q[1] / 8,
+    "well": lambda q: (q[0] * q[0] - 1) * (q[0] * q[0] - 1) / 4,
+}
+STARTS = {
+    "oscillator": ((1.0,), (0.0,)),
+    "quartic": ((0.0,), (0.8,)),
+    "plane": ((0.9, -0.3), (0.2, 0.5)),
+    "well": ((1.5,), (-0.2,)),
+}
+#: how far, in parts of the motion, a method may be from the truth at its setting
+FIXED = {"rk4": 1e-4, "contact-rkn6": 1e-6, "contact-rkn8": 1e-5, "gauss4": 1e-4, "herglotz2": 0.1}
+ADAPTIVE = {
+    **dict.fromkeys(("scipy-dop853", "cvode-adams", "cvode-bdf", "cyrk-vern8", "cyrk-lsoda"), 1e-3),
+    **dict.fromkeys(("cyrk-radau", "contact-adaptive", "heyoka-taylor", "diffrax-tsit5"), 1e-3),
+    "scipy-radau": 1e-3,
+}
+
+
+def in_units(name, length, time, mass, gamma):
+    """A scene in units of a length, a time and a mass; a function of its own for each, as users write them."""
+    V, (q, p) = POTENTIALS[name], STARTS[name]
+    energy = mass * length**2 / time**2
+    return cb.Mechanical(
+        name=f"{name}-in-units",
+        potential=lambda q, length, energy: energy * V(tuple(c / length for c in q)),
+        parameters={"length": length, "energy": energy},
+        mass=mass,
+        gamma=gamma / time,
+        q=tuple(length * c for c in q),
+        p=tuple(mass * length / time * c for c in p),
+        t_end=T * time,
+    )
+
+
+def error(scene, end, name, gamma, length, time, mass):
+    true = cb.reference(in_units(name, 1.0, 1.0, 1.0, gamma), [T], carry=()).y[0]
+    units = np.repeat([length, mass * length / time], len(scene.q))
+    return float(np.linalg.norm(end / units - true) / np.linalg.norm(true))
+
+
+def surprises(name, gamma, length, time, mass, methods):
+    """What no method may do: be far off and `ok`, or diverge."""
+    scene, found = in_units(name, length, time, mass, gamma), []
+    for method in methods:
+        allowed = FIXED.get(method) or ADAPTIVE[method]
+        setting = {"step": 0.05 * time} if method in FIXED else {"rtol": 1e-8}
+        run = cb.solve(scene, method, save_at=[scene.t_end], carry=(), **setting)
+        if not run.ok:
+            found.append((method, str(run.status), run.message))
+            continue
+        off = error(scene, run.y[-1], name, gamma, length, time, mass)
+        if method == "contact-adaptive":  # which controls no error: it is that in units of size one
+            plain = in_units(name, 1.0, 1.0, 1.0, gamma)
+            end = cb.solve(plain, method, save_at=[T], carry=(), **setting).y[-1]
+            allowed = max(allowed, 1.5 * error(plain, end, name, gamma, 1.0, 1.0, 1.0))
+        if not off < allowed:
+            found.append((method, "off", off))
+    return found
+
+
+def drawn(count, seed=40):
+    rng = np.random.default_rng(seed)
+    names = [*POTENTIALS]
+    for _ in range(count):
+        length, time, mass = 10.0 ** rng.uniform(-12, 12, 3)
+        gamma = [0.0, 0.1, 10 ** rng.uniform(-12, 1)][rng.integers(3)]
+        yield names[rng.integers(len(names))], float(gamma), float(length), float(time), float(mass)
+
+
+QUICK = ("rk4", "contact-rkn6", "scipy-dop853", "cvode-adams", "cyrk-vern8", "heyoka-taylor")
+
+
+def test_no_scale_makes_a_wrong_ok_or_a_false_divergence():
+    for case in drawn(4):
+        assert not surprises(*case, QUICK), case
+
+
+@pytest.mark.slow
+def test_no_scale_of_two_hundred_makes_a_wrong_ok_or_a_false_divergence():
+    cases = [*drawn(200, seed=41)]
+    found = {case: bad for case in cases if (bad := surprises(*case, [*FIXED, *ADAPTIVE]))}
+    assert not found
+
+
+@pytest.mark.parametrize(("time", "length"), [(1e-9, 1.0), (1e7, 1e-12)])
+@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if not method.exact])
+@pytest.mark.quick(method="rk4")
+@pytest.mark.quick(method="contact-adaptive")
+@pytest.mark.quick(method="cyrk-dop853")
+def test_a_fast_motion_has_not_diverged(method, time, length):
+    scene, plain = (in_units("oscillator", *units, 1.0, 0.1) for units in ((length, time), (1.0, 1.0)))
+    adaptive = METHODS[method].adaptive
+    assert cb.solve(scene, method, **({"rtol": 1e-8} if adaptive else {"step": 0.05 * time})).ok
+    assert cb.prepare(plain, method, **({"rtol": 1e-8} if adaptive else {"step": 0.05}))(q=(1e9,)).ok
+
+
+@pytest.mark.parametrize("time", [1e-9, 1.0, 1e6])
+@pytest.mark.parametrize("method", ["rk4", "contact-strang", "herglotz2"])
+def test_a_blow_up_is_seen_at_any_scale(method, time):
+    scene = in_units("oscillator", 1e-9, time, 1.0, 0.0)
+    run = cb.solve(scene, method, step=4 * time, save_at=[2000 * time])
+    assert run.status == "diverged"
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax"])
+def test_members_of_an_ensemble_have_scales_of_their_own(engine):
+    scene = in_units("oscillator", 1.0, 1e-9, 1.0, 0.1)
+    start = {"q": (np.geomspace(1e-9, 1, 40),)}
+    assert cb.ensemble(scene, "rk4", start, step=5e-11, engine=engine).ok.all()
+    assert not cb.ensemble(scene, "rk4", start, step=4e-9, measure_at=[2e-5], engine=engine).ok.any()
+
+
+def test_a_fast_motion_is_no_failure_of_scipys_solver():
+    from scipy.integrate import solve_ivp
+
+    scene = in_units("oscillator", 1.0, 1e-9, 1.0, 0.1)
+    contact = cb.scipy.Contact("herglotz2", scene)
+    run = solve_ivp(contact.rhs, (0, scene.t_end), contact.start, method=contact, max_step=5e-11)
+    assert run.success
+    bad = solve_ivp(contact.rhs, (0, 2e-5), contact.start, method=contact, max_step=4e-9)
+    assert not bad.success
+
+
+def test_a_start_next_to_an_equilibrium_leads_away_from_it():
+    scene = cb.Mechanical(
+        name="saddle",
+        potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
+        gamma=0.1,
+        q=(1e-9,),
+        p=(0.0,),
+        t_end=40.0,
+    )
+    true = cb.reference(scene, [40.0]).y[-1]
+    for method, setting in (
+        ("rk4", {"step": 0.05}),
+        ("cvode-adams", {"rtol": 1e-9}),
+        ("heyoka-taylor", {"rtol": 1e-9}),
+    ):
+        assert np.abs(cb.solve(scene, method, **setting).y[-1] - true).max() < 1e-4
+
+
+# -- tolerances ------------------------------------------------------------------------------------------
+def test_the_default_atol_follows_the_motion_and_ones_own_does_not():
+    small = in_units("oscillator", 1e-12, 1.0, 1.0, 0.1)
+    request = cb.prepare(small, "cvode-adams", rtol=1e-8).request
+    assert np.all(request.atol <= 1e-20)
+    assert cb.prepare(small, "cvode-adams", rtol=1e-8, atol=1e-8).request.atol == 1e-8
+    for scene in ("oscillator", "particle", "kepler_drag", "stiff_spring", "rigid_body", "heavy_top"):
+        assert cb.prepare(scene, "scipy-dop853", rtol=1e-8).request.atol == 1e-8
+
+
+@pytest.mark.parametrize(
+    "method", ["scipy-radau", "cvode-bdf", "cyrk-lsoda", "heyoka-taylor", "diffrax-tsit5"]
+)
+def test_a_call_with_a_start_of_another_size_is_as_accurate(method):
+    run = cb.prepare(in_units("oscillator", 1.0, 1.0, 1.0, 0.1), method, rtol=1e-8, save_at=[T], carry=())
+    assert error(run.request.scene, run(q=(1e-12,)).y[-1], "oscillator", 0.1, 1e-12, 1.0, 1.0) < 1e-5
+
+
+@pytest.mark.parametrize("method", ["scipy-dop853", "cvode-adams", "cyrk-vern8", "heyoka-taylor"])
+def test_the_derivative_of_a_small_motion_is_that_of_a_large_one(method):
+    one, small = (
+        cb.solve(
+            in_units("quartic", length, 1.0, 1.0, 0.1), method, rtol=1e-9, save_at=[T], carry=()
+        ).sensitivity
+        for length in (1.0, 1e-9)
+    )
+    assert np.abs(one - small).max() < 1e-5
+
+
+# -- numbers that make another problem ----------------------------------------------------------------------
+Y = (0.7, 0.4, -0.3)
+
+
+def bent(kappa, gamma=0.1, **given):
+    return cb.Mechanical(
+        name="bent",
+        potential=POTENTIALS["quartic"],
+        gamma=gamma,
+        kappa=kappa,
+        **({"q": (0.7,), "p": (0.4,), "s": -0.3, "t_end": 5.0} | given),
+    )
+
+
+@pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6", "rk4", "discrete-gradient"])
+@pytest.mark.parametrize("own", [0.0, 0.3, -0.3])
+def test_a_step_map_takes_kappa_of_any_sign(method, own):
+    step = cb.step_map(bent(own), method)
+    for kappa in (0.0, 0.3, -0.3, 1e-9):
+        want = np.array(cb.step_map(bent(kappa), method)(Y, 0.2))
+        arrays = step(tuple(np.full(2, c) for c in Y), 0.2, kappa=np.full(2, kappa))
+        traced = jax.jit(lambda numbers: jnp.stack(step(Y, 0.2, numbers)))(jnp.array([0.1, kappa, 1.0]))
+        for found in (step(Y, 0.2, kappa=kappa), np.array(arrays)[:, 1], traced):
+            assert np.abs(np.array(found) - want).max() < 1e-14
+
+
+@pytest.mark.parametrize("method", ["contact-rkn6", "rk4"])
+@pytest.mark.parametrize(
+    ("name", "at"), [("kappa", 0.0), ("kappa", -0.3), ("gamma", 0.0), ("gamma", -0.2), ("mass", 2.0)]
+)
+def test_derivatives_by_numbers_are_right_at_zero_too(method, name, at):
+    step = cb.step_map(bent(0.0), method)
+
+    def central(h):
+        return (np.array(step(Y, 0.2, **{name: at + h})) - np.array(step(Y, 0.2, **{name: at - h}))) / (2 * h)
+
+    derivative = jax.jacfwd(lambda x: jnp.stack(step(Y, 0.2, **{name: x})))(at)
+    assert np.abs(derivative - (4 * central(5e-4) - central(1e-3)) / 3).max() < 1e-10
+
+
+def test_a_step_map_refuses_numbers_it_has_no_step_for():
+    import numba
+
+    step, plain = cb.step_map(bent(0.0), "contact-rkn6"), cb.step_map(bent(0.0), "contact-rkn6", carry=())
+    for call in (
+        lambda: step(Y, 0.2, mass=-1.0),
+        lambda: step(Y, 0.2, mass=0.0),
+        lambda: plain(Y[:2], 0.2, kappa=0.3),
+        lambda: step(tuple(np.full(2, c) for c in Y), 0.2, kappa=np.array([-0.1, 0.1])),
+        lambda: cb.step_map(bent(0.0), "herglotz2")(Y, 0.2, kappa=0.3),
+        lambda: numba.njit(lambda y, n: step(y, 0.2, n))(Y, (0.1, 0.3, 1.0)),
+        lambda: numba.njit(lambda y, n: step(y, 0.2, n))(Y, (0.1, 0.0, -1.0)),
+    ):
+        with pytest.raises(cb.BadInput) as found:
+            call()
+        assert "\n" not in str(found.value)
+    slopes = jax.grad(lambda numbers: plain(Y[:2], 0.2, numbers)[0])(jnp.array([0.0, 0.0, 1.0]))
+    assert np.isnan(slopes[1]) and np.isfinite(slopes[[0, 2]]).all()  # noqa: PT018
+
+
+def test_a_step_map_takes_moments_of_inertia_in_any_order():
+    body, step = cb.SCENES["rigid_body"], cb.step_map("rigid_body", "contact-strang")
+    inertia = (body.inertia[2], *body.inertia[:2])
+    want = cb.step_map(body.with_(inertia=inertia), "contact-strang")(step.start, 0.1)
+    assert step(step.start, 0.1, (*inertia, body.gamma)) == want
+
+
+def test_the_tangent_of_a_damping_of_ones_own_is_right_where_it_vanishes():
+    """At s = 0 the factor on p has a derivative by s of its own."""
+    scene = cb.GeneralDamping(
+        name="own",
+        potential=POTENTIALS["quartic"],
+        q=(0.5,),
+        p=(0.8,),
+        s=0.0,
+        t_end=1.0,
+        damping=lambda s: 0.3 * s + 0.4 * s * s,
+        damping_slope=lambda s: 0.3 + 0.8 * s,
+    )
+    run = cb.prepare(scene, "contact-strang", step=1.0, save_at=[1.0])
+
+    def central(h):
+        return (run(s=h).y[-1] - run(s=-h).y[-1]) / (2 * h)
+
+    assert np.abs(run().sensitivity[-1][:, 2] - (4 * central(5e-4) - central(1e-3)) / 3).max() < 1e-9
+
+
+# -- functions beside others ----------------------------------------------------------------------------------
+def driven(rate=0.1, phi=0.1, begin=0.0):
+    return cb.Driven(
+        name="driven",
+        potential=lambda q, t: q[0] * q[0] / 2,
+        rate=lambda t: 0.1 + 0 * t,
+        q=(1.0,),
+        p=(0.0,),
+        t_end=10.0,
+        span=lambda t, h, xp: (rate * h + begin, -xp.expm1(-phi * h) / phi),
+    )
+
+
+def damped(rate=0.1, begin=0.0):
+    return cb.GeneralDamping(
+        name="damped",
+        potential=POTENTIALS["oscillator"],
+        q=(1.0,),
+        p=(0.0,),
+        s=0.5,
+        t_end=10.0,
+        damping=lambda s: 0.1 * s,
+        damping_slope=lambda s: 0.1 + 0 * s,
+        damping_flow=lambda s, h, xp: s * xp.exp(-rate * h) + begin,
+    )
+
+
+class OwnJacobian(cb.Mechanical):
+    def jacobian(self, x):
+        rows = super().jacobian(x)
+        rows[1][0] *= 1.01
+        return rows
+
+
+@pytest.mark.parametrize(
+    ("scene", "says"),
+    [
+        (driven(rate=0.101), r"span .* G is 0.101 at t = 0, h = 0.01, its rate there 0.1$"),
+        (driven(phi=0.101), r"span .* φ is .* e\^{−G} there 0.999$"),
+        (driven(begin=1e-3), "span's G is 0.001 at t = 0, h = 0: must be 0$"),
+        (damped(rate=0.101), "damping_flow is not the damping's: its slope is"),
+        (damped(begin=1e-3), "damping_flow is .* h = 0: must be"),
+        (
+            OwnJacobian(
+                name="own",
+                potential=POTENTIALS["oscillator"],
+                q=(1.0,),
+                p=(0.3,),
+                t_end=5.0,
+                gradient=lambda q: (q[0],),
+                hessian=lambda q: ((1.0,),),
+            ),
+            r"jacobian is wrong: entry \(2, 1\) is",
+        ),
+    ],
+)
+def test_a_function_that_is_not_what_it_is_beside_is_refused(scene, says):
+    from contactbench.testing import check_scene
+
+    for call in (lambda: cb.solve(scene, "rk4", step=0.1), lambda: cb.reference(scene, [1.0])):
+        with pytest.raises(cb.BadInput, match=says):
+            call()
+    with pytest.raises(AssertionError):
+        check_scene(scene)
+
+
+def test_functions_that_fit_are_taken():
+    from contactbench.testing import check_scene
+
+    for scene in (driven(), damped()):
+        assert cb.solve(scene, "contact-strang", step=0.1).ok
+        check_scene(scene)
+
+
+def test_a_wrong_closed_form_of_many_sites_is_no_truth():
+    ring = cb.SCENES["linear_ring"]
+    late = ring.with_(exact=lambda scene, t, xp: ring.exact(scene, 1.01 * t, xp))
+    assert math.isclose(cb.reference(late, [1.0]).y[0, 0], cb.reference(ring, [1.0]).y[0, 0], rel_tol=1e-12)
