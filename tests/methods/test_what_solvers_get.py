@@ -244,3 +244,21 @@ def test_steps_of_contact_adaptive_on_an_oscillator(engine):
     scene = cb.SCENES["oscillator"].with_(gamma=0.0, t_end=20.0)
     counts = cb.solve(scene, "contact-adaptive", rtol=RTOL, engine=engine, save_at=[20.0], carry=()).counts
     assert counts.steps == int(20.0 * (1 + 20.0**-4) ** 0.25 / (3 * RTOL ** (1 / 6))) + 1
+
+
+def test_heyoka_steps_into_a_wall_at_a_low_order_only():
+    """As its module says: at order 12 the terms of e^{50(q − 1)} still rise; energy that damping has taken hides it."""
+    wall = cb.Mechanical(
+        name="wall",
+        potential=lambda q: cb.math.exp(50 * (q[0] - 1)),
+        gamma=0.1,
+        q=(0.0,),
+        p=(1.0,),
+        t_end=5.0,
+    )
+    true = cb.reference(wall, [5.0], ()).y
+    runs = [cb.solve(wall, "heyoka-taylor", rtol=rtol, save_at=[5.0], carry=()) for rtol in (1e-9, 1e-15)]
+    loose, tight = (np.abs(run.y - true).max() for run in runs)
+    assert all(run.ok for run in runs)
+    assert loose > 1e-4 > 1e-11 > tight
+    assert runs[0].laws().loc["solution_error", "deviation"] > 1e-4
