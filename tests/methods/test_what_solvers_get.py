@@ -246,3 +246,21 @@ def test_rejected_steps_are_attempts_that_were_no_steps(times, monkeypatch):
     )
     counts = cb.solve(cb.SCENES["kepler_drag"], "scipy-dop853", rtol=1e-6, save_at=times).counts
     assert counts.steps + counts.rejected == len(attempts)
+
+
+def test_heyoka_steps_into_a_wall_at_a_low_order_only():
+    """As its module says: at order 12 the terms of e^{50(q − 1)} still rise; energy that damping has taken hides it."""
+    wall = cb.Mechanical(
+        name="wall",
+        potential=lambda q: cb.math.exp(50 * (q[0] - 1)),
+        gamma=0.1,
+        q=(0.0,),
+        p=(1.0,),
+        t_end=5.0,
+    )
+    true = cb.reference(wall, [5.0], ()).y
+    runs = [cb.solve(wall, "heyoka-taylor", rtol=rtol, save_at=[5.0], carry=()) for rtol in (1e-9, 1e-15)]
+    loose, tight = (np.abs(run.y - true).max() for run in runs)
+    assert all(run.ok for run in runs)
+    assert loose > 1e-4 > 1e-11 > tight
+    assert runs[0].laws().loc["solution_error", "deviation"] > 1e-4

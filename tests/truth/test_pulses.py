@@ -87,8 +87,8 @@ def followed(scene, force, rate, places):
     y = [scene.q[0], scene.p[0]]
     for a, b in itertools.pairwise(bounds):
 
-        def slope(t, y, first=math.nextafter(a, b), last=math.nextafter(b, a)):
-            t = min(max(t, first), last)
+        def slope(t, y, a=a, b=b):  # within the piece, also where it ends
+            t = min(max(t, math.nextafter(a, b)), math.nextafter(b, a))
             return y[1], force(y[0], t) - rate(t) * y[1]
 
         near = [w for c, w, reach in places if c - reach <= (a + b) / 2 <= c + reach]

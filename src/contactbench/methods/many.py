@@ -309,7 +309,8 @@ class Sweeps(StepLoop):
             return None
 
         def vouched(y0: np.ndarray) -> np.ndarray | None:
-            found = loop.steps(self.scene, self.numbers, y0, *ready, True)
+            h, n = ready
+            found = loop.steps(self.scene, self.numbers, y0, h, n, True)
             y, start, end = np.split(found, [len(y0), len(y0) + SEEN], axis=1)
             with np.errstate(over="ignore"):
                 small, rises = end[:, 0] <= DIVERGENCE**2, end[-1, 1] > start[0, 1] + start[0, 2]
