@@ -126,8 +126,8 @@ def refuse(name: str, value: Any, wanted: str) -> NoReturn:
 
 def finite(name: str, value: Any) -> float:
     """`value` as a finite float, or `BadInput`: a real number, neither text nor an array."""
-    number = math.nan
-    if is_real(value):
+    number = value if type(value) is float else math.nan
+    if type(value) is not float and is_real(value):
         with suppress(TypeError, ValueError, OverflowError):
             number = float(value)
     return number if math.isfinite(number) else refuse(name, value, "a finite number")

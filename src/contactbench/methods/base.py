@@ -16,7 +16,7 @@ import numpy as np
 
 from contactbench.errors import BadInput, array, blame, excerpt, positive, text, whole
 from contactbench.methods.fixed_step_run import steps_in
-from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_slope
+from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_start
 from contactbench.methods.prescribed import end_times, steps_of, steps_until
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Mechanical, Scene, verify
@@ -169,7 +169,7 @@ def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
 
 # -- from a question to a prepared solver -------------------------------------------------------------------
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
-    chosen = method if isinstance(method, Method) else METHODS[method]
+    chosen = METHODS[method] if isinstance(method, str) or not isinstance(method, Method) else method
     text("method name", chosen.name)
     return scene_of(scene), chosen
 
@@ -283,9 +283,9 @@ def make_request(
         return Refused(chosen.name, request, why)
     if scene.has_users_functions:
         verify(scene)
-    require_slope(scene, start := scene.initial(request.carry))
+    require_start(scene, request.carry)
     if chosen.adaptive and atol is None and (chosen.takes_atol or chosen.own_time):
-        request = request.to_scale(start, chosen.takes_atol)
+        request = request.to_scale(scene.initial(request.carry), chosen.takes_atol)
     chosen.try_step(scene, request.carry, step)
     return request
 
@@ -336,8 +336,8 @@ def setting_of(
         raise BadInput(why)
     if step is None:
         return None, tolerance(method, rtol), None
-    prescribed = np.iterable(step) and not isinstance(step, str | bytes)
-    return steps_of(step) if prescribed else positive("step", step), None, None
+    plain = isinstance(step, float | int | str | bytes) or not np.iterable(step)
+    return positive("step", step) if plain else steps_of(step), None, None
 
 
 def tolerance(method: Method, rtol: Any) -> float:
@@ -356,7 +356,8 @@ def default_times(scene: Scene, step: float | np.ndarray | None, budget: int) ->
     if n > budget:  # will end as `budget`; no grid of that size is needed
         return np.array([scene.t_end])
     stride = -(-n // min(DEFAULT_SAVES, most))
-    marks = np.append(np.arange(0, n, stride), n)
+    marks = np.arange(0, n + stride, stride)
+    marks[-1] = n
     if isinstance(step, np.ndarray):
         return np.concatenate([[0.0], end_times(step)[marks[1:-1] - 1], [scene.t_end]])
     return marks * (scene.t_end / n)

@@ -37,7 +37,8 @@ class FixedStepRun(Prepared):
         breaks = [time for time, _ in self.breaks if 0 < time < self._end]
         #: where intervals of equal steps end, at least
         self.ends = np.union1d(self.later, breaks) if breaks else self.later
-        self.marks = np.diff(self.ends, prepend=0.0)
+        self.marks = self.ends.copy()
+        self.marks[1:] -= self.ends[:-1]
         self.first_step = self.method_.counts(r.scene, 1, r.carry)
         self.each_step = self.method_.per_step(r.scene, r.carry)
         self.kind = self.method_.kind_on(r.scene)

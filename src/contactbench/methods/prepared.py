@@ -15,7 +15,7 @@ import numpy as np
 
 from contactbench.errors import BadInput, Registry, blame, excerpt, finite, is_ours, vector
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene, norm
+from contactbench.scene import Cache, Scene, key, norm
 from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
 
 #: name → method, each a `base.Method`
@@ -397,6 +397,21 @@ def require_slope(scene: Scene, start: Any) -> None:
         raise BadInput(
             f"initial data: the right-hand side of scene {scene.name!r} is not finite there: {excerpt(start)}"
         )
+
+
+_started: Cache[bool] = Cache(1024)
+
+
+def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
+    """Raise as `require_slope` does of the scene's own start, once for each."""
+
+    def passes() -> bool:
+        require_slope(scene, scene.initial(carry))
+        return True
+
+    data = [getattr(scene, name) for name in scene.initial_fields]
+    known = None if scene.by_sites else key(scene.identity, carry, *scene.numbers(), *data)
+    _started.get(known, passes)
 
 
 def stopwatch() -> Any:

@@ -151,7 +151,7 @@ class System(ABC):
     def labels(self, carry: Sequence[str]) -> list[str]:
         """Return the component names of the packed state, in order."""
 
-    @property
+    @cached_property
     def motion(self) -> int:
         """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
         return len(self.without_clock(self.labels(())))
@@ -300,7 +300,7 @@ class System(ABC):
     def _replaced(self, **attributes: Any) -> Self:
         twin = object.__new__(type(self))
         twin.__dict__.update(self.__dict__ | attributes)
-        for derived in ("identity", "has_users_functions"):
+        for derived in ("identity", "has_users_functions", "motion"):
             twin.__dict__.pop(derived, None)
         return twin
 

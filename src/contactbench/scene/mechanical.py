@@ -392,6 +392,8 @@ class Mechanical(Canonical):
 
     def recorded(self) -> Self:
         """Return the scene recorded, with a gradient and a Hessian derived where they are left out."""
+        if self.gradient is not None and not self.has_users_functions:
+            return self
         scene = super().recorded()
         if scene.gradient is None:
             sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
