@@ -41,6 +41,9 @@ def report(arguments: argparse.Namespace) -> int:
     if not list(results.glob("*.csv")):
         raise BadInput(f"--results {results}: no tables there; run the benchmark first (tox -e bench)")
     if arguments.check:
+        beside = results.resolve().parent / "README.md"
+        if readme is None and write.computed_part(beside) is not None:
+            readme = beside
         found = write.differing(results, readme, registries)
         print("\n".join(found) or "Documents, figures and tables agree.")
         return 1 if found else 0
@@ -136,7 +139,7 @@ def add(command: Command) -> None:
     one.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
     one.add_argument("--png", action="store_true", help="save the figures as .png too")
     one.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
-    about = "write nothing; name each file that is not what the tables give, exit status 1 if there is one"
+    about = "write nothing; name each file that is not what the tables give, a README.md beside them too: exit 1 then"
     one.add_argument("--check", action="store_true", help=about)
 
     one = command("bench", bench, "measure: the tables of your own methods and scenes, or all of them", BENCH)
