@@ -31,6 +31,7 @@ from contactbench.gate import revisions
 from contactbench.gate.compare import INCONCLUSIVE, Findings, rows_of
 from contactbench.measure.statistics import PairedRatio, paired_ratio
 from contactbench.methods import METHODS
+from contactbench.scenes import SCENES
 from contactbench.solution import setting_key
 
 LIMIT = 1.25
@@ -45,7 +46,7 @@ HEAD, BASE, PINNED = "tree", "base", "pinned"
 type Pair = tuple[str, int]
 
 #: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
-SCENES = ("particle", "particle_long", "rigid_body")
+MAIN = ("particle", "particle_long", "rigid_body")
 #: the methods that are timed on every other scene too
 EVERYWHERE = ("contact-rkn6", "rk4", "heyoka-taylor")
 #: the scene of the runs with many saved times, and how many those are
@@ -81,19 +82,17 @@ class Cell:
 #: a short run, of so many steps: what a call takes beside them
 SHORT, STEPS = "particle", 12
 #: what a user calls, on standard scenes; references on those where they take little: in closed form, and live
-PUBLIC = [
-    Cell(SHORT, value=scenes.SCENES[SHORT].t_end / STEPS, call=call) for call in ("run()", "run(q=…)", "bare")
-]
+PUBLIC = [Cell(SHORT, value=SCENES[SHORT].t_end / STEPS, call=call) for call in ("run()", "run(q=…)", "bare")]
 PUBLIC += [Cell("linear_ring", "contact-strang", call="run()")]
 PUBLIC += [Cell("particle", call=call) for call in ("solve", "new scene", "ensemble", "import")]
 PUBLIC += [Cell(scene, call="reference") for scene in ("oscillator", "saddle_edge")]
 
 
 def workload(work: pd.DataFrame) -> list[Cell]:
-    """Return every method and engine on `SCENES`, a few elsewhere or with many saved times, and the public calls."""
+    """Return every method and engine on `MAIN`, a few elsewhere or with many saved times, and the public calls."""
     cells = []
     for cell in every(work):
-        if cell.scene in SCENES or cell.method in EVERYWHERE:
+        if cell.scene in MAIN or cell.method in EVERYWHERE:
             cells.append(cell)
         known = METHODS.get(cell.method)
         if cell.scene == MANY_ON and known is not None and cell.engine == known.engines[0]:
