@@ -167,7 +167,7 @@ def compare(
     """
     both = before.merge(after, how="left", on=list(table.key), suffixes=("", " after"), indicator="side")
     gone, both = both[both["side"] == "left_only"], both[both["side"] == "both"]
-    if len(before) and both.empty and not only:
+    if len(before) and after.empty and not only:
         row = {"table": table.name, "measure": "table", "before": f"{len(before)} rows", "after": "none"}
         return rows_of(row | {"result": "missing"})
     missing = locate(table, gone[:0] if only else gone)

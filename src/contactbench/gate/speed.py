@@ -38,6 +38,8 @@ LIMIT = 1.25
 ROUNDS = 15
 #: rounds a cell gets at most, as long as it is undecided
 MOST_ROUNDS = 60
+#: how much of a message that says why a cell is not timed
+WORDS = 80
 #: shares of the time: what compilation may take, and what is kept for the second look
 COMPILING, SECOND_LOOK = 0.6, 0.25
 
@@ -122,16 +124,17 @@ def judge_speed(
 ) -> Findings:
     start = perf_counter()
     ends = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
-    # time may end early: other cells first in every change, of each kind one in front
+    # time may end early: other cells first in every change; the calls in front, and one of each method
     cells = random.Random(revisions.commit(root, "HEAD")).sample(cells, len(cells))
     kinds = pd.Series([cell.kind for cell in cells])
-    cells = [cells[i] for i in kinds.groupby(kinds).cumcount().argsort(kind="stable")]
+    turns = kinds.groupby(kinds).cumcount()
+    cells = [cells[i] for i in sorted(turns.index, key=lambda i: (cells[i] not in PUBLIC, turns[i]))]
     pairs = {(BASE, i) for i in range(len(cells))}
     with ExitStack() as stack:
         trees, incomplete = {HEAD: root, BASE: tree}, []
         if pin and (commit := revisions.commit(root, pin)):
             trees[PINNED] = stack.enter_context(revisions.checkout(root, commit))
-            pairs |= {(PINNED, i) for i, cell in enumerate(cells) if cell.call != "prepared"}
+            pairs |= {(PINNED, i) for i, cell in enumerate(cells) if cell in PUBLIC}
         elif pin:
             incomplete = [f"the pinned revision {pin[:12]} is not in this clone; git fetch origin {pin}"]
         first, refused = time_pairs(trees, cells, pairs, ends[0], root)
@@ -155,7 +158,8 @@ def judge_speed(
         texts.append(f"speed to the pinned {pin[:12]}: {', '.join(calls)}")
     elif PINNED in trees:
         incomplete.append(f"no call timed beside the pinned {pin[:12]}")
-    notes = tuple(f"{count} cells not timed: {why}" for why, count in Counter(refused.values()).items())
+    reasons = Counter(f"not timed on the {side}: {why[:WORDS]}" for (side, _), why in refused.items())
+    notes = tuple(f"{count} cells {why}" for why, count in reasons.items())
     return Findings(rows_of(*rows), tuple(texts), notes, (*too_few(cells, timed[BASE]), *incomplete))
 
 
