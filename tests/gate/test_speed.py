@@ -196,6 +196,7 @@ def test_a_cell_one_side_cannot_run_is_refused_and_a_broken_tree_is_not_compared
 #: at the end of the package's own module: what every public call does beside its work
 DELAYS = """
 import time
+from contactbench.ensembles import ensemble
 
 def late(function, seconds):
     def other(*given, **more):
