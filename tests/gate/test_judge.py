@@ -109,7 +109,7 @@ ATTACKS = {
     "one that no run makes": (
         append("work_precision", profile="full", solution_error=1e-14),
         same,
-        "tree: row",
+        "base → tree: row",
     ),
     "a scene renamed": (edited("laws.csv", "particle,", "particel,"), same, "base → tree: row"),
 }
@@ -155,7 +155,7 @@ def test_what_is_listed_must_be_what_the_code_makes(root, tmp_path):
     commit(root, "Laws\n\nTables-changed: all")
     assert red(run_gate(root, tmp_path / "a")) == {"rows"}  # the code still makes them
     assert not run_gate(root, tmp_path / "b", without_rk4).red
-    assert "tree → fresh: solution_error" in red(run_gate(root, tmp_path / "c", broken))
+    assert "base → fresh: solution_error" in red(run_gate(root, tmp_path / "c", broken))
 
 
 def test_a_table_on_the_command_line_is_listed_too_and_must_be_one(root, tmp_path):
@@ -200,7 +200,7 @@ def test_a_row_that_no_run_makes_is_named_even_where_it_is_listed(root, tmp_path
     found = run_gate(root, tmp_path, changed=["work_precision"])
     assert found.status == 0
     assert found.moved[["between", "setting", "result"]].to_numpy().tolist() == [
-        ["tree", "step=0.123", "new, made by no fresh run, listed"]
+        ["base → tree", "step=0.123", "new, made by no fresh run, listed"]
     ]
 
 

@@ -67,7 +67,8 @@ def bench(arguments: argparse.Namespace) -> int:
     if arguments.k:
         options += ["-k", arguments.k]
     root, results = benchmark.folder(), arguments.results
-    parts = (benchmark.UNTIMED,) if arguments.untimed else (benchmark.UNTIMED, benchmark.TIMED)
+    timed = (*benchmark.TIMED, "--report")
+    parts = (benchmark.UNTIMED,) if arguments.untimed else (benchmark.UNTIMED, timed)
     return max(benchmark.start(root, results, [*options, *part]) for part in parts)
 
 
@@ -106,11 +107,11 @@ GATE = """examples:
   contactbench gate --only accuracy --fresh /tmp/results-of-a-run
   contactbench gate --only speed --base origin/main
 
-Accuracy: a fresh smoke run of the benchmark (about two minutes), and the tables of the working tree, against
-the tables of another revision.  Speed: the working tree against another revision, in turns on one core (a few
+Accuracy: a fresh smoke run of the benchmark (two to three minutes), the tables of the working tree and those of
+another revision.  Speed: the working tree against another revision, in turns on one core (a few
 minutes).  The gate of that revision judges, by its own rules.  Prints one table of what moved.  A change that
 means to change tables names them, in a line "Tables-changed: laws, claims" of a commit's message or with
---tables-changed.
+--tables-changed; one that takes tests out, in a line "Tests-removed: tests/gate".
 Exit status: 0 green, cells that stay open named; 1 red; 2 inconclusive as a whole, or could not run."""
 BASE = "revision to compare with (default: where the main branch was left, on it HEAD's parent)"
 BASELINE = "compare --fresh with this folder of tables instead, outside any repository"

@@ -186,13 +186,14 @@ def compare(
         part = locate(table, rows).assign(measure=name, before=old, after=new, result="moved", distance=moved)
         parts.append(part)
     found = pd.concat([part for part in parts if len(part)] or parts[:1])
-    return worst(found).drop(columns="distance").sort_index()
+    return worst(found)
 
 
 def worst(found: pd.DataFrame) -> pd.DataFrame:
     where = ["table", "scene", "method", "engine", "measure"]
     found["rows"] = found.groupby(where)["measure"].transform("size")
-    return found.sort_values("distance", ascending=False, kind="stable").drop_duplicates(where)
+    found = found.sort_values("distance", ascending=False, kind="stable").drop_duplicates(where)
+    return found.drop(columns="distance").sort_index()
 
 
 def compare_times(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> pd.DataFrame:
@@ -230,9 +231,13 @@ def keys(table: Table, rows: pd.DataFrame) -> pd.MultiIndex:
     return pd.MultiIndex.from_frame(rows[list(table.key)])
 
 
-def compare_folders(baseline: Path, fresh: Path) -> Findings:
-    before, now = ({name: read(table, side) for name, table in TABLES.items()} for side in (baseline, fresh))
-    return compare_fresh(before, now, Runs.of(baseline, fresh), str(baseline))
+def between(which: str, *parts: pd.DataFrame, listed: bool | None = None) -> Findings:
+    """Return what moved between two; listed : whether the change is meant, None where that is no excuse."""
+    moved = sum(map(Findings, parts), Findings()).moved.assign(between=which)
+    if listed is not None:
+        moved["result"] += ", listed" if listed else ", not listed"
+        moved["red"] = not listed
+    return Findings(moved)
 
 
 @dataclass(frozen=True)
@@ -245,7 +250,7 @@ class Runs:
     @classmethod
     def of(cls, before: Path, fresh: Path) -> Runs:
         made = benchmark_runs(fresh)
-        machines = {machine(run) for run in (*benchmark_runs(before), *made)}
+        machines = {machine(run) for run in (*provenance.runs(before), *made)}
         profile = max((run["profile"] for run in made), key=PROFILES.index)
         return cls(profile, len(machines) == 1 and "" not in machines)
 
@@ -255,21 +260,25 @@ class Runs:
         return rows[~rows["profile"].isin(larger) | keys(table, rows).isin(keys(table, now))]
 
 
+def compare_folders(baseline: Path, fresh: Path) -> Findings:
+    before, now = ({name: read(table, side) for name, table in TABLES.items()} for side in (baseline, fresh))
+    return compare_fresh(before, now, Runs.of(baseline, fresh), str(baseline))
+
+
 def compare_fresh(before: Frames, now: Frames, runs: Runs, name: str) -> Findings:
     """Compare a fresh run with the rows of a baseline that it has to make."""
     expected = {each: runs.expected(table, before[each], now[each]) for each, table in TABLES.items()}
     count = sum(map(len, expected.values()))
     if not count:
         raise BadInput(f"{name}: no row that a run of profile {runs.profile!r} makes")
-    parts = [compare(table, expected[n], now[n], runs.alike) for n, table in TABLES.items()]
-    moved = [Findings(part.assign(between="base → fresh")) for part in parts]
+    moved = (compare(table, expected[n], now[n], runs.alike) for n, table in TABLES.items())
     new = sum(int((~keys(t, now[n]).isin(keys(t, before[n]))).sum()) for n, t in TABLES.items())
     counts = "exactly" if runs.alike else "within a tenth: other processor or libraries"
-    compared = (
+    texts = (
         f"accuracy: {count} rows of a {runs.profile} run compared with {name}, {new} have no baseline yet",
         f"counts of adaptive methods compared {counts}",
     )
-    return sum(moved, Findings(compared=compared))
+    return between("base → fresh", *moved) + Findings(compared=texts)
 
 
 def benchmark_runs(results: Path) -> list[dict[str, Any]]:

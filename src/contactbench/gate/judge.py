@@ -28,6 +28,7 @@ from contactbench.gate.compare import (
     Findings,
     Frames,
     Runs,
+    between,
     compare,
     compare_fresh,
     compare_times,
@@ -125,14 +126,16 @@ def changed_tables(messages: str, option: Iterable[str], results: Path) -> set[s
 
 
 def run_benchmark(root: Path, results: Path) -> Findings:
-    """Run the smoke profile untimed, of a checkout or the installed cells of what is theirs; red if one fails."""
-    ours, options = revisions.ours(root), ["--profile", "smoke", "--untimed", "-n", "auto"]
+    """Run the smoke profile of a checkout, or the installed cells of what is theirs; red if one fails."""
+    ours, options = revisions.ours(root), ["--profile", "smoke"]
     where, variables = (root if ours else benchmark.folder()), revisions.environment(root)
     if not ours:
         options.append("--own")
     # what it prints is no part of the gate's own output
-    status = benchmark.start(where, results, options, variables, cwd=root, stdout=sys.stderr)
-    return Findings(rows_of(*[row("benchmark run", "passed", "failed", "failed")] * status))
+    given: dict[str, Any] = {"cwd": root, "stdout": sys.stderr}
+    parts = (benchmark.UNTIMED, benchmark.TIMED)
+    failed = max(benchmark.start(where, results, [*options, *part], variables, **given) for part in parts)
+    return Findings(rows_of(*[row("benchmark run", "passed", "failed", "failed")] * failed))
 
 
 def row(measure: str, before: str, after: str, result: str, **where: Any) -> Row:
@@ -142,41 +145,31 @@ def row(measure: str, before: str, after: str, result: str, **where: Any) -> Row
 def judge_tables(root: Path, results: Path, old: Path, fresh: Path, changed: set[str], base: str) -> Findings:
     (before, rows), (head, more), (now, _) = (readable(side, changed) for side in (old, results, fresh))
     rows += more + check_record(results, head) + check_record(fresh, now) + check_commit(root, fresh)
-    runs, found = Runs.of(old, fresh), Findings()
+    found, reference, runs = Findings(), {}, Runs.of(results, fresh)
     for name, table in TABLES.items():
-        one, tree, made = before[name], head[name], now[name]
-        moved = [
-            between(part, "base → tree")
-            for part in (compare(table, one, tree), compare_times(table, one, tree))
-        ]
-        moved.append(between(unmade(table, runs, one, tree, made), "tree"))
-        listed = name in changed
-        parts = [
-            part.assign(result=part["result"] + (", listed" if listed else ", not listed")) for part in moved
-        ]
-        found += sum((Findings(part.assign(red=not listed)) for part in parts), Findings())
-        edited = tree[~rules_of(table, tree).isin(rules_of(table, one))]
-        moved = [
-            compare(table, runs.expected(table, edited, made), made, runs.alike),
-            compare_times(table, tree, made),
-        ]
-        found += sum((Findings(between(part, "tree → fresh")) for part in moved), Findings())
+        listed, one, tree, made = name in changed, before[name], head[name], now[name]
+        edited = ~compared(table, tree).isin(compared(table, one))
+        reference[name] = tree[~edited] if listed else one
+        moved = (
+            compare(table, one, tree),
+            compare_times(table, one, tree),
+            unmade(table, runs, one, tree, made),
+        )
+        found += between("base → tree", *moved, listed=listed)
+        again = compare(table, runs.expected(table, tree[edited], made), made, runs.alike)
+        found += between("tree → fresh", again, compare_times(table, tree, made))
         if len(tree) or revisions.ours(root):  # of another project's tables some may not be wanted
             rows += check_rows(table, one, tree, made)
     found += Findings(rows_of(*rows)) + compare_oldest(root, results, base, changed, head, now)
-    reference = {name: head[name] if name in changed else before[name] for name in TABLES}
-    return found + compare_fresh(reference, now, runs, "the base")
+    return found + compare_fresh(reference, now, Runs.of(old, fresh), "the base")
 
 
-def between(moved: pd.DataFrame, which: str) -> pd.DataFrame:
-    return moved.assign(between=which)
-
-
-def rules_of(table: Table, rows: pd.DataFrame) -> pd.Series:
-    """Return a number for each row that changes with whatever of it is compared."""
-    names = [name for name in table.every_column if name in table.key or name in table.rules]
-    names = [name for name in names if name not in table.timed]
-    return pd.util.hash_pandas_object(rows[names].astype(str), index=False)
+def compared(table: Table, rows: pd.DataFrame) -> pd.Series:
+    """Return a number for each row that changes with whatever of it is compared, its times apart."""
+    names = [name for name in table.every_column if name in (*table.key, *table.rules)]
+    return pd.util.hash_pandas_object(
+        rows[names].drop(columns=table.timed, errors="ignore").astype(str), index=False
+    )
 
 
 def unmade(
@@ -186,7 +179,7 @@ def unmade(
     new = head[~keys(table, head).isin(keys(table, before))]
     new = new.drop(index=runs.expected(table, new, fresh).index)
     found = locate(table, new).assign(measure="row", before="none", after="present", distance=0.0)
-    return worst(found.assign(result="new, made by no fresh run")).drop(columns="distance")
+    return worst(found.assign(result="new, made by no fresh run"))
 
 
 #: how many revisions of the tables errors are held to; those of a table that was listed since are left out
@@ -209,8 +202,9 @@ def compare_oldest(
                 with suppress(OldTable):
                     oldest = read(table, tree / where)
                     for side, rows in (("tree", head[name]), ("fresh", now[name])):
-                        moved = compare(table, oldest, rows, only=ERRORS)
-                        found += Findings(between(moved, f"{revision[:12]} → {side}"))
+                        found += between(
+                            f"{revision[:12]} → {side}", compare(table, oldest, rows, only=ERRORS)
+                        )
         wanted -= held.keys()
     return found
 
