@@ -12,9 +12,9 @@ import contactbench as cb
 from bench_claims import LONG
 from bench_decay import COSTS, SAVES, evaluations, value_at
 from bench_ensemble import prepared_row, truth
-from bench_work_precision import error, errors, evaluations_spread, passes_through
+from bench_work_precision import error, errors, evaluations_spread, ladder, passes_through
 from cases import REPOSITORY, bench, few_slow, finished
-from cells import DEAR, step_at, tolerance_at
+from cells import DEAR, SMOKE, step_at, tolerance_at
 from clock import SAMPLE, Entry, Timetable
 from conftest import PROFILES
 from contactbench.claims import CLAIMS
@@ -40,6 +40,13 @@ class Scripted:
         self.order.append(self.name)
         t = next(self.times)
         return Visit([2 * t, t, 3 * t], [t / 2] * 3)
+
+
+def test_the_smoke_profile_has_every_adaptive_method_at_its_tightest_tolerance():
+    cells = {(scene, name, value) for scene, name, _, _, value in ladder(PROFILES["smoke"])}
+    adaptive = {(SMOKE, name, method.rtol_range[0]) for name, method in cb.METHODS.items() if method.adaptive}
+    assert len(adaptive) > 10
+    assert adaptive <= cells
 
 
 def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_last():

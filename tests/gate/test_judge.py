@@ -7,6 +7,7 @@ from functools import partial
 
 import pytest
 
+import made_up
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import judge, revisions
@@ -36,7 +37,12 @@ def run_gate(root, tmp_path, change=same, changed=(), **more):
 
 
 def red(found):
-    return {*found.moved["measure"][found.moved["red"]]}
+    """What is red: the measure, of which two."""
+    moved = found.moved[found.moved["red"].astype(bool)]
+    return {
+        f"{which}: {measure}".removeprefix(": ")
+        for which, measure in moved[["between", "measure"]].to_numpy()
+    }
 
 
 def edit(path, old, new):
@@ -77,19 +83,35 @@ def write(root, path, text=""):
     (root / path).write_text(text)
 
 
+def append(name, **values):
+    """A row more in a table of the tree."""
+    row = {**ROWS[name][0], "value": 0.123, "setting": "step=0.123", **values}
+    return lambda root: merge(TABLES[name], [row], root / "results")
+
+
 RECORD, STUB = "results/environment.json", json.dumps({"runs": [{"profile": "smoke"}]})
 
 
 #: what is done to the tree, and to the fresh run beside it; and what must give it away
 ATTACKS = {
-    "a table removed": (lambda root: (root / "results/laws.csv").unlink(), same, "committed table"),
-    "profiles raised": (edited("laws.csv", ",smoke\n", ",full\n"), same, "committed profile"),
-    "profiles blanked": (edited("laws.csv", ",smoke\n", ",\n"), same, "committed profile"),
-    "the same row dropped on both sides": (remake(without_rk4), without_rk4, "committed row"),
-    "both sides set to one broken value": (remake(broken), broken, "solution_error"),
+    "a table removed": (lambda root: (root / "results/laws.csv").unlink(), same, "base → tree: table"),
+    "profiles raised": (edited("laws.csv", ",smoke\n", ",full\n"), same, "base → tree: profile"),
+    "profiles blanked": (edited("laws.csv", ",smoke\n", ",\n"), same, "base → tree: profile"),
+    "the same row dropped on both sides": (remake(without_rk4), without_rk4, "base → tree: row"),
+    "both sides set to one broken value": (remake(broken), broken, "base → fresh: solution_error"),
     "the record of the runs a stub": (partial(write, path=RECORD, text=STUB), same, "record of the runs"),
     "the record of the runs removed": (lambda root: (root / RECORD).unlink(), same, "record of the runs"),
-    "a scene renamed": (edited("laws.csv", "particle,", "particel,"), same, "committed table"),
+    "a row invented": (
+        append("work_precision", solution_error=1e-14, evaluations=10),
+        same,
+        "tree → fresh: row",
+    ),
+    "one that no run makes": (
+        append("work_precision", profile="full", solution_error=1e-14),
+        same,
+        "base → tree: row",
+    ),
+    "a scene renamed": (edited("laws.csv", "particle,", "particel,"), same, "base → tree: row"),
 }
 
 
@@ -115,16 +137,16 @@ def test_a_change_of_tables_is_red_unless_it_is_listed_and_then_a_reviewer_sees_
 
     remake(change)(root)
     commit(root, "Without cvode-adams")
-    assert {"committed row", "committed solution_error"} <= red(run_gate(root, tmp_path / "a", change))
+    assert {"base → tree: row", "base → tree: solution_error"} <= red(run_gate(root, tmp_path / "a", change))
     git(root, "commit", "-q", "--allow-empty", "-m", "More\n\nTables-changed: laws,\n")
     git(root, "commit", "-q", "--allow-empty", "-m", "And more\n\ntables-changed: work_precision")
     found = run_gate(root, tmp_path / "b", change)
     assert found.status == 0
-    listed = found.moved[["table", "method", "measure", "result"]].to_numpy().tolist()
+    listed = found.moved[["between", "table", "method", "measure", "result"]].to_numpy().tolist()
     assert sorted(listed) == [
-        ["laws", "cvode-adams", "committed row", "missing, listed"],
-        ["laws", "rk4", "committed solution_error", "moved, listed"],
-        ["work_precision", "cvode-adams", "committed row", "missing, listed"],
+        ["base → tree", "laws", "cvode-adams", "row", "missing, listed"],
+        ["base → tree", "laws", "rk4", "solution_error", "moved, listed"],
+        ["base → tree", "work_precision", "cvode-adams", "row", "missing, listed"],
     ]
 
 
@@ -133,7 +155,7 @@ def test_what_is_listed_must_be_what_the_code_makes(root, tmp_path):
     commit(root, "Laws\n\nTables-changed: all")
     assert red(run_gate(root, tmp_path / "a")) == {"rows"}  # the code still makes them
     assert not run_gate(root, tmp_path / "b", without_rk4).red
-    assert "solution_error" in red(run_gate(root, tmp_path / "c", broken))
+    assert "base → fresh: solution_error" in red(run_gate(root, tmp_path / "c", broken))
 
 
 def test_a_table_on_the_command_line_is_listed_too_and_must_be_one(root, tmp_path):
@@ -173,6 +195,97 @@ def test_tables_of_another_version_are_red_unless_listed(root, tmp_path):
     assert not run_gate(root, tmp_path / "b", changed=["laws"]).red
 
 
+def test_a_row_that_no_run_makes_is_named_even_where_it_is_listed(root, tmp_path):
+    append("work_precision", profile="full", solution_error=1e-14)(root)
+    found = run_gate(root, tmp_path, changed=["work_precision"])
+    assert found.status == 0
+    assert found.moved[["between", "setting", "result"]].to_numpy().tolist() == [
+        ["base → tree", "step=0.123", "new, made by no fresh run, listed"]
+    ]
+
+
+def test_times_are_held_to_a_fresh_run_by_their_ratios(root, tmp_path):
+    """Made three times as fast by another machine; one method's times by hand ten times as fast."""
+
+    def timed(path, **factors):
+        rows = [
+            made_up.row(name, f"step={2.0**-k}", time_min_s=factors.get(name, 1) * 2.0**k / 1e6)
+            for name in ("rk4", "contact-rkn6", "contact-bm4")
+            for k in range(3)
+        ]
+        merge(TABLES["work_precision"], rows, path)
+
+    git(root, "switch", "-q", "main")
+    timed(root / "results")
+    commit(root, "times")
+    git(root, "switch", "-q", "-C", "change")
+    run = fresh(root, tmp_path / "fresh")
+    timed(run, **dict.fromkeys(("rk4", "contact-rkn6", "contact-bm4"), 1 / 3))
+
+    def judged(*changed):
+        commit(root, "harmless")
+        record = {**made_up.RUN, "commit": git(root, "rev-parse", "HEAD")}
+        (run / "environment.json").write_text(json.dumps({"runs": [record]}))
+        return judge.gate(root, fresh=run, parts=("accuracy",), changed=changed)
+
+    assert not judged().moved["measure"].isin(["time_min_s"]).any()
+    timed(root / "results", rk4=0.1)
+    assert {"base → tree: time_min_s", "tree → fresh: time_min_s"} <= red(judged())
+    found = judged("work_precision")
+    assert "tree → fresh: time_min_s" in red(found)
+    assert {*found.moved["method"][found.moved["measure"] == "time_min_s"]} == {"rk4"}
+
+
+def test_errors_are_held_to_older_revisions_of_the_tables(root, tmp_path):
+    """Twice a factor that is allowed once, by two commits; not where the first of them was listed."""
+
+    def grown(power):
+        return lambda which, row: {**row, "solution_error": 1.95**power * row["solution_error"]}
+
+    def changed(power):
+        return lambda which, row: grown(power)(which, row) if "solution_error" in row else row
+
+    for power, message in enumerate(("harmless", "harmless too"), 1):
+        remake(changed(power))(root)
+        commit(root, message)
+        run = fresh(root, tmp_path / message, changed(power))
+        found = judge.gate(root, fresh=run, base="HEAD~1", parts=("accuracy",))
+        assert {one.partition(" → ")[2] for one in red(found)} == (
+            set() if power == 1 else {"tree: solution_error", "fresh: solution_error"}
+        )
+    git(root, "reset", "-q", "--soft", "HEAD~2")
+    commit(root, "More\n\nTables-changed: laws, convergence, work_precision")
+    remake(changed(3))(root)
+    commit(root, "harmless")
+    run = fresh(root, tmp_path / "again", changed(3))
+    assert not judge.gate(root, fresh=run, base="HEAD~1", parts=("accuracy",)).red
+
+
+@pytest.mark.parametrize(
+    ("left", "messages", "expected"),
+    [
+        ({"test_a.py": "abc"}, "", []),
+        ({"new/test_b.py": "cab"}, "", []),  # moved
+        ({"test_a.py": "ab"}, "", [False]),  # a few are gone
+        ({"test_a.py": "a"}, "", [True]),
+        ({}, "", [True]),
+        ({}, "Without\n\nTests-removed: tests/test_a.py", [False]),
+        ({}, "Without\n\nTests-removed: tests", [False]),
+        ({}, "Without\n\nTests-removed: tests/gate", [True]),
+    ],
+)
+def test_deleted_tests_are_red_unless_listed(left, messages, expected, tmp_path):
+    def write_tests(tree, files):
+        for name, letters in files.items():
+            path = tree / "tests" / name
+            path.parent.mkdir(parents=True)
+            path.write_text("".join(f"def test_{each}(): ...\n" for each in letters))
+        return tree
+
+    trees = write_tests(tmp_path / "base", {"test_a.py": "abc"}), write_tests(tmp_path / "tree", left)
+    assert [row["red"] for row in judge.check_tests(*trees, messages)] == expected
+
+
 # -- the base --------------------------------------------------------------------------------------
 def test_the_base_is_where_the_main_branch_was_left_or_what_is_asked_for(root, tmp_path):
     """A change on the main branch since is none of ours."""
@@ -183,6 +296,15 @@ def test_the_base_is_where_the_main_branch_was_left_or_what_is_asked_for(root, t
     assert not run_gate(root, tmp_path / "a").red
     run = fresh(root, tmp_path / "b")
     assert judge.gate(root, fresh=run, base="main", parts=("accuracy",)).red
+
+
+def test_the_pinned_revision_is_that_of_the_base(root):
+    assert revisions.pinned(root, "HEAD") == ""
+    (root / ".gate-base").write_text("abc  # first\n")
+    assert revisions.pinned(root, "HEAD") == "abc"  # no other yet
+    commit(root, "pin")
+    (root / ".gate-base").write_text("def\n")
+    assert revisions.pinned(commit(root, "move it"), "HEAD~1") == "abc"
 
 
 WHERE = {
@@ -199,7 +321,7 @@ def test_a_commit_on_the_main_branch_is_compared_with_its_parent(where, tmp_path
     commit(root, "harmless")
     for arguments in WHERE[where]:
         git(root, *arguments)
-    assert "committed solution_error" in red(run_gate(root, tmp_path, thousandfold))
+    assert "base → tree: solution_error" in red(run_gate(root, tmp_path, thousandfold))
 
 
 def test_a_clone_without_the_base_is_inconclusive(tmp_path):
@@ -238,8 +360,9 @@ def test_rules_made_laxer_in_the_tree_that_is_judged_turn_nothing_green(tmp_path
         [*command, "--fresh", run], cwd=root, env=revisions.environment(root), capture_output=True, text=True
     )
     assert done.returncode == 1, done.stderr
-    found = {line["measure"] for line in json.loads(done.stdout)["lines"] if line["red"]}
-    assert {"committed solution_error", "solution_error"} <= found
+    lines = [line for line in json.loads(done.stdout)["lines"] if line["red"]]
+    found = {line["between"] for line in lines if line["measure"] == "solution_error"}
+    assert {"base → tree", "base → fresh"} <= found
 
 
 # -- the command line ------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """The gate's speed part: which calls, in which order, what is red, what is not decided."""
 
 from contextlib import contextmanager
+from operator import itemgetter
 
 import numpy as np
 import pandas as pd
@@ -78,7 +79,7 @@ def test_slower_takes_two_intervals_above_the_limit(first, again, result):
 def clocked(monkeypatch, tmp_path):
     """Time cells of two trees by ``clock(tree's name, cell, readings so far)``; return the readings' order too."""
 
-    def compare(clock, count, until=None):
+    def compare(clock, count, until=None, sides=("base",)):
         order = []
 
         @contextmanager
@@ -94,15 +95,17 @@ def clocked(monkeypatch, tmp_path):
             yield asked.append, receive
 
         monkeypatch.setattr(speed, "timing_process", scripted)
-        trees = [tmp_path / name for name in ("base", "head")]
-        return speed.time_pairs(trees, dict.fromkeys(range(count), CELL), until)[0], order
+        trees = {side: tmp_path / side for side in ("tree", *sides)}
+        pairs = {(side, i) for side in sides for i in range(count)}
+        ratios = speed.time_pairs(trees, [CELL] * count, pairs, until)[0]
+        return ratios if len(sides) > 1 else {i: ratio for (_, i), ratio in ratios.items()}, order
 
     return compare
 
 
 def test_turns_are_shuffled_and_paired(clocked):
     """Timed in turns by a clock that drifts: the ratio does not see the drift."""
-    factor = {"base": 1.0, "head": 1.5}
+    factor = {"base": 1.0, "tree": 1.5}
     ratios, order = clocked(lambda name, cell, k: factor[name] * (1 + cell) * np.exp(k / 50), 4)
     assert [ratio.ratio for ratio in ratios.values()] == pytest.approx([1.5] * 4, rel=0.03)
     assert {ratio.rounds for ratio in ratios.values()} == {ROUNDS}
@@ -111,10 +114,23 @@ def test_turns_are_shuffled_and_paired(clocked):
     assert [cell for _, cell in order[:8:2]] != [cell for _, cell in order[8:16:2]]
 
 
+def test_a_pinned_revision_sees_the_drift_that_each_parent_did_not(clocked):
+    """Three in a round, right after one another; each pair has its own interval, and its own end of the rounds."""
+    factor = {"pinned": 1.0, "base": 1.2, "tree": 1.4}
+    clock = lambda name, cell, k: factor[name] * np.exp(k / 50)  # noqa: E731
+    ratios, order = clocked(clock, 2, sides=("base", "pinned"))
+    assert {side: ratios[side, 1].ratio for side in ("base", "pinned")} == pytest.approx(
+        {"base": 1.4 / 1.2, "pinned": 1.4}, rel=0.03
+    )
+    rounds = [order[i : i + 3] for i in range(0, 90, 3)]
+    assert {len({*map(itemgetter(1), one)}) for one in rounds} == {1}
+    assert len({tuple(map(itemgetter(0), one)) for one in rounds}) == 6
+
+
 def test_what_is_undecided_gets_more_rounds(clocked):
     """Of three cells with a noisy clock only the one near the limit."""
     noise = np.random.default_rng(1).normal(size=10_000)
-    factor = {"base": [1.0] * 3, "head": [1.0, 1.02 * LIMIT, 2.0]}
+    factor = {"base": [1.0] * 3, "tree": [1.0, 1.02 * LIMIT, 2.0]}
     ratios, _ = clocked(lambda name, cell, k: factor[name][cell] * np.exp(0.1 * noise[k]), 3)
     assert [ratios[i].rounds for i in range(3)] == [ROUNDS, MOST_ROUNDS, ROUNDS]
 
@@ -138,10 +154,10 @@ def copy(tmp_path_factory):
     return project(tmp_path_factory.mktemp("copy").resolve())
 
 
-def judge(copy, cells):
-    """The red rows of the tree beside its own commit."""
+def judge(copy, cells, base=None, pin=""):
+    """The red rows of the tree beside its own commit, or another tree."""
     with revisions.checkout(copy, "HEAD") as tree:
-        moved = speed.judge_speed(copy, tree, cells).moved
+        moved = speed.judge_speed(copy, base or tree, cells, pin=pin).moved
     return moved[moved["red"]]
 
 
@@ -167,41 +183,56 @@ def test_the_same_code_is_not_slower_and_half_as_much_again_is(copy, tmp_path, m
 
 
 def test_a_cell_one_side_cannot_run_is_refused_and_a_broken_tree_is_not_compared(copy, tmp_path):
-    ratios, refused = speed.time_pairs([copy] * 2, {0: CELL, 1: Cell("particle", "no-such-method")})
-    assert set(ratios) == {0}
-    assert refused[1].startswith("UnknownName")
+    pairs, cells = {("base", 0), ("base", 1)}, [CELL, Cell("particle", "no-such-method")]
+    ratios, refused = speed.time_pairs({"tree": copy, "base": copy}, cells, pairs)
+    assert set(ratios) == {("base", 0)}
+    assert refused["tree", 1].startswith("UnknownName")
     (tmp_path / "src" / "contactbench").mkdir(parents=True)
     (tmp_path / "src" / "contactbench" / "__init__.py").write_text("raise RuntimeError('broken')")
     with pytest.raises(BadInput, match="timing process ended: RuntimeError: broken"):
-        speed.time_pairs([copy, tmp_path], {0: CELL})
+        speed.time_pairs({"tree": copy, "base": tmp_path}, cells, pairs)
 
 
 #: at the end of the package's own module: what every public call does beside its work
 DELAYS = """
 import time
 from contactbench.ensembles import ensemble
-from contactbench.methods.prepared import Prepared
 
-def late(function, seconds, when=""):
+def late(function, seconds):
     def other(*given, **more):
-        if when in {"", *more}:
-            time.sleep(seconds)
+        time.sleep(seconds)
         return function(*given, **more)
     return other
 
+class Late:
+    def __init__(self, *given, run=prepare, **more):
+        run = run(*given, **more)
+        self.start, self.run, self.bare = run.start, late(run, 0.002), late(run.bare, 0.002)
+
+    def __call__(self, **more):
+        return self.run(**more)
+
 time.sleep(1)
-solve, ensemble, reference = late(solve, 0.2), late(ensemble, 0.5), late(reference, 0.2)
-Prepared.__call__ = late(Prepared.__call__, 0.002, "q")
+solve, ensemble, reference, prepare = late(solve, 0.2), late(ensemble, 0.5), late(reference, 0.2), Late
 """
-QUICK = ("solve", "run(q=…)")
+QUICK = ("solve", "run()", "run(q=…)", "bare")
 
 
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_delay_of_every_public_call_is_found(quick, copy, monkeypatch):
-    """All of them planted in the sources of the head."""
+    """All of them planted in the sources of the head; what is quick beside a pinned revision, as slow as its parent."""
     monkeypatch.setattr(speed, "ROUNDS", 7)
     cells = [cell for cell in PUBLIC if (cell.call in QUICK) is quick]
     with patched(copy / "src/contactbench/__init__.py", "load_installed()\n", "load_installed()\n" + DELAYS):
-        found = judge(copy, cells)
+        found = judge(copy, cells, copy if quick else None, "HEAD" if quick else "")
     expected = {(cell.scene, cell.setting) for cell in cells}
     assert {*zip(found["scene"], found["setting"], strict=True)} == expected
+    assert {*found["between"]} == {"pinned → tree" if quick else "base → tree"}
+
+
+def test_a_clone_without_the_pinned_revision_is_inconclusive(copy, monkeypatch):
+    monkeypatch.setattr(speed, "time_pairs", lambda *_: ({("base", 0): PASS}, {}))
+    assert speed.judge_speed(copy, copy, [CELL]).status == 0
+    found = speed.judge_speed(copy, copy, [CELL], pin="f" * 40)
+    assert found.status == 2
+    assert "pinned revision ffffffffffff is not in this clone" in found.incomplete[0]

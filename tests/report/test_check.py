@@ -5,7 +5,9 @@ import shutil
 
 import pytest
 
+from cases import REPOSITORY
 from contactbench.cli import main
+from contactbench.gate import judge
 from contactbench.report.write import README_PART
 from contactbench.results.store import merge
 from contactbench.results.tables import CONVERGENCE, LAWS_TABLE
@@ -40,8 +42,7 @@ def results(whole, tmp_path):
 def checked(results, capsys):
     """Exit status and lines of a check."""
     capsys.readouterr()
-    readme = str(results.parent / "README.md")
-    status = main(["report", "--check", "--results", str(results), "--readme", readme])
+    status = main(["report", "--check", "--results", str(results)])
     return status, capsys.readouterr().out.splitlines()
 
 
@@ -50,6 +51,17 @@ def test_what_was_just_written_agrees(results, capsys):
     text = (results.parent / "README.md").read_text()
     assert (text[:7], text[-6:], "old" in text) == ("before\n", "after\n", False)
     assert "| Do the methods have the order they claim?" in text
+
+
+def test_the_gate_sees_a_number_of_the_readme_that_the_tables_do_not_give(results):
+    root = results.parent
+    (root / "src").symlink_to(REPOSITORY / "src")
+    assert judge.check_report(root, results) == []
+    text = (root / "README.md").read_text()
+    assert "2 of 2" in text
+    (root / "README.md").write_text(text.replace("2 of 2", "3 of 2"))
+    (found,) = judge.check_report(root, results)
+    assert "README.md: not what the tables say" in found["after"]
 
 
 HARM = {

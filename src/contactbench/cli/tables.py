@@ -40,6 +40,9 @@ def report(arguments: argparse.Namespace) -> int:
     if not list(results.glob("*.csv")):
         raise BadInput(f"--results {results}: no tables there; run the benchmark first (tox -e bench)")
     if arguments.check:
+        beside = results.resolve().parent / "README.md"
+        if readme is None and write.computed_part(beside) is not None:
+            readme = beside
         found = write.differing(results, readme, registries)
         print("\n".join(found) or "Documents, figures and tables agree.")
         return 1 if found else 0
@@ -63,7 +66,8 @@ def bench(arguments: argparse.Namespace) -> int:
     if arguments.k:
         options += ["-k", arguments.k]
     root, results = benchmark.folder(), arguments.results
-    parts = (benchmark.UNTIMED,) if arguments.untimed else (benchmark.UNTIMED, benchmark.TIMED)
+    timed = (*benchmark.TIMED, "--report")
+    parts = (benchmark.UNTIMED,) if arguments.untimed else (benchmark.UNTIMED, timed)
     return max(benchmark.start(root, results, [*options, *part]) for part in parts)
 
 
@@ -102,11 +106,11 @@ GATE = """examples:
   contactbench gate --only accuracy --fresh /tmp/results-of-a-run
   contactbench gate --only speed --base origin/main
 
-Accuracy: a fresh smoke run of the benchmark (about two minutes), and the tables of the working tree, against
-the tables of another revision.  Speed: the working tree against another revision, in turns on one core (a few
+Accuracy: a fresh smoke run of the benchmark (two to three minutes), the tables of the working tree and those of
+another revision.  Speed: the working tree against another revision, in turns on one core (a few
 minutes).  The gate of that revision judges, by its own rules.  Prints one table of what moved.  A change that
 means to change tables names them, in a line "Tables-changed: laws, claims" of a commit's message or with
---tables-changed.
+--tables-changed; one that takes tests out, in a line "Tests-removed: tests/gate".
 Exit status: 0 green, cells that stay open named; 1 red; 2 inconclusive as a whole, or could not run."""
 BASE = "revision to compare with (default: where the main branch was left, on it HEAD's parent)"
 BASELINE = "compare --fresh with this folder of tables instead, outside any repository"
@@ -135,7 +139,7 @@ def add(command: Command) -> None:
     one.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
     one.add_argument("--png", action="store_true", help="save the figures as .png too")
     one.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
-    about = "write nothing; name each file that is not what the tables give, exit status 1 if there is one"
+    about = "write nothing; name each file that is not what the tables give, a README.md beside them too: exit 1 then"
     one.add_argument("--check", action="store_true", help=about)
 
     one = command("bench", bench, "measure: the tables of your own methods and scenes, or all of them", BENCH)

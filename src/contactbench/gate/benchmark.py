@@ -16,7 +16,7 @@ from contactbench.errors import BadInput
 NEEDED = ("pytest", "xdist", "pytest_benchmark")
 #: first everything that is measured without a clock, on all cores; then what is timed, alone
 UNTIMED = ("-m", "not timed", "-n", "auto", "--dist", "worksteal", "-p", "no:benchmark")
-TIMED = ("-m", "timed", "--resume", "--report", "--benchmark-quiet")
+TIMED = ("-m", "timed", "--resume", "--benchmark-quiet")
 
 
 def folder() -> Path:

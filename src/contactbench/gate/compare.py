@@ -1,14 +1,14 @@
 """What moved between two folders of tables, by the rule of each column, as one table.
 
 Which rows a fresh run must have, the rows before say themselves (column `profile`), so that one that is no longer
-made is noticed.  A new table is gated by its rules.
+made is noticed.  A new table is gated by its rules.  Times are compared by their ratios within a table.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,12 +25,14 @@ from contactbench.results.store import read
 #: packages that solve nothing: runs may differ in them and be of one machine
 IDLE_PACKAGES = ("contactbench", "pandas", "matplotlib", "pytest-benchmark")
 #: what a row of the findings has where nothing else is given; rows : of how many values it is the worst
-BLANK: dict[str, Any] = dict.fromkeys(("table", "scene", "method", "engine", "setting", "measure"), "")
+#: between : which two were compared
+BLANK: dict[str, Any] = dict.fromkeys(
+    ("between", "table", "scene", "method", "engine", "setting", "measure"), ""
+)
 BLANK |= {"before": "", "after": "", "result": "", "red": True, "rows": 1}
 INCONCLUSIVE = "inconclusive"
 
 Frames = Mapping[str, pd.DataFrame]
-Runs = list[dict[str, Any]]
 
 
 def rows_of(*rows: dict[str, Any]) -> pd.DataFrame:
@@ -88,6 +90,9 @@ SLOPE, VALUE = 0.05, 0.01
 SHARE = 0.1
 #: what a claim measures is round-off up to this share of its bound
 OF_BOUND = 1e-3
+#: by what factor the times of a method may move against those of its table: the median of so many rows, and of fewer;
+#: a table with fewer pairs than `PAIRS` is not judged
+TIMES, ROWS, TIMES_OF_FEW, PAIRS = 2.0, 3, 4.0, 8
 
 
 def factor(before: np.ndarray, after: np.ndarray, floor: np.ndarray) -> np.ndarray:
@@ -153,20 +158,26 @@ def distance(rule: Rule, before: pd.Series, after: pd.Series, rows: pd.DataFrame
     return np.nan_to_num(moved, nan=math.inf, posinf=math.inf)
 
 
-def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False) -> pd.DataFrame:
-    """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene."""
+def compare(
+    table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False, only: Collection[Rule] = ()
+) -> pd.DataFrame:
+    """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene.
+
+    only : the rules of the columns to compare, missing rows left out; all of both where none is given.
+    """
     both = before.merge(after, how="left", on=list(table.key), suffixes=("", " after"), indicator="side")
     gone, both = both[both["side"] == "left_only"], both[both["side"] == "both"]
-    if len(before) and both.empty:
+    if len(before) and after.empty and not only:
         row = {"table": table.name, "measure": "table", "before": f"{len(before)} rows", "after": "none"}
         return rows_of(row | {"result": "missing"})
-    missing = locate(table, gone).assign(measure="row", before="present", after="none", result="missing")
+    missing = locate(table, gone[:0] if only else gone)
+    missing = missing.assign(measure="row", before="present", after="none", result="missing")
     parts = [missing.assign(distance=math.inf)]
     same_end = (both["status"] == both["status after"]).to_numpy() if "status" in table.columns else True
     blank = both.isna() | (both == "")
     for name, rule in table.rules.items():
-        if name in table.key or blank[name].all():  # the baseline does not have it: it is new
-            continue
+        if rule is Rule.time or (only and rule not in only) or name in table.key or blank[name].all():
+            continue  # a column that the baseline does not have is new
         moved = distance(rule, both[name], both[f"{name} after"], both, alike)
         if name not in ("status", "profile"):  # the numbers of a run that ended otherwise say nothing more
             moved = np.where(same_end, moved, 0.0)
@@ -175,10 +186,32 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool
         part = locate(table, rows).assign(measure=name, before=old, after=new, result="moved", distance=moved)
         parts.append(part)
     found = pd.concat([part for part in parts if len(part)] or parts[:1])
+    return worst(found)
+
+
+def worst(found: pd.DataFrame) -> pd.DataFrame:
     where = ["table", "scene", "method", "engine", "measure"]
     found["rows"] = found.groupby(where)["measure"].transform("size")
-    worst = found.sort_values("distance", ascending=False, kind="stable").drop_duplicates(where)
-    return worst.drop(columns="distance").sort_index()
+    found = found.sort_values("distance", ascending=False, kind="stable").drop_duplicates(where)
+    return found.drop(columns="distance").sort_index()
+
+
+def compare_times(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> pd.DataFrame:
+    """Return the methods whose times moved against those of the other methods of a table."""
+    both, found = before.merge(after, on=list(table.key), suffixes=("", " after")), []
+    for name in [name for name, rule in table.rules.items() if rule is Rule.time]:
+        pairs = [both[column].to_numpy(dtype=float, na_value=math.nan) for column in (name, f"{name} after")]
+        old, new = (np.where(times > 0, times, math.nan) for times in pairs)
+        moved = pd.Series(np.log(new / old), both.index).dropna()
+        if len(moved) < PAIRS:
+            continue
+        where = [both.loc[moved.index, key] for key in ("method", "engine")]
+        ratios = (moved - moved.median()).groupby(where).agg(["median", "size"])
+        limit = np.log(np.where(ratios["size"] >= ROWS, TIMES, TIMES_OF_FEW))
+        for (method, engine), (ratio, count) in ratios[ratios["median"].abs() > limit].iterrows():
+            row = {"table": table.name, "method": method, "engine": engine, "measure": name, "before": "×1"}
+            found.append(row | {"after": f"×{math.exp(ratio):.2f}", "result": "moved", "rows": int(count)})
+    return rows_of(*found)
 
 
 def locate(table: Table, rows: pd.DataFrame) -> pd.DataFrame:
@@ -198,34 +231,57 @@ def keys(table: Table, rows: pd.DataFrame) -> pd.MultiIndex:
     return pd.MultiIndex.from_frame(rows[list(table.key)])
 
 
+def between(which: str, *parts: pd.DataFrame, listed: bool | None = None) -> Findings:
+    """Return what moved between two; listed : whether the change is meant, None where that is no excuse."""
+    moved = sum(map(Findings, parts), Findings()).moved.assign(between=which)
+    if listed is not None:
+        moved["result"] += ", listed" if listed else ", not listed"
+        moved["red"] = not listed
+    return Findings(moved)
+
+
+@dataclass(frozen=True)
+class Runs:
+    """What two folders of tables were made by: the profile of the second, and whether both are of one machine."""
+
+    profile: str
+    alike: bool
+
+    @classmethod
+    def of(cls, before: Path, fresh: Path) -> Runs:
+        made = benchmark_runs(fresh)
+        machines = {machine(run) for run in (*provenance.runs(before), *made)}
+        profile = max((run["profile"] for run in made), key=PROFILES.index)
+        return cls(profile, len(machines) == 1 and "" not in machines)
+
+    def expected(self, table: Table, rows: pd.DataFrame, now: pd.DataFrame) -> pd.DataFrame:
+        """Return the rows that a run has to make: those of its profile, or of none, and those it did make."""
+        larger = PROFILES[PROFILES.index(self.profile) + 1 :]
+        return rows[~rows["profile"].isin(larger) | keys(table, rows).isin(keys(table, now))]
+
+
 def compare_folders(baseline: Path, fresh: Path) -> Findings:
     before, now = ({name: read(table, side) for name, table in TABLES.items()} for side in (baseline, fresh))
-    return compare_tables(before, benchmark_runs(baseline), now, benchmark_runs(fresh), str(baseline))
+    return compare_fresh(before, now, Runs.of(baseline, fresh), str(baseline))
 
 
-def compare_tables(before: Frames, made_before: Runs, now: Frames, made_now: Runs, name: str) -> Findings:
-    rank = max(PROFILES.index(run["profile"]) for run in made_now)
-    larger = PROFILES[rank + 1 :]
-    # a row that does not say which profile makes it is expected of every one
-    expected = {table: rows[~rows["profile"].isin(larger)] for table, rows in before.items()}
+def compare_fresh(before: Frames, now: Frames, runs: Runs, name: str) -> Findings:
+    """Compare a fresh run with the rows of a baseline that it has to make."""
+    expected = {each: runs.expected(table, before[each], now[each]) for each, table in TABLES.items()}
     count = sum(map(len, expected.values()))
     if not count:
-        raise BadInput(f"{name}: no row that a run of profile {PROFILES[rank]!r} makes")
-    machines = {machine(run) for run in (*made_before, *made_now)}
-    alike = len(machines) == 1 and "" not in machines
-    moved, new = [], 0
-    for each, table in TABLES.items():
-        moved.append(Findings(compare(table, expected[each], now[each], alike)))
-        new += int((~keys(table, now[each]).isin(keys(table, before[each]))).sum())
-    counts = "exactly" if alike else "within a tenth: other processor or libraries"
-    compared = (
-        f"accuracy: {count} rows of a {PROFILES[rank]} run compared with {name}, {new} have no baseline yet",
+        raise BadInput(f"{name}: no row that a run of profile {runs.profile!r} makes")
+    moved = (compare(table, expected[n], now[n], runs.alike) for n, table in TABLES.items())
+    new = sum(int((~keys(t, now[n]).isin(keys(t, before[n]))).sum()) for n, t in TABLES.items())
+    counts = "exactly" if runs.alike else "within a tenth: other processor or libraries"
+    texts = (
+        f"accuracy: {count} rows of a {runs.profile} run compared with {name}, {new} have no baseline yet",
         f"counts of adaptive methods compared {counts}",
     )
-    return sum(moved, Findings(compared=compared))
+    return between("base → fresh", *moved) + Findings(compared=texts)
 
 
-def benchmark_runs(results: Path) -> Runs:
+def benchmark_runs(results: Path) -> list[dict[str, Any]]:
     found = [run for run in provenance.runs(results) if run["profile"] in PROFILES]
     if not found:
         raise BadInput(f"{results / 'environment.json'}: missing; the folder holds no finished benchmark run")

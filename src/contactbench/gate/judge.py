@@ -3,7 +3,8 @@
 A fresh run and the tables of the tree are compared with the tables of the base revision, read through git, so that no
 edit of the tree that is judged can move its own goal.  A change that means to change tables names them in the message
 of one of its commits, ``Tables-changed: laws, convergence``, or by ``--tables-changed``; ``all`` names every table.
-Those are judged by what the tree has, and what became of them is listed for a reviewer.
+Those are judged by what the tree has, and what became of them is listed for a reviewer.  So are tests that are taken
+out, by ``Tests-removed: tests/gate``.
 """
 
 from __future__ import annotations
@@ -13,22 +14,39 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
+from contextlib import suppress
+from pathlib import Path, PurePath
 from typing import Any
 
 import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.gate import benchmark, revisions, speed
-from contactbench.gate.compare import Findings, Frames, benchmark_runs, compare, compare_tables, keys, rows_of
+from contactbench.gate.compare import (
+    Findings,
+    Frames,
+    Runs,
+    between,
+    compare,
+    compare_fresh,
+    compare_times,
+    keys,
+    locate,
+    rows_of,
+    worst,
+)
 from contactbench.plugins import brought
+from contactbench.report.write import computed_part
 from contactbench.results import provenance
-from contactbench.results.schema import TABLES, Table
+from contactbench.results.schema import TABLES, Rule, Table
 from contactbench.results.store import OldTable, read
 
 PARTS = ("accuracy", "speed")
 TRAILER = re.compile(r"^Tables-changed:(.*)$", re.MULTILINE | re.IGNORECASE)
+REMOVED = re.compile(r"^Tests-removed:(.*)$", re.MULTILINE | re.IGNORECASE)
+DEFINED = re.compile(r"^ *(?:async )?def (test_\w+)", re.MULTILINE)
 ALL = "all"
 Row = dict[str, Any]
 
@@ -84,18 +102,23 @@ def gate(
                 found += run_benchmark(root, fresh)
             messages = revisions.git(root, "log", "--format=%B", f"{base}..HEAD")
             named = changed_tables(messages, changed, root / results)
-            found += judge_tables(root, root / results, old, fresh, named)
+            found += judge_tables(root, root / results, old, fresh, named, base)
+            found += Findings(rows_of(*check_tests(tree, root, messages), *check_report(root, results)))
         if "speed" in parts:
             timed = read(TABLES["work_precision"], old)
             cells = speed.workload(timed) if revisions.ours(root) else speed.every(timed)
             if not cells:
                 raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {results}/")
-            found += speed.judge_speed(root, tree, cells, budget)
+            found += speed.judge_speed(root, tree, cells, budget, revisions.pinned(root, base))
     return found
 
 
+def names_in(trailer: re.Pattern[str], messages: str, option: Iterable[str] = ()) -> set[str]:
+    return {name for part in (*trailer.findall(messages), *option) for name in re.findall(r"[^\s,]+", part)}
+
+
 def changed_tables(messages: str, option: Iterable[str], results: Path) -> set[str]:
-    named = {name for part in (*TRAILER.findall(messages), *option) for name in re.findall(r"[^\s,]+", part)}
+    named = names_in(TRAILER, messages, option)
     unknown = sorted(named - {ALL, *TABLES} - {path.stem for path in results.glob("*.csv")})
     if unknown:
         raise BadInput(f"tables changed: {', '.join(unknown)}: no such table; {', '.join(TABLES)} or {ALL}")
@@ -103,35 +126,87 @@ def changed_tables(messages: str, option: Iterable[str], results: Path) -> set[s
 
 
 def run_benchmark(root: Path, results: Path) -> Findings:
-    """Run the smoke profile untimed, of a checkout or the installed cells of what is theirs; red if one fails."""
-    ours, options = revisions.ours(root), ["--profile", "smoke", "--untimed", "-n", "auto"]
+    """Run the smoke profile of a checkout, or the installed cells of what is theirs; red if one fails."""
+    ours, options = revisions.ours(root), ["--profile", "smoke"]
     where, variables = (root if ours else benchmark.folder()), revisions.environment(root)
     if not ours:
         options.append("--own")
     # what it prints is no part of the gate's own output
-    status = benchmark.start(where, results, options, variables, cwd=root, stdout=sys.stderr)
-    return Findings(rows_of(*[row("benchmark run", "passed", "failed", "failed")] * status))
+    given: dict[str, Any] = {"cwd": root, "stdout": sys.stderr}
+    parts = (benchmark.UNTIMED, benchmark.TIMED)
+    failed = max(benchmark.start(where, results, [*options, *part], variables, **given) for part in parts)
+    return Findings(rows_of(*[row("benchmark run", "passed", "failed", "failed")] * failed))
 
 
 def row(measure: str, before: str, after: str, result: str, **where: Any) -> Row:
     return {"measure": measure, "before": before, "after": after, "result": result, **where}
 
 
-def judge_tables(root: Path, results: Path, old: Path, fresh: Path, changed: set[str]) -> Findings:
+def judge_tables(root: Path, results: Path, old: Path, fresh: Path, changed: set[str], base: str) -> Findings:
     (before, rows), (head, more), (now, _) = (readable(side, changed) for side in (old, results, fresh))
     rows += more + check_record(results, head) + check_record(fresh, now) + check_commit(root, fresh)
-    found = Findings()
+    found, reference, runs = Findings(), {}, Runs.of(results, fresh)
     for name, table in TABLES.items():
-        listed = name in changed
-        moved = compare(table, before[name], head[name])
-        result = moved["result"] + (", listed" if listed else ", not listed")
-        moved = moved.assign(measure="committed " + moved["measure"], result=result, red=not listed)
-        found += Findings(moved)
-        if len(head[name]) or revisions.ours(root):  # of another project's tables some may not be wanted
-            rows += check_rows(table, before[name], head[name], now[name])
-    reference = {name: head[name] if name in changed else before[name] for name in TABLES}
-    compared = compare_tables(reference, benchmark_runs(old), now, benchmark_runs(fresh), "the base")
-    return found + Findings(rows_of(*rows)) + compared
+        listed, one, tree, made = name in changed, before[name], head[name], now[name]
+        edited = ~compared(table, tree).isin(compared(table, one))
+        reference[name] = tree[~edited] if listed else one
+        moved = (
+            compare(table, one, tree),
+            compare_times(table, one, tree),
+            unmade(table, runs, one, tree, made),
+        )
+        found += between("base → tree", *moved, listed=listed)
+        again = compare(table, runs.expected(table, tree[edited], made), made, runs.alike)
+        found += between("tree → fresh", again, compare_times(table, tree, made))
+        if len(tree) or revisions.ours(root):  # of another project's tables some may not be wanted
+            rows += check_rows(table, one, tree, made)
+    found += Findings(rows_of(*rows)) + compare_oldest(root, results, base, changed, head, now)
+    return found + compare_fresh(reference, now, Runs.of(old, fresh), "the base")
+
+
+def compared(table: Table, rows: pd.DataFrame) -> pd.Series:
+    """Return a number for each row that changes with whatever of it is compared, its times apart."""
+    names = [name for name in table.every_column if name in (*table.key, *table.rules)]
+    return pd.util.hash_pandas_object(
+        rows[names].drop(columns=table.timed, errors="ignore").astype(str), index=False
+    )
+
+
+def unmade(
+    table: Table, runs: Runs, before: pd.DataFrame, head: pd.DataFrame, fresh: pd.DataFrame
+) -> pd.DataFrame:
+    """Return the rows that the tree has more than the base and no fresh run of this profile makes."""
+    new = head[~keys(table, head).isin(keys(table, before))]
+    new = new.drop(index=runs.expected(table, new, fresh).index)
+    found = locate(table, new).assign(measure="row", before="none", after="present", distance=0.0)
+    return worst(found.assign(result="new, made by no fresh run"))
+
+
+#: how many revisions of the tables errors are held to; those of a table that was listed since are left out
+REVISIONS = 10
+ERRORS = (Rule.error, Rule.structure)
+
+
+def compare_oldest(
+    root: Path, results: Path, base: str, changed: set[str], head: Frames, now: Frames
+) -> Findings:
+    """Compare errors with those of the oldest of the last revisions of a table: small moves do not add up."""
+    where = str(results.relative_to(root))
+    walk = ("rev-list", "--first-parent", f"--max-count={REVISIONS}", base, "--", where)
+    wanted, found = TABLES.keys() - changed, Findings()
+    for revision in reversed(revisions.git(root, *walk).split()[1:]):  # the last has the tables of the base
+        listed = names_in(TRAILER, revisions.git(root, "log", "--format=%B", f"{revision}..{base}"))
+        held = {} if ALL in listed else {n: t for n, t in TABLES.items() if n in wanted - listed}
+        with revisions.checkout(root, revision, where) as tree:
+            for name, table in held.items():
+                with suppress(OldTable):
+                    oldest = read(table, tree / where)
+                    for side, rows in (("tree", head[name]), ("fresh", now[name])):
+                        found += between(
+                            f"{revision[:12]} → {side}", compare(table, oldest, rows, only=ERRORS)
+                        )
+        wanted -= held.keys()
+    return found
 
 
 def readable(folder: Path, changed: set[str]) -> tuple[Frames, list[Row]]:
@@ -170,3 +245,37 @@ def check_commit(root: Path, fresh: Path) -> list[Row]:
         if run.get("dirty") and not revisions.dirty(root):
             return [row(measure, head[:12], "with local changes", "another tree")]
     return []
+
+
+def check_tests(old: Path, root: Path, messages: str) -> list[Row]:
+    """Return what tests of the base are gone, under whatever path: red where most of a file, and nobody lists it."""
+    before, after = test_names(old), test_names(root)
+    gone = sum(before.values(), Counter()) - sum(after.values(), Counter())
+    listed, rows = names_in(REMOVED, messages), []
+    for path, names in before.items():
+        count = sum((names & gone).values())
+        named = any(PurePath(path).is_relative_to(each) for each in listed)
+        most, result = 2 * count > sum(names.values()), "listed" if named else "not listed"
+        if count:
+            one = row("tests", f"{sum(names.values())} in {path}", f"{count} gone", f"removed, {result}")
+            rows.append({**one, "between": "base → tree", "red": most and not named})
+    return rows
+
+
+def test_names(tree: Path) -> dict[str, Counter[str]]:
+    paths = sorted((tree / "tests").rglob("test_*.py"))
+    return {
+        path.relative_to(tree).as_posix(): Counter(DEFINED.findall(path.read_text(encoding="utf-8")))
+        for path in paths
+    }
+
+
+def check_report(root: Path, results: Path) -> list[Row]:
+    """Return what the tables of the tree do not say of its documents, figures and README, by its own report."""
+    if not revisions.ours(root) or computed_part(root / "README.md") is None:
+        return []
+    command = [sys.executable, "-P", "-m", "contactbench", "report", "--check", "--results", str(results)]
+    given: dict[str, Any] = {"cwd": root, "env": revisions.environment(root), "text": True}
+    run = subprocess.run(command, capture_output=True, **given)
+    lines = (run.stdout or run.stderr).strip().splitlines() if run.returncode else []
+    return [row("report", "as the tables", line, "differs") | {"between": "tree"} for line in lines]

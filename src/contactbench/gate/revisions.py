@@ -18,6 +18,8 @@ from contactbench.results.provenance import SOURCES
 
 #: what the main branch may be called, the first there is
 MAIN = ("origin/HEAD", "origin/main", "main", "master")
+#: the file that names the revision whose speed is kept, until a commit moves it
+PIN = ".gate-base"
 #: set in the environment of the gate of a base revision, which judges another tree
 JUDGED = "CONTACTBENCH_JUDGED_PYTHON"
 
@@ -75,13 +77,20 @@ def base(root: Path, revision: str | None) -> str:
     return found
 
 
+def pinned(root: Path, base: str) -> str:
+    """Return the revision that the base pins for speed, or, where the base has no such file, the tree; "" for none."""
+    own = root / PIN
+    text = find(root, "show", f"{base}:{PIN}") or (own.read_text(encoding="utf-8") if own.exists() else "")
+    return text.partition("#")[0].strip()
+
+
 @contextmanager
-def checkout(root: Path, commit: str) -> Iterator[Path]:
+def checkout(root: Path, commit: str, *paths: str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="contactbench-base-") as scratch:
         tree = Path(scratch).resolve() / "base"
-        with tarfile.open(fileobj=BytesIO(git(root, "archive", commit, text=False))) as files:
+        with tarfile.open(fileobj=BytesIO(git(root, "archive", commit, *paths, text=False))) as files:
             files.extractall(tree, filter="data")
-        if ours(root) and not ours(tree):
+        if ours(root) and not paths and not ours(tree):
             raise BadInput(f"--base {commit[:12]}: that revision has no src/contactbench")
         yield tree
 

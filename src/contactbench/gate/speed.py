@@ -1,10 +1,11 @@
-"""Is the working tree slower than another revision of it?  Timed in pairs.
+"""Is the working tree slower than other revisions of it?  Timed in pairs.
 
 Each revision has a process of its own, with its sources on PYTHONPATH, on the same core.  A round times every cell in
-shuffled order, base and head right after one another in random order, so that whatever else the machine does meets
-both; the ratio of each pair is what counts, never a time.  A cell whose interval of the median ratio straddles `LIMIT`
-gets more rounds.  It is slower when the whole interval is above `LIMIT`, and is again in fresh processes: the layout
-of code and data in memory, drawn anew with every process, is worth some per cent.
+shuffled order, the revisions right after one another in random order, so that whatever else the machine does meets
+all of them; the ratio of each pair is what counts, never a time.  The base is compared on every cell; on the public
+calls another revision too, one that is pinned, so that many small steps are seen.  A cell whose interval of the median
+ratio straddles `LIMIT` gets more rounds.  It is slower when the whole interval is above `LIMIT`, and is again in fresh
+processes: the layout of code and data in memory, drawn anew with every process, is worth some per cent.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from statistics import median
 from time import perf_counter
 from typing import Any
 
@@ -29,17 +31,24 @@ from contactbench.gate import revisions
 from contactbench.gate.compare import INCONCLUSIVE, Findings, rows_of
 from contactbench.measure.statistics import PairedRatio, paired_ratio
 from contactbench.methods import METHODS
+from contactbench.scenes import SCENES
 from contactbench.solution import setting_key
 
 LIMIT = 1.25
 ROUNDS = 15
 #: rounds a cell gets at most, as long as it is undecided
 MOST_ROUNDS = 60
+#: how much of a message that says why a cell is not timed
+WORDS = 80
 #: shares of the time: what compilation may take, and what is kept for the second look
 COMPILING, SECOND_LOOK = 0.6, 0.25
 
+#: the tree that is judged, and what it is compared with; a pair is one of the latter and the number of a cell
+HEAD, BASE, PINNED = "tree", "base", "pinned"
+type Pair = tuple[str, int]
+
 #: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
-SCENES = ("particle", "particle_long", "rigid_body")
+MAIN = ("particle", "particle_long", "rigid_body")
 #: the methods that are timed on every other scene too
 EVERYWHERE = ("contact-rkn6", "rk4", "heyoka-taylor")
 #: the scene of the runs with many saved times, and how many those are
@@ -72,16 +81,20 @@ class Cell:
         return f"{setting_key(self.control, self.value)}{many}{call}"
 
 
+#: a short run, of so many steps: what a call takes beside them
+SHORT, STEPS = "particle", 12
 #: what a user calls, on standard scenes; references on those where they take little: in closed form, and live
-PUBLIC = [Cell("particle", call=call) for call in ("solve", "run(q=…)", "new scene", "ensemble", "import")]
+PUBLIC = [Cell(SHORT, value=SCENES[SHORT].t_end / STEPS, call=call) for call in ("run()", "run(q=…)", "bare")]
+PUBLIC += [Cell("linear_ring", "contact-strang", call="run()")]
+PUBLIC += [Cell("particle", call=call) for call in ("solve", "new scene", "ensemble", "import")]
 PUBLIC += [Cell(scene, call="reference") for scene in ("oscillator", "saddle_edge")]
 
 
 def workload(work: pd.DataFrame) -> list[Cell]:
-    """Return every method and engine on `SCENES`, a few elsewhere or with many saved times, and the public calls."""
+    """Return every method and engine on `MAIN`, a few elsewhere or with many saved times, and the public calls."""
     cells = []
     for cell in every(work):
-        if cell.scene in SCENES or cell.method in EVERYWHERE:
+        if cell.scene in MAIN or cell.method in EVERYWHERE:
             cells.append(cell)
         known = METHODS.get(cell.method)
         if cell.scene == MANY_ON and known is not None and cell.engine == known.engines[0]:
@@ -106,28 +119,48 @@ def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
     return (*few, *([f"no cell timed of {', '.join(left_out)}"] if left_out else []))
 
 
-def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | None = None) -> Findings:
+def judge_speed(
+    root: Path, tree: Path, cells: Sequence[Cell], budget: float | None = None, pin: str = ""
+) -> Findings:
     start = perf_counter()
     ends = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
-    # time may end early: other cells first in every change, of each kind one in front
+    # time may end early: other cells first in every change; the calls in front, and one of each method
     cells = random.Random(revisions.commit(root, "HEAD")).sample(cells, len(cells))
     kinds = pd.Series([cell.kind for cell in cells])
-    cells = [cells[i] for i in kinds.groupby(kinds).cumcount().argsort(kind="stable")]
-    first, refused = time_pairs((tree, root), dict(enumerate(cells)), ends[0], root)
-    suspects = {i: cells[i] for i, ratio in first.items() if ratio.low > LIMIT}
-    again = time_pairs((tree, root), suspects, ends[1], root)[0] if suspects else {}
+    turns = kinds.groupby(kinds).cumcount()
+    cells = [cells[i] for i in sorted(turns.index, key=lambda i: (cells[i] not in PUBLIC, turns[i]))]
+    pairs = {(BASE, i) for i in range(len(cells))}
+    with ExitStack() as stack:
+        trees, incomplete = {HEAD: root, BASE: tree}, []
+        if pin and (commit := revisions.commit(root, pin)):
+            trees[PINNED] = stack.enter_context(revisions.checkout(root, commit))
+            pairs |= {(PINNED, i) for i, cell in enumerate(cells) if cell in PUBLIC}
+        elif pin:
+            incomplete = [f"the pinned revision {pin[:12]} is not in this clone; git fetch origin {pin}"]
+        first, refused = time_pairs(trees, cells, pairs, ends[0], root)
+        suspects = {pair for pair, ratio in first.items() if ratio.low > LIMIT}
+        again = time_pairs(trees, cells, suspects, ends[1], root)[0] if suspects else {}
     rows = []
-    for i, ratio in first.items():
-        result = decide(ratio, again.get(i))
+    for pair, ratio in sorted(first.items()):
+        result = decide(ratio, again.get(pair))
         if result != "pass":
-            row = {name: getattr(cells[i], name) for name in ("scene", "method", "engine", "setting")}
+            row = {name: getattr(cells[pair[1]], name) for name in ("scene", "method", "engine", "setting")}
             after = f"×{ratio.ratio:.2f} (×{ratio.low:.2f} … ×{ratio.high:.2f})"
-            row |= {"measure": "time", "before": "×1", "after": after, "result": result}
-            rows.append(row | {"red": result == "slower"})
-    median = sorted(ratio.ratio for ratio in first.values())[len(first) // 2] if first else 1.0
-    sentence = f"speed: {len(first)} of {len(cells)} cells timed, median ratio {median:.3f} to the base"
-    notes = tuple(f"{count} cells not timed: {why}" for why, count in Counter(refused.values()).items())
-    return Findings(rows_of(*rows), (sentence,), notes, too_few(cells, first))
+            row |= {"between": f"{pair[0]} → tree", "measure": "time", "before": "×1", "after": after}
+            rows.append(row | {"result": result, "red": result == "slower"})
+    timed = {side: {i: ratio for (one, i), ratio in first.items() if one == side} for side in (BASE, PINNED)}
+    middle = median(ratio.ratio for ratio in timed[BASE].values()) if timed[BASE] else 1.0
+    texts = [f"speed: {len(timed[BASE])} of {len(cells)} cells timed, median ratio {middle:.3f} to the base"]
+    if timed[PINNED]:
+        calls = (
+            f"{cells[i].call} on {cells[i].scene} ×{ratio.ratio:.2f}" for i, ratio in timed[PINNED].items()
+        )
+        texts.append(f"speed to the pinned {pin[:12]}: {', '.join(calls)}")
+    elif PINNED in trees:
+        incomplete.append(f"no call timed beside the pinned {pin[:12]}")
+    reasons = Counter(f"not timed on the {side}: {why[:WORDS]}" for (side, _), why in refused.items())
+    notes = tuple(f"{count} cells {why}" for why, count in reasons.items())
+    return Findings(rows_of(*rows), tuple(texts), notes, (*too_few(cells, timed[BASE]), *incomplete))
 
 
 def decide(first: PairedRatio, again: PairedRatio | None) -> str:
@@ -137,38 +170,58 @@ def decide(first: PairedRatio, again: PairedRatio | None) -> str:
 
 
 def time_pairs(
-    trees: Sequence[Path], cells: dict[int, Cell], until: float | None = None, root: Path | None = None
-) -> tuple[dict[int, PairedRatio], dict[int, str]]:
-    """Return of every cell the ratio of the second to the first tree, or why it has none; until : when to stop."""
+    trees: Mapping[str, Path],
+    cells: Sequence[Cell],
+    pairs: Collection[Pair],
+    until: float | None = None,
+    root: Path | None = None,
+) -> tuple[dict[Pair, PairedRatio], dict[Pair, str]]:
+    """Return for each pair of a revision and a cell the ratio of the head to it, or why there is none.
+
+    until : when to stop.
+    """
     from tqdm import tqdm
 
     draw = random.Random(0)
     left = None if until is None else max(1.0, COMPILING * (until - perf_counter()))
+    # the head has every cell that one of the others has
+    asked = {HEAD: {i for _, i in pairs}} | {
+        side: {i for one, i in pairs if one == side} for side in trees if side != HEAD
+    }
+    refused: dict[Pair, str] = {}
     with ExitStack() as stack:
-        sides = [stack.enter_context(timing_process(tree, root)) for tree in trees]
-        for send, _ in sides:  # both compile at once
-            send({"cells": {i: asdict(cell) for i, cell in cells.items()}, "seconds": left})
-        refused: dict[int, str] = {}
-        for tree, (_, receive) in zip(trees, sides, strict=True):
+        sides = {
+            side: stack.enter_context(timing_process(trees[side], root)) for side in asked if asked[side]
+        }
+        for side, (send, _) in sides.items():  # all compile at once
+            send({"cells": {i: asdict(cells[i]) for i in sorted(asked[side])}, "seconds": left})
+        for side, (_, receive) in sides.items():
             answer = receive()
-            if revisions.ours(tree) and not Path(answer["code"]).is_relative_to(tree):
-                raise BadInput(f"{tree}: the timing process imports {answer['code']} instead")
-            refused |= {int(i): why for i, why in answer["refused"].items()}
-        times: dict[int, tuple[list[float], list[float]]] = {i: ([], []) for i in cells if i not in refused}
-        ratios: dict[int, PairedRatio] = {}
+            if revisions.ours(trees[side]) and not Path(answer["code"]).is_relative_to(trees[side]):
+                raise BadInput(f"{trees[side]}: the timing process imports {answer['code']} instead")
+            refused |= {(side, int(i)): why for i, why in answer["refused"].items()}
+        times: dict[Pair, tuple[list[float], list[float]]]
+        times = {pair: ([], []) for pair in sorted(pairs) if not {pair, (HEAD, pair[1])} & refused.keys()}
+        ratios: dict[Pair, PairedRatio] = {}
         ask = list(times)
         for done in tqdm(range(1, MOST_ROUNDS + 1), "timing", unit="round", disable=None):
             if not ask or (until is not None and perf_counter() > until):
                 break
-            for i in draw.sample(ask, len(ask)):
-                for k in draw.sample((0, 1), 2):
-                    send, receive = sides[k]
+            numbers = sorted({i for _, i in ask})
+            for i in draw.sample(numbers, len(numbers)):
+                now = [HEAD, *(side for side, j in ask if j == i)]
+                fastest = {}
+                for side in draw.sample(now, len(now)):
+                    send, receive = sides[side]
                     send(i)
-                    times[i][k].append(min(receive()))  # the fastest repeat: one that nothing interrupted
+                    fastest[side] = min(receive())  # of the repeats: one that nothing interrupted
+                for side in now[1:]:
+                    for own, seconds in zip(times[side, i], (fastest[side], fastest[HEAD]), strict=True):
+                        own.append(seconds)
             if done % ROUNDS == 0:
-                ratios |= {i: paired_ratio(*times[i]) for i in ask}
-                ask = [i for i in ask if ratios[i].low <= LIMIT < ratios[i].high]
-    return ratios | {i: paired_ratio(*times[i]) for i in ask if times[i][0]}, refused
+                ratios |= {pair: paired_ratio(*times[pair]) for pair in ask}
+                ask = [pair for pair in ask if ratios[pair].low <= LIMIT < ratios[pair].high]
+    return ratios | {pair: paired_ratio(*times[pair]) for pair in ask if times[pair][0]}, refused
 
 
 @contextmanager

@@ -49,6 +49,9 @@ def call(cell: dict[str, Any]) -> Run:
     times = [scene.t_end * k / cell["saves"] for k in range(1, cell["saves"] + 1)]
     setting = {cell["control"]: value} if cell["control"] in ("step", "rtol") else {}
     run = cb.prepare(scene, method, engine=cell["engine"], save_at=times, carry=cell["carry"], **setting)
+    if cell["call"] == "bare":
+        packed = run.start
+        return lambda: run.bare(packed)
     start = {"q": tuple(0.9 * float(x) for x in scene.q)} if cell["call"] == "run(q=…)" else {}
     return lambda: run(**start)
 

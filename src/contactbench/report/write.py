@@ -52,12 +52,19 @@ def documents(
 
 
 def with_answers(readme: Path, frames: Frames) -> str:
-    text = readme.read_text(encoding="utf-8")
-    begin, end = README_PART
-    if text.count(begin) != 1 or text.count(end) != 1:
+    parts = computed_part(readme)
+    if parts is None:
+        begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    answers = markdown.answers(headline.answers(frames))
-    return f"{text.partition(begin)[0]}{begin}\n{answers}\n\n{end}{text.partition(end)[2]}"
+    return f"{parts[0]}\n{markdown.answers(headline.answers(frames))}\n\n{parts[1]}"
+
+
+def computed_part(readme: Path) -> tuple[str, str] | None:
+    """Return what stands before and after the part of a file that is computed; None where it has none."""
+    text, (begin, end) = readme.read_text(encoding="utf-8") if readme.exists() else "", README_PART
+    if text.count(begin) != 1 or text.count(end) != 1:
+        return None
+    return text.partition(begin)[0] + begin, end + text.partition(end)[2]
 
 
 def report(
