@@ -1,5 +1,6 @@
 """What the tables to read say, on small tables made by hand; views, numbers and their markdown; a comparison."""
 
+import base64
 import json
 import re
 
@@ -322,10 +323,10 @@ def test_text_and_page_have_every_time_and_law_and_the_plot_every_kind(frame):
         assert f"{run.setting}, {run.error_reached:.1e}" in text
     assert "contact-exact: unsupported" in text
     assert "who is cheapest?" in page
-    data = json.loads(re.search(r'id="data">(.*)</script>', page)[1])
-    (panels,) = data["live"]["panels"].values()
-    assert [*panels] == ["Compiled", "Evaluations"]
-    laws = data["views"]["race_laws"]
+    assert [panel.title for panel in race.figure(frame).panels] == ["Compiled", "Evaluations"]
+    (drawn,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
+    assert b"<svg" in base64.b64decode(drawn)
+    laws = json.loads(re.search(r'id="data">(.*)</script>', page)[1])["race_laws"]
     assert "contact drift" in [label for label, *_ in laws["heads"]]
     assert len(laws["rows"]) == int((frame["status"] == "ok").sum())
 

@@ -46,8 +46,7 @@ def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[C
     for method, line in rows.groupby("method", sort=False):
         family = str(line["family"].iloc[0]) if "family" in line else ""
         points = floats(line[x]), above(line[y], scale)
-        settings = tuple(line["setting"]) if "setting" in line else ()
-        curves.append(Curve(*points, str(method), str(method), family=family, settings=settings))
+        curves.append(Curve(*points, str(method), str(method), family=family))
     return tuple(curves)
 
 

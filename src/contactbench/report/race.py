@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -11,9 +12,9 @@ import pandas as pd
 
 from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
-from contactbench.report.chapters import Chapter, Contents, Part, Text, summary
+from contactbench.report.chapters import Chapter, Contents, Part, Text, shown, summary
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
-from contactbench.report.drawing import Axis, Figure, Live, Panel
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import law_label
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.page import page
@@ -181,12 +182,17 @@ def front(tried: pd.DataFrame) -> pd.DataFrame:
 
 # -- documents -------------------------------------------------------------------------------------
 def html(frame: pd.DataFrame) -> str:
+    """Return a page of its own: the figure stands in it, not beside it."""
+    from contactbench.report.draw import svg  # takes long to load
+
     scene, drawn = str(frame["scene"].iloc[0]), figure(frame)
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
-    parts: tuple[Part, ...] = (*views(frame), laws_view(frame), Text(items=tuple(notes(frame))))
-    panels = {(scene, panel.title): panel for panel in drawn.panels} if drawn else {}
-    live = Live(drawn.title, panels, drawn.caption) if drawn else None
-    return page([Contents(chapter, answers(frame), parts)], live=live)
+    parts: list[Part | None] = [drawn, *views(frame), laws_view(frame), Text(items=tuple(notes(frame)))]
+    contents, images = Contents(chapter, answers(frame), tuple(shown(parts))), {}
+    if drawn:
+        picture = base64.b64encode(svg(drawn).encode()).decode()
+        images[drawn.name] = f"data:image/svg+xml;base64,{picture}"
+    return page([contents], images=images)
 
 
 def text(frame: pd.DataFrame) -> str:

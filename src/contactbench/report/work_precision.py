@@ -13,7 +13,7 @@ import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
-from contactbench.report.drawing import Axis, Curve, Figure, Live, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
 from contactbench.report.views import Cell, Mark, View, matrix
 from contactbench.results import contest as judge
@@ -197,19 +197,6 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     if row["winner"] == OTHER:
         both, ratio = both[::-1], 1 / ratio
     return f"{scene}: {both[0]} needs {1 / ratio:.0%} of the time of {both[1]} {at}", both
-
-
-def live(frames: Frames) -> Live | None:
-    compared_in = {"work_precision": KINDS, "stability": (EVALUATIONS,)}
-    panels = {
-        (str(scene), kind.title): panel(rows, kind)
-        for table, kinds in compared_in.items()
-        for scene in dict.fromkeys(frames[table]["scene"])
-        for kind in kinds
-        if len(rows := compared(frames[table], scene, kind))
-    }
-    caption = f"{IN_COLOUR} Click a family to hide it; of one or two families every method is in colour."
-    return Live("Cost against error", panels, caption) if panels else None
 
 
 TITLE, QUESTION = "Cost at equal error", "What does an error cost?"
