@@ -96,9 +96,7 @@ def test_what_a_row_holds_cannot_break_the_page():
     )
     assert not document.wrong
     assert not [given for _, given in document.open if "onclick" in given]
-    assert evil not in json.dumps(
-        [document.data["evil"][name] for name in ("legend", "heads", "rows")]
-    )
+    assert evil not in json.dumps([document.data["evil"][name] for name in ("legend", "heads", "rows")])
     assert Document(page.page([])).data == {}
 
 
