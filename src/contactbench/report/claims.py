@@ -5,13 +5,13 @@ from __future__ import annotations
 import pandas as pd
 
 from contactbench.report import paper
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Frames, Part, Section, Text, summary
 from contactbench.report.drawing import Figure
 from contactbench.report.numbers import DASH, how_often
+from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, View, frame_of
 from contactbench.results.schema import BEYOND, SEPARATOR
 
-SOURCE = "claims.csv"
 VERDICTS = {"holds": Mark.holds, "holds, corrected": Mark.corrected, "refuted": Mark.refuted}
 CAPTIONS = {
     "repairs": "Corrected",
@@ -19,10 +19,6 @@ CAPTIONS = {
     "sharpens": "Stronger",
     "extends": "How far it goes",
 }
-LEGEND = (
-    "*holds*: the measurements agree with the claim as it stands. *holds, corrected*: true once the stated correction "
-    "is made. *refuted*: a number contradicts it. [How claims are judged](../docs/reading.md#claims)."
-)
 
 
 def split_claims(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -55,7 +51,7 @@ def claims_view(frame: pd.DataFrame) -> View:
         judged = Cell(verdict, mark=VERDICTS.get(verdict, Mark.bad))
         rows.append((row["id"], judged, *row[["claim", "where", "quantity", "measured"]], needed))
     labels = ["id", "verdict", "claim", "where in the paper", "measured", "value", "needed"]
-    return View("claims", "All claims", frame_of(rows, labels), LEGEND, SOURCE, {"": "{:.2g}".format})
+    return view("claims", frame_of(rows, labels), {"": "{:.2g}".format})
 
 
 def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
@@ -77,6 +73,7 @@ def items(evidence: str) -> tuple[str, ...]:
     return tuple(item.replace(" fails (", " **fails** (") for item in found)
 
 
+@chapter("claims", answers)
 def parts(frames: Frames) -> list[Part]:
     frame = frames["claims"]
     drawn = {figure.name: figure for figure in paper.all_figures(frames["paper_figures"])}
@@ -84,7 +81,3 @@ def parts(frames: Frames) -> list[Part]:
     for title, some in zip(("Claim by claim", "Beyond the paper"), split_claims(frame), strict=True):
         sections.append(Section(title, tuple(claim_section(row, drawn) for _, row in some.iterrows())))
     return [claims_view(frame), *sections, Section("Other figures", tuple(drawn.values()))]
-
-
-TITLE, QUESTION = "The paper's claims, measured", "Which claims of the paper hold?"
-CHAPTERS.add(Chapter("claims", TITLE, QUESTION, 70, ("claims", "paper_figures"), parts, answers))

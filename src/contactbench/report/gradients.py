@@ -5,8 +5,9 @@ from __future__ import annotations
 import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, ties
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
+from contactbench.report.chapters import Frames, Part, summary
 from contactbench.report.numbers import duration, names, power, scientific, times
+from contactbench.report.prose import chapter, view
 from contactbench.report.views import Mark, Show, View, as_cell, frame_of, pick
 
 #: modes that are none in reverse: what is timed without a derivative, and six tangents
@@ -47,29 +48,18 @@ def costs_view(frame: pd.DataFrame) -> View:
         which = f"{scene}, T = {end:g}, {power(asked)}", row["method"], row["mode"], row["setting"]
         lines.append([*which, row["gradient_error"], time, row["ratio"], row["memory_kB"]])
     labels = ["case", "method", "mode", "setting", "error", "time", "ratio", "memory, kB"]
-    legend = (
-        "A derivative in six parameters at the coarsest setting tried that has the error; least round. Ratio: to "
-        "the method's loss alone. Memory: XLA's temporary memory; that of checkpoints follows `max_steps`. Bold: the "
-        f"least of a derivative, to a factor {COUNTED:g}."
-    )
     show: dict[str, Show] = {"error": scientific, "ratio": times, "memory, kB": "{:.3g}".format}
-    return View(
-        "gradient_costs", "Cost of a derivative", frame_of(lines, labels), legend, "gradients.csv", show
-    )
+    return view("gradient_costs", frame_of(lines, labels), show, counted=COUNTED)
 
 
 def growth_view(frame: pd.DataFrame) -> View:
     errors = {"growth": "e^{γT}", "start_error": "error of the start"}
     errors |= {"gradient_error": "error of the derivative"}
     table = pick(frame, "method", gamma="γ", force="force", t_end="T", **errors)
-    legend = "A forced oscillator, ω = 1, whose steps are taken back. Flows have exact inverses: this is round-off."
     show = dict.fromkeys(errors.values(), scientific)
-    return View("reversibility", "Runs taken back", table, legend, "reversibility.csv", show)
+    return view("reversibility", table, show)
 
 
+@chapter("gradients", answers)
 def parts(frames: Frames) -> list[Part | None]:
     return [costs_view(frames["gradients"]), growth_view(frames["reversibility"])]
-
-
-TITLE, QUESTION = "Derivatives", "What does the derivative of a loss in the parameters cost?"
-CHAPTERS.add(Chapter("gradients", TITLE, QUESTION, 64, ("gradients", "reversibility"), parts, answers))

@@ -9,9 +9,10 @@ from typing import Any
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, structure, work_precision
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, chapters, summary
+from contactbench.report.chapters import Frames, Part, Section, Text, chapters, summary
 from contactbench.report.laws import cost_cells, law_label, with_bounds
 from contactbench.report.numbers import DASH, how_often, names
+from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.contest import OTHER
 from contactbench.results.judgement import law_rows
@@ -93,20 +94,14 @@ def mission_view(frames: Frames) -> View | None:
         lines.append((method, *cells))
     heads = {scene: ("evaluations", "order", *map(law_label, own)) for scene, own in laws_of.items()}
     labels = [("", "method"), *((scene, label) for scene, own in heads.items() for label in own)]
-    legend = (
-        "Largest deviation over the run, every method as near to the same number of evaluations as its steps and "
-        "tolerances allow. Bold: at round-off. ≤: an upper bound, by differences of the solver. "
-        "[All methods, scenes and costs](laws.md#at-equal-cost)."
-    )
-    title = "Order, laws and drifts at equal cost"
-    return View("mission", title, frame_of(lines, labels), legend, "decay_laws.csv")
+    return view("mission", frame_of(lines, labels))
 
 
 def documents_view(frames: Frames) -> View:
     found = {chapter.file: chapter.question for chapter in chapters(frames) if chapter.name != NAME}
     found["glossary.md"] = "What is each method, scene and column?"
     rows = [(Cell(file, link=file), question) for file, question in found.items()]
-    return View("documents", "All tables", frame_of(rows, ["document", "question"]))
+    return view("documents", frame_of(rows, ["document", "question"]))
 
 
 def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
@@ -123,6 +118,7 @@ def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
     return [Section("Who is cheapest where", (Text(legend), *tables)), lost]
 
 
+@chapter(NAME, answers)
 def parts(frames: Frames) -> list[Part | None]:
     found: list[Part | None] = [mission_view(frames)]
     if len(frames["work_precision"]):
@@ -140,7 +136,3 @@ def machine(runs: Sequence[Mapping[str, Any]]) -> Text:
         for run in runs
     )
     return Text(f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units.")
-
-
-TABLES = ("laws", "decay_laws", "work_precision", "convergence", "structure_buys", "claims")
-CHAPTERS.add(Chapter(NAME, "Results", "What was found?", 0, TABLES, parts, answers, "README.md"))

@@ -11,11 +11,12 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import UNSURE, judge
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Frames, Part, Section, Text, summary
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
 from contactbench.report.numbers import DASH, count, how_often, names, readable, scientific, times
+from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 from contactbench.results.judgement import bound, law_rows, laws_at_equal_cost, laws_in, structural_laws
@@ -111,11 +112,7 @@ def claims_view(rows: pd.DataFrame) -> View:
     rows = rows.assign(who=groups.where(~rows["claimed"], "claimed"))
     rows = rows.sort_values("who", key=lambda who: who != "claimed", kind="stable")
     frame = matrix(rows.rename(columns={"label": "law or drift"}), "law or drift", "who", counts)
-    legend = (
-        "Runs that keep it to round-off, of those that decide. Not judged: the solution is off by more than a tenth. "
-        "[Why a law is not claimed](../docs/reading.md#laws)."
-    )
-    return View("law_claims", "Who keeps what", frame, legend, SOURCE)
+    return view("law_claims", frame)
 
 
 def broken_view(rows: pd.DataFrame) -> View:
@@ -130,8 +127,7 @@ def broken_view(rows: pd.DataFrame) -> View:
     labels = ["law or drift", "scene", "methods", "runs", "kept with steps held fixed"]
     labels += ["over the bound", "deviation", "worst"]
     show: dict[str, Show] = {"over the bound": times, "deviation": scientific}
-    legend = "Claimed, and not kept; the worst run by its deviation over the bound of round-off."
-    return View("law_exceptions", "Exceptions", frame_of(lines, labels), legend, SOURCE, show)
+    return view("law_exceptions", frame_of(lines, labels), show)
 
 
 def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
@@ -154,6 +150,7 @@ def law_view(frames: Frames, law: str, column: Column) -> View:
     return View(f"law_{law}", law_label(law), frame, f"{column.meaning}.", SOURCE)
 
 
+@chapter("laws", answers)
 def parts(frames: Frames) -> list[Part | None]:
     rows, time = structural_rows(frames), frames["laws_time"]
     equal = frames["decay_laws"].groupby(["scene", "cost"], sort=False)
@@ -229,8 +226,3 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure:
         "colour: in each panel, of each family the closest to the true motion."
     )
     return Figure(f"laws_{scene}", title, tuple(panels), caption)
-
-
-TITLE, QUESTION = "Decay laws and drifts", "Which methods keep the laws of the motion?"
-TABLES = ("laws", "decay_laws", "laws_time", "convergence", "stability")
-CHAPTERS.add(Chapter("laws", TITLE, QUESTION, 20, TABLES, parts, answers))

@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import PROCESSES, Verdict
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
+from contactbench.report.chapters import Frames, Part, summary
 from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import count, duration, names, times
+from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.results.contest import COMPILED, LIMIT, standings
 
-SOURCE = "scaling.csv"
 #: the scene that every method is run on, and the size at which the way to the error is asked for
 SCENE, SIZE = "fput", 1024
 #: the slope is that from so many degrees of freedom on: below, a call and the ends of loops count
@@ -104,14 +104,8 @@ def costs_view(frame: pd.DataFrame) -> View:
     group = "an evaluation at a degree of freedom, n ="
     labels += [(group, size) for size in (*map(count, sizes), "another")]
     labels += [("", name) for name in ("power of n", "to 10⁻⁶", "compilation", "memory, MB")]
-    legend = (
-        f"Least round. Power of n: of the time of an evaluation, from n = {LARGE} on. To 10⁻⁶: at the "
-        f"largest n ≤ {SIZE}. Compilation: of what no row before has "
-        "compiled. Memory: beside one state, at the largest n. Bold: the least of one core, compiled; "
-        "italic: a tie. —: not run, or not reached."
-    )
     show = {"power of n": "{:.2f}".format, "compilation": duration, "memory, MB": "{:.2g}".format}
-    return View("scaling_costs", "Cost by size", frame_of(rows, labels), legend, SOURCE, show)
+    return view("scaling_costs", frame_of(rows, labels), show, large=LARGE, size=SIZE)
 
 
 def figure(frame: pd.DataFrame) -> Figure | None:
@@ -133,9 +127,6 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     return Figure("scaling", ", ".join(filter(None, [title, beside])), (panel,), caption)
 
 
+@chapter("scaling", answers)
 def parts(frames: Frames) -> list[Part | None]:
     return [costs_view(frames["scaling"]), figure(frames["scaling"])]
-
-
-TITLE, QUESTION = "Scaling", "How does cost grow with the number of degrees of freedom?"
-CHAPTERS.add(Chapter("scaling", TITLE, QUESTION, 62, ("scaling",), parts, answers))

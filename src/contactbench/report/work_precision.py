@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Frames, Part, Section, Text, summary
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
+from contactbench.report.prose import chapter
 from contactbench.report.views import Cell, Mark, View, matrix
 from contactbench.results import contest as judge
 from contactbench.results.contest import COMPILED, CONTACT, EVALUATIONS, KINDS, OTHER, Kind, contestants
@@ -133,6 +134,7 @@ def costs_view(own: Contest, scene: str) -> View:
     return View(f"{own.kind.name}_{scene}", own.kind.title, frame, "", SOURCE)
 
 
+@chapter("work_precision", answers)
 def parts(frames: Frames) -> list[Part]:
     work, found = frames["work_precision"], all_contests(frames).values()
     scenes = [
@@ -197,7 +199,3 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     if row["winner"] == OTHER:
         both, ratio = both[::-1], 1 / ratio
     return f"{scene}: {both[0]} needs {1 / ratio:.0%} of the time of {both[1]} {at}", both
-
-
-TITLE, QUESTION = "Cost at equal error", "What does an error cost?"
-CHAPTERS.add(Chapter("work_precision", TITLE, QUESTION, 40, ("work_precision",), parts, answers))
