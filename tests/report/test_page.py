@@ -12,7 +12,7 @@ from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
 from contactbench.report import page
-from contactbench.report.chapters import Chapter, Contents, Section, Text, summary
+from contactbench.report.chapters import Answer, Chapter, Contents, Section, Text
 from contactbench.report.drawing import Figure
 from contactbench.report.views import Cell, Mark, View, frame_of
 
@@ -30,7 +30,7 @@ ROWS = View("rows", "All rows", frame_of(NUMBERS, ["method", "n"]))
 
 def contents(parts, name="work_precision", questions=(("Is it *fast*?", "yes", "3 of 4"),)):
     chapter = Chapter(name, name, "", 1, (name,), lambda frames: ())
-    return Contents(chapter, summary(*questions), parts)
+    return Contents(chapter, tuple(Answer(*each) for each in questions), parts)
 
 
 @pytest.fixture(scope="module")

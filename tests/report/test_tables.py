@@ -178,8 +178,8 @@ def test_one_wrong_setting_at_the_end_leaves_no_cost():
     ("more", "kept"), [((), "contact-rkn4"), (chaotic("contact-rkn4", 32, 0, 1e-9), "nobody")]
 )
 def test_pairs_are_kept_only_where_every_setting_keeps_them(more, kept):
-    summary = long_time.answers(frames(long_time=[*PLANTED, *more]))
-    assert summary["answer"].iloc[-1] == kept
+    *_, last = long_time.answers(frames(long_time=[*PLANTED, *more]))
+    assert last.answer == kept
 
 
 # -- cost against size -----------------------------------------------------------------------------
@@ -203,13 +203,13 @@ def test_the_power_by_which_time_grows_is_that_of_large_sizes():
 def test_who_is_cheapest_at_the_largest_size_and_who_is_first_at_the_error():
     rows = [*at_sizes("contact-a", 0.5, reach=2e-3), *at_sizes("rk4", 0.4), *at_sizes("limit-c", 0.2)]
     rows += [each | {"engine": "python"} for each in at_sizes("scipy-b", 0.1, reach=1e-9)]
-    each, reach, growth = scaling.answers(frames(scaling=rows)).to_dict("records")
-    assert (each["answer"], each["count"]) == ("rk4", "0.4 ns, ×2.00 the C loop")
-    assert (reach["answer"], reach["count"]) == ("rk4", "1 ms, then contact-a ×2.00")
-    assert growth["answer"] == "as n to the power 1.00"
+    each, reach, growth = scaling.answers(frames(scaling=rows))
+    assert (each.answer, each.count) == ("rk4", "0.4 ns, ×2.00 the C loop")
+    assert (reach.answer, reach.count) == ("rk4", "1 ms, then contact-a ×2.00")
+    assert growth.answer == "as n to the power 1.00"
     rows += at_sizes("contact-b", 0.3, reach=1e-4)
-    contradicted = scaling.answers(frames(scaling=rows))
-    assert list(contradicted["answer"][:2]) == ["contact-b", "contact-b"]
+    contradicted = [found.answer for found in scaling.answers(frames(scaling=rows))]
+    assert contradicted[:2] == ["contact-b", "contact-b"]
     assert "contact-b takes 0.3 ns" in scaling.figure(table("scaling", rows)).title
 
 
@@ -233,14 +233,14 @@ RING = [
 
 
 def test_who_has_the_energy_left_right_at_the_least_cost_in_the_longest_run():
-    time, evaluations = structure.answers(frames(structure_buys=RING)).to_dict("records")
-    assert "T = 10⁵" in time["question"]
-    assert (time["answer"], time["count"]) == ("contact-a", "8 ms; herglotz2 ×2.35, rk4 ×3.00")
-    assert evaluations["answer"] == "contact-a"
-    assert evaluations["count"] == "4 per unit of time; herglotz2 ×1.17, rk4 ×2.00"
+    time, evaluations = structure.answers(frames(structure_buys=RING))
+    assert "T = 10⁵" in time.question
+    assert (time.answer, time.count) == ("contact-a", "8 ms; herglotz2 ×2.35, rk4 ×3.00")
+    assert evaluations.answer == "contact-a"
+    assert evaluations.count == "4 per unit of time; herglotz2 ×1.17, rk4 ×2.00"
     contradicting = [*RING, *on_the_ring("rk5", {1e4: (1e-4, 1e-5), 1e5: (1e-4, 1e-5)}, 1.0)]
-    assert structure.answers(frames(structure_buys=contradicting))["answer"].iloc[0] == "rk5"
-    assert not len(structure.answers(frames()))
+    assert next(structure.answers(frames(structure_buys=contradicting))).answer == "rk5"
+    assert not [*structure.answers(frames())]
 
 
 def test_one_setting_is_shown_at_both_lengths_and_a_bound_as_one():
@@ -262,12 +262,12 @@ def derivative(method, mode, seconds, error=5e-7):
 def test_derivatives_are_compared_where_they_have_the_error_forward_and_in_reverse():
     rows = [derivative("rk4", "loss alone", 1e-4), derivative("rk4", "forward", 3e-4)]
     rows += [derivative("rk4", "backsolve", 1e-4, error=2e-6), derivative("rk4", "checkpointed", 4e-4)]
-    forward, reverse = gradients.answers(frames(gradients=rows)).to_dict("records")
-    assert (forward["answer"], forward["count"]) == ("rk4", "300 µs")
-    assert (reverse["answer"], reverse["count"]) == ("rk4, checkpointed", "400 µs")
+    forward, reverse = gradients.answers(frames(gradients=rows))
+    assert (forward.answer, forward.count) == ("rk4", "300 µs")
+    assert (reverse.answer, reverse.count) == ("rk4, checkpointed", "400 µs")
     contradicting = [*rows, derivative("contact-a", "reversible", 2e-4)]
-    reverse = gradients.answers(frames(gradients=contradicting)).to_dict("records")[1]
-    assert (reverse["answer"], reverse["count"]) == (
+    _, reverse = gradients.answers(frames(gradients=contradicting))
+    assert (reverse.answer, reverse.count) == (
         "contact-a, reversible",
         "200 µs; rk4, checkpointed ×2.00",
     )

@@ -6,7 +6,7 @@ A renderer (markdown.py, page/) writes every part the same way and knows no ques
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pandas as pd
@@ -42,14 +42,19 @@ class Section:
 Part = Text | View | Figure | Section
 
 
-def summary(*rows: tuple[str, str, str]) -> pd.DataFrame:
-    return pd.DataFrame(list(rows), columns=["question", "answer", "count"])
+@dataclass(frozen=True)
+class Answer:
+    """A line of a summary.  count : of how many rows it is true; inline Markdown, as `View.legend`."""
+
+    question: str
+    answer: str
+    count: str
 
 
 @dataclass(frozen=True)
 class Contents:
     chapter: Chapter
-    summary: pd.DataFrame
+    answers: tuple[Answer, ...]
     parts: tuple[Part, ...]
 
 
@@ -60,7 +65,7 @@ class Chapter:
     name : its document is NAME.md.  title : its heading.  question : in one line.  order : its place.
     tables : the tables it reads; it has something to say when the first has rows.
     parts(frames) : its views, figures, texts and sections; views without rows, empty sections and None are left out.
-    summary(frames) : a frame of `summary`, a line or a few.
+    answers(frames) : its summary, a line or a few.
     """
 
     name: str
@@ -69,7 +74,7 @@ class Chapter:
     order: int
     tables: tuple[str, ...]
     parts: Callable[[Frames], Iterable[Part | None]]
-    summary: Callable[[Frames], pd.DataFrame] = field(default=lambda frames: summary())
+    answers: Callable[[Frames], Iterable[Answer]] = lambda frames: ()
     document: str = ""
 
     @property
@@ -77,7 +82,7 @@ class Chapter:
         return self.document or f"{self.name}.md"
 
     def fill(self, frames: Frames) -> Contents:
-        return Contents(self, self.summary(frames), tuple(shown(self.parts(frames))))
+        return Contents(self, tuple(self.answers(frames)), tuple(shown(self.parts(frames))))
 
 
 CHAPTERS = Registry("chapter", Chapter)

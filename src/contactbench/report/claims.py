@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pandas as pd
 
 from contactbench.report import paper
-from contactbench.report.chapters import Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text
 from contactbench.report.drawing import Figure
 from contactbench.report.numbers import DASH, how_often
 from contactbench.report.prose import chapter, view
@@ -32,15 +34,13 @@ def counts(frame: pd.DataFrame) -> str:
     return ", ".join(f"{verdicts.get(name, 0)} {word}" for name, word in words.items()) + f", of {len(frame)}"
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     own, beyond = split_claims(frames["claims"])
     asked = {"Do the paper's claims hold as printed?": own, "Do the claims beyond the paper hold?": beyond}
-    lines = []
     for question, part in asked.items():
         if len(part):
             holds = int((part["verdict"] == "holds").sum())
-            lines.append((question, how_often(holds, len(part)), counts(part)))
-    return summary(*lines)
+            yield Answer(question, how_often(holds, len(part)), counts(part))
 
 
 def claims_view(frame: pd.DataFrame) -> View:

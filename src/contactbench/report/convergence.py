@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from contactbench.report.chapters import Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part
 from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import how_often
@@ -31,12 +31,12 @@ def fits(frame: pd.DataFrame) -> pd.DataFrame:
     return first.assign(off=off & first["order"].notna())
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     known = fits(frames["convergence"])
     known = known[known["order"].notna()]
     right = int((~known["off"]).sum())
     count = f"{right} of {len(known)} pairs of method and scene, within {AGREES:g} or the spread"
-    return summary((PROSE["convergence"]["question"], how_often(right, len(known)), count))
+    yield Answer(PROSE["convergence"]["question"], how_often(right, len(known)), count)
 
 
 def order_cell(rows: pd.DataFrame) -> Cell:

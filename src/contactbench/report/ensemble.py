@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pandas as pd
 
-from contactbench.report.chapters import Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import count, duration, names, power, times
@@ -40,13 +41,11 @@ def standing(frame: pd.DataFrame, kind: Kind, keys: tuple[str, ...]) -> pd.DataF
     return standings(costs(part, kind, keys), ("error",))
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     calls = standing(with_rates(frames["ensemble"]), WHOLE_CALLS, ("method", "variant"))
-    lines = []
     for error, own in calls[calls["verdict"].isin(["win", "tie", "undecided"])].groupby("error", sort=False):
         question = f"Who takes the least time per trajectory, error {power(error)}?"
-        lines.append((question, names(list(own["method"].unique()), 3), duration(own["cost"].min())))
-    return summary(*lines)
+        yield Answer(question, names(list(own["method"].unique()), 3), duration(own["cost"].min()))
 
 
 def arithmetic_view(frame: pd.DataFrame) -> View:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, ties
-from contactbench.report.chapters import Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part
 from contactbench.report.numbers import duration, names, power, scientific, times
 from contactbench.report.prose import chapter, view
 from contactbench.report.views import Mark, Show, View, as_cell, frame_of, pick
@@ -23,8 +25,8 @@ def reaching(frame: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(ratio=rows["time_min_s"] / rows.join(alone, on=[*CASE, "method"])["ratio"])
 
 
-def answers(frames: Frames) -> pd.DataFrame:
-    rows, lines = reaching(frames["gradients"]), []
+def answers(frames: Frames) -> Iterator[Answer]:
+    rows = reaching(frames["gradients"])
     for (scene, end, asked), own in rows[rows["mode"] != ALONE].groupby(CASE, sort=False):
         for how, part in own.groupby(own["mode"].ne(FORWARD).map({False: "forward", True: "in reverse"})):
             least = float(part["time_min_s"].iloc[0])
@@ -34,8 +36,7 @@ def answers(frames: Frames) -> pd.DataFrame:
             beside = [f"{name} {times(seconds / least)}" for name, seconds in others]
             case = f"`{scene}`, T = {end:g}, {power(asked)}"
             question = f"Who has a derivative {how} in the least time, {case}?"
-            lines.append((question, names(list(who[first])), "; ".join([duration(least), *beside])))
-    return summary(*lines)
+            yield Answer(question, names(list(who[first])), "; ".join([duration(least), *beside]))
 
 
 def costs_view(frame: pd.DataFrame) -> View:

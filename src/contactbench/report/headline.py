@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, structure, work_precision
-from contactbench.report.chapters import Frames, Part, Section, Text, chapters, summary
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapters
 from contactbench.report.laws import cost_cells, law_label, with_bounds
 from contactbench.report.numbers import DASH, how_often, names
 from contactbench.report.prose import chapter, view
@@ -30,44 +31,39 @@ LAWS = ("energy_law", "momentum_law", "contact_drift")
 
 
 # -- the answers -----------------------------------------------------------------------------------
-def structure_answer(frames: Frames) -> tuple[str, str, str] | None:
+def structure_answer(frames: Frames) -> Iterator[Answer]:
     rows = laws.structural_rows(frames)
     promised = rows[rows["claimed"] & rows["law"].isin(PROMISED)]
     found = [(PROMISED[str(law)], own) for law, own in promised.groupby("law", sort=False)]
     answer = ", ".join(f"{label} {how_often(*laws.kept_of(own))}" for label, own in found)
-    count = "; ".join(laws.counts(own) for _, own in found)
-    return ("Does it keep J and the contact form where it promises to?", answer, count) if found else None
+    if found:
+        question = "Does it keep J and the contact form where it promises to?"
+        yield Answer(question, answer, "; ".join(laws.counts(own) for _, own in found))
 
 
-def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
+def cost_answers(frames: Frames) -> Iterator[Answer]:
+    costs = {answer.question: answer for answer in work_precision.answers(frames)}
+    asked = (work_precision.QUESTIONS[kind] for kind in ("compiled", "evaluations"))
+    yield from (costs[question] for question in asked if question in costs)
     won = work_precision.all_contests(frames)["compiled"].contests
     judged = won[won["winner"] != ""]
-    if not len(judged):
-        return None
-    lost = judged["winner"] == OTHER
-    every = lost.groupby(judged["scene"], sort=False).transform("all")
-    scenes = [f"`{scene}`" for scene in judged["scene"][every].unique()]
-    there, others, pairs = int(every.sum()), int(lost[~every].sum()), int((~every).sum())
-    count = f"{there} of {there} pairs there, {others} of {pairs} elsewhere"
-    return "Where is it slower at every error, compiled?", names(scenes) or "nowhere", count
+    if len(judged):
+        lost = judged["winner"] == OTHER
+        every = lost.groupby(judged["scene"], sort=False).transform("all")
+        scenes = [f"`{scene}`" for scene in judged["scene"][every].unique()]
+        there, others, pairs = int(every.sum()), int(lost[~every].sum()), int((~every).sum())
+        count = f"{there} of {there} pairs there, {others} of {pairs} elsewhere"
+        yield Answer("Where is it slower at every error, compiled?", names(scenes) or "nowhere", count)
 
 
-def answers(frames: Frames) -> pd.DataFrame:
-    asked = [structure_answer(frames)]
+def answers(frames: Frames) -> Iterator[Answer]:
+    yield from structure_answer(frames)
     if len(frames["convergence"]):
-        asked += rows_of(convergence.answers(frames))
+        yield from convergence.answers(frames)
     if len(frames["work_precision"]):
-        costs = {row[0]: row for row in rows_of(work_precision.answers(frames))}
-        asked += [costs.get(work_precision.QUESTIONS[kind]) for kind in ("compiled", "evaluations")]
-        asked.append(loss_answer(frames))
-    asked += rows_of(structure.answers(frames))
-    if len(frames["claims"]):
-        asked += rows_of(claims.answers(frames))[:1]
-    return summary(*(row for row in asked if row is not None))
-
-
-def rows_of(frame: pd.DataFrame) -> list[tuple[str, str, str]]:
-    return list(frame.itertuples(index=False, name=None))
+        yield from cost_answers(frames)
+    yield from structure.answers(frames)
+    yield from islice(claims.answers(frames), 1)
 
 
 # -- results/README.md -----------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import UNSURE, judge
-from contactbench.report.chapters import Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
@@ -48,11 +48,10 @@ def counts(rows: pd.DataFrame) -> str:
     return f"{kept} of {decided} runs" + (f" ({beside})" if beside else "")
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     rows = structural_rows(frames)
-    claimed = rows[rows["claimed"]].groupby("label", sort=False)
-    question = "{}: at round-off where claimed?".format
-    return summary(*((question(label), how_often(*kept_of(own)), counts(own)) for label, own in claimed))
+    for label, own in rows[rows["claimed"]].groupby("label", sort=False):
+        yield Answer(f"{label}: at round-off where claimed?", how_often(*kept_of(own)), counts(own))
 
 
 # -- cells -----------------------------------------------------------------------------------------

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import RUNG, ties
-from contactbench.report.chapters import Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part
 from contactbench.report.curves import ROUND_OFF, by_method, decade
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import names, scientific
@@ -68,21 +69,20 @@ def pairing(frame: pd.DataFrame) -> pd.Series:
     return worst.reindex([m for m in dict.fromkeys(frame["method"]) if m in worst.index])
 
 
-def answers(frames: Frames) -> pd.DataFrame:
-    frame, lines = frames["long_time"], []
+def answers(frames: Frames) -> Iterator[Answer]:
+    frame = frames["long_time"]
     for quantity in ALLOWED:
         costs = least(frame, quantity)
         if len(costs):
             first = [str(name) for name in costs.index[costs["first"]]]
             question = f"Which methods need the fewest evaluations for the right {quantity}?"
             cost = f"{cost_text(costs.iloc[0])} evaluations per unit of time"
-            lines.append((question, names(first, 4), cost))
+            yield Answer(question, names(first, 4), cost)
     defects = pairing(frame)
     if len(defects):
         kept = [str(name) for name in defects.index[defects <= STRUCTURE]]
         count = f"{len(kept)} of {len(defects)} methods"
-        lines.append(("Who keeps the pairs of exponents to round-off?", names(kept) or "nobody", count))
-    return summary(*lines)
+        yield Answer("Who keeps the pairs of exponents to round-off?", names(kept) or "nobody", count)
 
 
 def costs_view(frame: pd.DataFrame) -> View:

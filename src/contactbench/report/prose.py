@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
+from contactbench.report.chapters import CHAPTERS, Answer, Chapter, Frames, Part
 from contactbench.report.views import Show, View
 
 PROSE: dict[str, dict[str, Any]] = tomllib.loads(
@@ -25,12 +25,13 @@ type Parts = Callable[[Frames], Iterable[Part | None]]
 
 
 def chapter(
-    name: str, answers: Callable[[Frames], pd.DataFrame] = lambda frames: summary()
+    name: str, answers: Callable[[Frames], Iterable[Answer]] = lambda frames: ()
 ) -> Callable[[Parts], Parts]:
     """Return a decorator that registers the parts of a chapter of chapters.toml."""
+    own = PROSE[name] | {"tables": tuple(PROSE[name]["tables"])}
 
     def register(parts: Parts) -> Parts:
-        CHAPTERS.add(Chapter(name, parts=parts, summary=answers, **PROSE[name]))
+        CHAPTERS.add(Chapter(name, parts=parts, answers=answers, **own))
         return parts
 
     return register

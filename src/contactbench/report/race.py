@@ -12,7 +12,7 @@ import pandas as pd
 
 from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
-from contactbench.report.chapters import Chapter, Contents, Part, Text, shown, summary
+from contactbench.report.chapters import Answer, Chapter, Contents, Part, Text, shown
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import law_label
@@ -27,13 +27,12 @@ ALIKE = ("tie", "undecided")
 
 
 # -- answers and notes -----------------------------------------------------------------------------------------
-def answers(frame: pd.DataFrame) -> pd.DataFrame:
-    first, lines = frame[frame["verdict"].isin(["win", *ALIKE])], []
+def answers(frame: pd.DataFrame) -> Iterator[Answer]:
+    first = frame[frame["verdict"].isin(["win", *ALIKE])]
     for (kind, error), rows in first.groupby(["kind", "error_asked"], sort=False):
         ranked = rows.sort_values("time_s", kind="stable")
         question = f"{TITLES[str(kind)]}, error {error:g}: who is cheapest?"
-        lines.append((question, names(list(ranked["method"]), 4), duration(ranked["time_s"].min())))
-    return summary(*lines)
+        yield Answer(question, names(list(ranked["method"]), 4), duration(ranked["time_s"].min()))
 
 
 def notes(frame: pd.DataFrame) -> Iterator[str]:
@@ -188,7 +187,7 @@ def html(frame: pd.DataFrame) -> str:
     scene, drawn = str(frame["scene"].iloc[0]), figure(frame)
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
     parts: list[Part | None] = [drawn, *views(frame), laws_view(frame), Text(items=tuple(notes(frame)))]
-    contents, images = Contents(chapter, answers(frame), tuple(shown(parts))), {}
+    contents, images = Contents(chapter, tuple(answers(frame)), tuple(shown(parts))), {}
     if drawn:
         picture = base64.b64encode(svg(drawn).encode()).decode()
         images[drawn.name] = f"data:image/svg+xml;base64,{picture}"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import PROCESSES, Verdict
-from contactbench.report.chapters import Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part
 from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import count, duration, names, times
@@ -51,9 +53,9 @@ def beside_loop(frame: pd.DataFrame, n: int, each: float) -> str:
     return f"{times(each / loop)} the C loop" if loop > 0 else ""
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     frame = frames["scaling"]
-    main, found = frame[frame["scene"] == SCENE], []
+    main = frame[frame["scene"] == SCENE]
     for cost, sizes in ((EACH, main["n"]), (REACH, main["n"][main["n"] <= SIZE])):
         rows = ranked(main, cost)
         rows = rows[rows["n"] == sizes.max()]
@@ -66,17 +68,16 @@ def answers(frames: Frames) -> pd.DataFrame:
         if cost == EACH:
             asked = f"Which method takes the least time per degree of freedom and evaluation {at}"
             beside = beside_loop(main, int(sizes.max()), float(best))
-            found.append((asked, own, ", ".join(filter(None, [duration(1e-9 * best), beside]))))
+            yield Answer(asked, own, ", ".join(filter(None, [duration(1e-9 * best), beside])))
         else:
             then = [f"then {rest['method'].iloc[0]} {times(rest['ratio'].iloc[0])}"] if len(rest) else []
-            found.append((f"Who is first at an error of 10⁻⁶ {at}", own, ", ".join([duration(best), *then])))
+            yield Answer(f"Who is first at an error of 10⁻⁶ {at}", own, ", ".join([duration(best), *then]))
     slopes = [s for own in lines(main[main["cores"] == 1]).values() if (s := slope(own)) == s]
     if slopes:
         middle = f"as n to the power {np.median(slopes):.2f}"
         among = f"{len(slopes)} methods and engines, a C loop among them"
         between = f"{min(slopes):.2f} to {max(slopes):.2f}, {among}"
-        found.append((f"How does the time of an evaluation grow on `{SCENE}`?", middle, between))
-    return summary(*found)
+        yield Answer(f"How does the time of an evaluation grow on `{SCENE}`?", middle, between)
 
 
 def costs_view(frame: pd.DataFrame) -> View:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text
 from contactbench.report.curves import best_of_each, by_method, highest
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import LEGEND, drift_cell, law_label, with_bounds
@@ -40,14 +41,14 @@ def started_runs(hard: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(right=rows["status"] == wanted)
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     rows, won = started_runs(frames["stability"]), hard_contest(frames).contests
     right = int(rows["right"].sum())
-    ends = how_often(right, len(rows)), f"{right} of {len(rows)} runs"
-    lines = [("Do runs end as the true motion does?", *ends)]
+    yield Answer(
+        "Do runs end as the true motion does?", how_often(right, len(rows)), f"{right} of {len(rows)} runs"
+    )
     if len(won):
-        lines.append(("Does a contact method need the fewest evaluations on hard scenes?", *tally(won)))
-    return summary(*lines)
+        yield Answer("Does a contact method need the fewest evaluations on hard scenes?", *tally(won))
 
 
 # -- views -----------------------------------------------------------------------------------------

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, costs_to_reach, ties
-from contactbench.report.chapters import Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part
 from contactbench.report.curves import best_of_each, by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.numbers import duration, names, power, scientific, times
@@ -55,8 +55,8 @@ def costs(rows: pd.DataFrame) -> pd.DataFrame:
     return frame.sort_values(["run_s", "evaluations_per_time"], kind="stable")
 
 
-def answers(frames: Frames) -> pd.DataFrame:
-    found, lines = costs(main_rows(frames["structure_buys"])), []
+def answers(frames: Frames) -> Iterator[Answer]:
+    found = costs(main_rows(frames["structure_buys"]))
     found = found[found["t_end"] == found["t_end"].max()]
     for column, (asked, unit, show) in COSTS.items():
         rows = found.dropna(subset=column).sort_values(column, kind="stable")
@@ -70,8 +70,7 @@ def answers(frames: Frames) -> pd.DataFrame:
         what = f"the energy left in a chaotic ring of {SITES} after {after}, within 1 % (median start)"
         question = f"Which {asked} to have {what}?"
         methods = names([str(m) for m in rows["method"][first]], 3)
-        lines.append((question, methods, "; ".join(filter(None, [show(least) + unit, ", ".join(beside)]))))
-    return summary(*lines)
+        yield Answer(question, methods, "; ".join(filter(None, [show(least) + unit, ", ".join(beside)])))
 
 
 def at_allowed(own: pd.DataFrame) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
@@ -63,9 +63,10 @@ def tally(won: pd.DataFrame) -> tuple[str, str]:
     return how_often(counted.get(CONTACT, 0), len(judged)), text + (f"; others: {rest}" if rest else "")
 
 
-def answers(frames: Frames) -> pd.DataFrame:
-    found = {name: own.contests for name, own in all_contests(frames).items() if len(own.contests)}
-    return summary(*((QUESTIONS[name], *tally(won)) for name, won in found.items()))
+def answers(frames: Frames) -> Iterator[Answer]:
+    for name, own in all_contests(frames).items():
+        if len(own.contests):
+            yield Answer(QUESTIONS[name], *tally(own.contests))
 
 
 # -- who is cheapest -------------------------------------------------------------------------------
