@@ -60,12 +60,15 @@ def test_clamped_uncertain_and_kept_entries_are_told_apart():
         at_cost("central", "contact-a", 0.5, contact_drift_clamped=3),
         at_cost("central", "rk4", 1e-8, contact_drift_uncertainty=2e-9),
         at_cost("central", "cvode-bdf", 1e-8, contact_drift_uncertainty=6e-9),
-        at_cost("central", "contact-b"),
+        at_cost("central", "contact-b", contact_drift_kept=True),
+        at_cost("central", "contact-c", contact_drift_kept=None, contact_drift_undecided=True),
+        at_cost("central", "rk5", 1e-4, contact_drift_undecided=True, contact_drift_bound=1e-3),
     ]
     tables = frames(decay_laws=rows)
     cells = [line[-1] for line in equal_cost_view(tables["decay_laws"], tables).rows]
-    assert [cell.text for cell in cells] == ["5.0e-01†", "1.0e-08 ± 2e-09", "≤ 1.0e-08", "1.0e-15"]
-    assert [cell.mark for cell in cells] == [None, None, None, Mark.kept]
+    written = ["5.0e-01†", "1.0e-08 ± 2e-09", "≤ 1.0e-08", "1.0e-15", "1.0e-15", "1.0e-04‡"]
+    assert [cell.text for cell in cells] == written
+    assert [cell.mark for cell in cells] == [None, None, None, Mark.kept, None, None]  # as the column says
 
 
 # -- cost ------------------------------------------------------------------------------------------

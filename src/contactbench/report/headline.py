@@ -11,7 +11,7 @@ import pandas as pd
 
 from contactbench.report import claims, convergence, laws, structure, work_precision
 from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapters
-from contactbench.report.laws import cost_cells, law_label, with_bounds
+from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, how_often, names
 from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, View, frame_of
@@ -73,7 +73,7 @@ def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def mission_view(frames: Frames) -> View | None:
-    rows = with_bounds(most_met_cost(frames["decay_laws"]))
+    rows = most_met_cost(frames["decay_laws"])
     rows = rows[rows["scene"].isin(SCENES) & rows["method"].isin(METHODS)]
     if not len(rows):
         return None

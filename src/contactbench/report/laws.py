@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.law import UNSURE, judge
+from contactbench.measure.law import DECIDABLE, UNSURE
 from contactbench.report.chapters import Answer, Frames, Part, Section, Text
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
@@ -19,7 +19,7 @@ from contactbench.report.numbers import DASH, count, how_often, names, readable,
 from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
-from contactbench.results.judgement import bound, law_rows, laws_at_equal_cost, laws_in, structural_laws
+from contactbench.results.judgement import law_rows, laws_at_equal_cost, laws_in, structural_laws
 from contactbench.results.schema import Column
 from contactbench.results.tables import LAWS_TABLE
 
@@ -60,11 +60,6 @@ def law_label(law: str) -> str:
     return known.label if known and known.label else law.replace("_", " ")
 
 
-def with_bounds(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the frame with a column `LAW_bound` for each structural law it has: up to what it is round-off."""
-    return frame.assign(**{f"{law}_bound": bound(frame, law) for law in structural_laws() if law in frame})
-
-
 def drift_cell(row: Any, law: str) -> Cell:
     def number(name: str) -> float:
         value = row.get(name)
@@ -73,12 +68,12 @@ def drift_cell(row: Any, law: str) -> Cell:
     if pd.isna(row.get(law)):
         return Cell(DASH)
     value, error, limit = (number(name) for name in (law, f"{law}_uncertainty", f"{law}_bound"))
-    kept, ill = judge(value, limit) if limit else (False, False)
+    ill = number(f"{law}_undecided") > 0 and limit > DECIDABLE
     unsure = error > 0 and value <= UNSURE * error
     bar = f" ± {scientific(error, 0)}" if not unsure and 0 < value / 10 <= error else ""
     signs = (DAGGER if number(f"{law}_clamped") > 0 else "") + (DOUBLE_DAGGER if ill else "")
     text = f"{'≤ ' if unsure else ''}{scientific(value)}{bar}{signs}"
-    return Cell(text, value, Mark.kept if kept else None)
+    return Cell(text, value, Mark.kept if number(f"{law}_kept") else None)
 
 
 def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
@@ -133,7 +128,7 @@ def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
     scene, cost = str(part["scene"].iloc[0]), part["cost"].iloc[0]
     laws = [law for law in laws_at_equal_cost() if law in part and part[law].notna().any()]
     rows = []
-    for row in with_bounds(part).to_dict("records"):
+    for row in part.to_dict("records"):
         evaluations, order, *drifts = cost_cells(frames, row, laws)
         error = as_cell(row["solution_error"], scientific)
         rows.append((row["method"], row["engine"], row["setting"], evaluations, order, error, *drifts))

@@ -12,7 +12,7 @@ import pandas as pd
 from contactbench.report.chapters import Answer, Frames, Part, Section, Text
 from contactbench.report.curves import best_of_each, by_method, highest
 from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.laws import LEGEND, drift_cell, law_label, with_bounds
+from contactbench.report.laws import LEGEND, drift_cell, law_label
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
 from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
@@ -71,7 +71,7 @@ def ending(run: pd.Series) -> Cell:
 
 def scene_view(here: pd.DataFrame, scene: str) -> View:
     unsupported = here["status"] == "unsupported"
-    rows = with_bounds(here[~unsupported])
+    rows = here[~unsupported]
     steps, ok = rungs(rows), rows[rows["status"] == "ok"]
     laws = [n for n in laws_in(STABILITY, "stability") if n != "solution_error" and ok[n].notna().any()]
     lines = []
