@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import pandas as pd
 
@@ -102,7 +101,7 @@ def chapters(frames: Frames) -> list[Chapter]:
     return sorted((c for c in CHAPTERS.values() if len(frames[c.tables[0]])), key=lambda c: c.order)
 
 
-def every(kind: type, parts: Iterable[Part | None]) -> Iterator[Any]:
+def every[P: Part](kind: type[P], parts: Iterable[Part | None]) -> Iterator[P]:
     for part in parts:
         if isinstance(part, Section):
             yield from every(kind, part.parts)

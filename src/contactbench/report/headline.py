@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
-from typing import Any
 
 import pandas as pd
 
@@ -24,10 +23,17 @@ PICTURED = "particle"
 #: a column of the result with the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 #: the scenes of the mission, the methods that a reader knows, and the laws; that of J where a method claims it
-SCENES = ("oscillator", "particle", "rigid_body")
-METHODS = ["contact-printed", "contact-strang", "contact-rkn4", "contact-rkn8", "contact-o8", "herglotz2"]
-METHODS += ["rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "diffrax-dopri8", "heyoka-taylor"]
-LAWS = ("energy_law", "momentum_law", "contact_drift")
+SHOWN_SCENES = ("oscillator", "particle", "rigid_body")
+SHOWN_METHODS = [
+    "contact-printed",
+    "contact-strang",
+    "contact-rkn4",
+    "contact-rkn8",
+    "contact-o8",
+    "herglotz2",
+]
+SHOWN_METHODS += ["rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "diffrax-dopri8", "heyoka-taylor"]
+SHOWN_LAWS = ("energy_law", "momentum_law", "contact_drift")
 
 
 # -- the answers -----------------------------------------------------------------------------------
@@ -74,16 +80,16 @@ def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
 
 def mission_view(frames: Frames) -> View | None:
     rows = most_met_cost(frames["decay_laws"])
-    rows = rows[rows["scene"].isin(SCENES) & rows["method"].isin(METHODS)]
+    rows = rows[rows["scene"].isin(SHOWN_SCENES) & rows["method"].isin(SHOWN_METHODS)]
     if not len(rows):
         return None
     momentum = law_rows(frames, "momentum_law")
     claimed = set(momentum[momentum["claimed"]]["scene"])
-    shown = [scene for scene in SCENES if scene in set(rows["scene"])]
-    laws_of = {s: [law for law in LAWS if law != "momentum_law" or s in claimed] for s in shown}
+    shown = [scene for scene in SHOWN_SCENES if scene in set(rows["scene"])]
+    laws_of = {s: [law for law in SHOWN_LAWS if law != "momentum_law" or s in claimed] for s in shown}
     by_pair = {(row["method"], row["scene"]): row for row in rows.to_dict("records")}
     lines = []
-    for method in sorted(set(rows["method"]), key=METHODS.index):
+    for method in sorted(set(rows["method"]), key=SHOWN_METHODS.index):
         cells: list[Cell] = []
         for scene, own in laws_of.items():
             cells += cost_cells(frames, by_pair.get((method, scene), {"status": DASH}), own)
@@ -125,7 +131,7 @@ def parts(frames: Frames) -> list[Part | None]:
     return [*found, documents_view(frames)]
 
 
-def machine(runs: Sequence[Mapping[str, Any]]) -> Text:
+def machine(runs: Sequence[Mapping[str, object]]) -> Text:
     places = dict.fromkeys(
         f"{run.get('cpu', '')}, {run.get('cores', '')} cores, Python {run.get('python', '')}, "
         f"commit `{str(run.get('commit', ''))[:12] or 'unknown'}`{' with local changes' if run.get('dirty') else ''}"

@@ -97,7 +97,7 @@ def time_cell(row: Any) -> Cell:
     return Cell(f"{duration(row.time_s)} {beside}", row.time_s, mark)
 
 
-def kept_by(rows: pd.DataFrame) -> str:
+def kept_laws(rows: pd.DataFrame) -> str:
     """Return the laws kept at every setting at which they were measured, and those that there was no time for."""
     done = rows[has_laws(rows)]
     if done.empty:
@@ -120,7 +120,7 @@ def times_view(frame: pd.DataFrame, kind: str) -> View:
     for method, part in frame[frame["kind"] == kind].groupby("method", sort=False):
         if not (part["status"] == "unsupported").all():
             cells = [time_cell(row) for row in part.itertuples()]
-            rows.append((str(method), *cells, *part["evaluations"], kept_by(part)))
+            rows.append((str(method), *cells, *part["evaluations"], kept_laws(part)))
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
     labels = [("", "method"), *((f"{what} at error", e) for what in ("time", "evaluations") for e in errors)]
     table = frame_of(rows, [*labels, ("", "at round-off")])

@@ -17,8 +17,18 @@ from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
 from contactbench.report.prose import chapter
 from contactbench.report.views import Cell, Mark, View, matrix
-from contactbench.results import contest as judge
-from contactbench.results.contest import COMPILED, CONTACT, EVALUATIONS, KINDS, OTHER, Kind, contestants
+from contactbench.results.contest import (
+    COMPILED,
+    CONTACT,
+    EVALUATIONS,
+    KINDS,
+    OTHER,
+    Kind,
+    contestants,
+    contests,
+    costs,
+    standings,
+)
 
 SOURCE = "work_precision.csv"
 LEGEND = (
@@ -43,8 +53,8 @@ class Contest:
 
 
 def contest(work: pd.DataFrame, kind: Kind) -> Contest:
-    found = judge.costs(contestants(work), kind)
-    return Contest(kind, judge.standings(found), judge.contests(found))
+    found = costs(contestants(work), kind)
+    return Contest(kind, standings(found), contests(found))
 
 
 @lru_cache(2)
@@ -189,7 +199,7 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     rows = contestants(work)
-    table = judge.contests(judge.costs(rows[rows["scene"] == scene], COMPILED))
+    table = contests(costs(rows[rows["scene"] == scene], COMPILED))
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
     if not len(table):
         return f"{scene}: cost against error", []

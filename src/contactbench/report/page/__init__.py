@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import jinja2
 from markupsafe import Markup, escape
@@ -75,15 +74,20 @@ def substitute(pattern: re.Pattern[str], text: str, mark: Callable[[re.Match[str
 
 
 # -- tables as JSON --------------------------------------------------------------------------------
-def cell(of: Cell, addresses: Mapping[str, str]) -> str | list[Any]:
+#: a text, or a text, what it is sorted by, its mark and its link, as far as there are such
+type Entry = str | list[str | float | None]
+
+
+def cell(of: Cell, addresses: Mapping[str, str]) -> Entry:
     value = None if of.value is None else float(f"{of.value:.6g}")
-    more: list[Any] = [str(inline(of.text, addresses)), value, of.mark or "", addresses.get(of.link, of.link)]
+    text, link = str(inline(of.text, addresses)), addresses.get(of.link, of.link)
+    more: list[str | float | None] = [text, value, of.mark or "", link]
     while not more[-1] and len(more) > 1:
         more.pop()
-    return more if more[1:] else str(more[0])
+    return more if more[1:] else text
 
 
-def table(view: View, addresses: Mapping[str, str]) -> dict[str, Any]:
+def table(view: View, addresses: Mapping[str, str]) -> dict[str, object]:
     heads = [[str(inline(head.label)), int(head.words), head.group] for head in view.columns]
     return {
         "title": view.title,
@@ -97,7 +101,7 @@ def table(view: View, addresses: Mapping[str, str]) -> dict[str, Any]:
 # -- the page --------------------------------------------------------------------------------------
 def page(
     contents: Sequence[Contents],
-    recorded: Sequence[Mapping[str, Any]] = (),
+    recorded: Sequence[Mapping[str, object]] = (),
     glossary: Sequence[Part] = (),
     links: Mapping[str, str] | None = None,
     images: Mapping[str, str] | None = None,
