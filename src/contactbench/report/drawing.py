@@ -61,8 +61,9 @@ class Panel:
 class Figure:
     """Panels side by side, `across` in a row, saved as figures/NAME.svg.
 
+    Names of curves stand in the margin of a single panel, or below several.
+
     title : its message.  caption : one or two sentences: what is compared, what is better.
-    legend : names in the margin of a single panel, below several ("shared"), or in each of them ("each").
     """
 
     name: str
@@ -70,4 +71,3 @@ class Figure:
     panels: tuple[Panel, ...]
     caption: str = ""
     across: int = 2
-    legend: Literal["shared", "each"] = "shared"

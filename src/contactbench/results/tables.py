@@ -106,10 +106,15 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
 
     Parameters
     ----------
-    name
+    name : str
         Of a table, such as "laws", "work_precision", "stability", "claims", "ensemble".
-    folder
+    folder : path-like, optional
         Of a run of your own; by default the tables that came with the package.
+
+    Returns
+    -------
+    DataFrame
+        A row for each cell: scene × method × engine × setting, or what the table is about.
 
     Raises
     ------
