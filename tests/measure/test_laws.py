@@ -198,6 +198,7 @@ PROMISES = [
     ("central", "contact-rkn4", {"step": 0.2}, {"momentum_law"} | MAP | OWN),
     ("rigid_body", "contact-strang", {"step": 0.2}, STATE | OWN | {"contact_drift"}),
     ("lane_emden_5", "contact-rkn4", {"step": 0.2}, MAP | OWN),
+    ("duffing", "contact-rkn4", {"step": 0.05}, MAP | OWN),  # chaotic: the map grows
     ("quadratic_damping", "contact-rkn4", {"step": 0.2}, OWN),
     ("central", "herglotz2", {"step": 0.05}, OWN),
     ("central", "contact-adaptive", {"rtol": 1e-6}, {"momentum_law"}),
