@@ -7,10 +7,9 @@ from collections.abc import Iterator
 import pandas as pd
 
 from contactbench.report import paper
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
 from contactbench.report.drawing import Figure
 from contactbench.report.numbers import DASH, how_often
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, View, frame_of
 from contactbench.results.schema import BEYOND, SEPARATOR
 

@@ -6,11 +6,10 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from contactbench.report.chapters import Answer, Frames, Part
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, view
 from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import how_often
-from contactbench.report.prose import PROSE, chapter, view
 from contactbench.report.views import Cell, Mark, matrix
 
 #: a measured order further than this from the claimed one, and than its own spread, is an exception

@@ -7,9 +7,8 @@ import pandas as pd
 
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import ALIKE, COUNTED, ties
-from contactbench.report.chapters import Frames, Part
+from contactbench.report.chapters import Frames, Part, chapter, view
 from contactbench.report.numbers import DASH, count, names, scientific
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 
 #: with which the others are compared under strong damping: a composition without steps against time

@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import pandas as pd
 
-from contactbench.report.chapters import Answer, Frames, Part
+from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import count, duration, names, power, times
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import View, matrix, pick
 from contactbench.report.work_precision import ERROR, LEGEND, cost_cell, error_label
 from contactbench.results.contest import COMPILED, CONTACT, LIMIT, MARGINAL, Kind, costs, standings

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, ties
-from contactbench.report.chapters import Answer, Frames, Part
+from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.numbers import duration, names, power, scientific, times
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import Mark, Show, View, as_cell, frame_of, pick
 
 #: modes that are none in reverse: what is timed without a derivative, and six tangents

@@ -9,10 +9,9 @@ from itertools import islice
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, structure, work_precision
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapters
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chapters, view
 from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, how_often, names
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.contest import OTHER
 from contactbench.results.judgement import law_rows

@@ -11,12 +11,11 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import DECIDABLE, UNSURE
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
 from contactbench.report.numbers import DASH, count, how_often, names, readable, scientific, times
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 from contactbench.results.judgement import law_rows, laws_at_equal_cost, laws_in, structural_laws

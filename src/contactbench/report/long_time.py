@@ -10,11 +10,10 @@ import pandas as pd
 
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import RUNG, ties
-from contactbench.report.chapters import Answer, Frames, Part
+from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.curves import ROUND_OFF, by_method, decade
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import names, scientific
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, SUM

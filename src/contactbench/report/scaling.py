@@ -8,11 +8,10 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import PROCESSES, Verdict
-from contactbench.report.chapters import Answer, Frames, Part
+from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import count, duration, names, times
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.results.contest import COMPILED, LIMIT, standings
 

@@ -9,12 +9,11 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
 from contactbench.report.curves import best_of_each, by_method, highest
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import LEGEND, drift_cell, law_label
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
 from contactbench.results.contest import EVALUATIONS

@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, costs_to_reach, ties
-from contactbench.report.chapters import Answer, Frames, Part
+from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.curves import best_of_each, by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.numbers import duration, names, power, scientific, times
-from contactbench.report.prose import chapter, view
 from contactbench.report.views import Mark, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
-from contactbench.report.prose import chapter
 from contactbench.report.views import Cell, Mark, View, matrix
 from contactbench.results.contest import (
     COMPILED,
