@@ -13,14 +13,15 @@ import sys
 import sysconfig
 import threading
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from html import escape
 from pathlib import Path
 from types import FrameType, FunctionType
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
+
+from contactbench.notebook import html_table
 
 #: characters at most of a message, and of a value that is shown in it
 LONGEST, SHOWN = 300, 80
@@ -66,12 +67,6 @@ def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName
     near = get_close_matches(name.lower(), plain, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f"did you mean {plain[near[0]]!r}? " if near else ""
     return UnknownName(f"unknown {kind} {excerpt(name)}: {hint}choose from {', '.join(names)}")
-
-
-def html_table(rows: Mapping[str, object], title: str = "") -> str:
-    """Return two columns as a table of HTML, for notebooks."""
-    cells = (f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items())
-    return f"<table><caption>{escape(title)}</caption>{''.join(cells)}</table>"
 
 
 #: a name is also a key in tables, a part of file names and a word on the command line

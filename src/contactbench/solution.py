@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput, html_table
+from contactbench.errors import BadInput
+from contactbench.notebook import html_table
 from contactbench.scene import Scene, rotation_matrix
 
 if TYPE_CHECKING:
@@ -163,8 +163,6 @@ class Solution:
     message: str = ""
     counts: Counts = field(default_factory=Counts)
     end_time: float = float("nan")
-    #: measures a solution's laws; set by `contactbench.measure.laws`, which knows them
-    judge: ClassVar[Callable[[Solution], pd.DataFrame]]
     #: the `Prepared` that made it, which can be differentiated
     run: Any = None
     #: what was set, "step" or "rtol", and its value
@@ -265,8 +263,10 @@ class Solution:
         return pd.DataFrame({"t": self.t, **dict(zip(self.labels, self.y.T, strict=True))})
 
     def laws(self) -> pd.DataFrame:
-        """Return how far the run is from every law that applies to it: see `contactbench.measure.laws.kept_by`."""
-        return Solution.judge(self)
+        """Return how far the run is from every law that applies to it: see `contactbench.measure.laws.laws`."""
+        from contactbench.measure.laws import laws  # which measures solutions
+
+        return laws(self)
 
     @cached_property
     def differential(self) -> Differential:

@@ -258,4 +258,4 @@ def test_figures(name, tmp_path):
     (figure,) = paper.all_figures(frame)
     assert figure.name == name
     assert figure.panels
-    assert all(panel.curves or panel.heat for panel in figure.panels)
+    assert all(panel.curves for panel in figure.panels)

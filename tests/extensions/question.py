@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import contactbench as cb
-from contactbench.report.chapters import CHAPTERS, Chapter, summary
+from contactbench.report.chapters import CHAPTERS, Answer, Chapter
 from contactbench.report.curves import by_method
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.views import View
@@ -50,7 +50,7 @@ def parts(frames):
 
 def answers(frames):
     values = frames["half_life"]["half_life"]
-    return summary(("When is half of the energy gone?", f"at {values.mean():.3g}", f"{len(values)} steps"))
+    yield Answer("When is half of the energy gone?", f"at {values.mean():.3g}", f"{len(values)} steps")
 
 
 CHAPTERS.add(

@@ -9,15 +9,14 @@ from html.parser import HTMLParser
 
 import pytest
 from selenium import webdriver
-from selenium.webdriver import ActionChains
 from selenium.webdriver.chrome.service import Service
 
 from contactbench.report import page
-from contactbench.report.chapters import Chapter, Contents, Section, Text, summary
-from contactbench.report.drawing import Axis, Curve, Figure, Live, Panel
+from contactbench.report.chapters import Answer, Chapter, Contents, Section, Text
+from contactbench.report.drawing import Figure
 from contactbench.report.views import Cell, Mark, View, frame_of
 
-VOID = {"meta", "link", "br", "wbr", "img", "input", "hr", "path"}
+VOID = {"meta", "link", "br", "wbr", "img", "input", "hr"}
 NAMES = ("contact-strang", "rk4", "my-own")
 
 
@@ -29,22 +28,9 @@ NUMBERS = [(NAMES[k % 3], math.inf if k == 9 else (k * 7) % 50) for k in range(5
 ROWS = View("rows", "All rows", frame_of(NUMBERS, ["method", "n"]))
 
 
-SETTINGS = ("step=0.1", "step=0.01", "step=0.001")
-
-
-def panel(cost, scale):
-    rk4 = Curve((1e-3, 1e-6, math.nan), (scale, 10 * scale, 9.0), "rk4", "rk4", settings=SETTINGS)
-    strang = Curve((1e-2, 1e-4, 1e-8), (1.0, 2.0, 4.0), "contact-strang", "contact-strang", settings=SETTINGS)
-    return Panel(cost, Axis("error", "log", within=(1e-16, 2.0)), Axis(cost, "log"), (rk4, strang))
-
-
-SCALES = {"a": 5.0, "b": 5e6}
-LIVE = Live("Cost", {(s, c): panel(c, k) for s, k in SCALES.items() for c in ("time", "evaluations")})
-
-
 def contents(parts, name="work_precision", questions=(("Is it *fast*?", "yes", "3 of 4"),)):
     chapter = Chapter(name, name, "", 1, (name,), lambda frames: ())
-    return Contents(chapter, summary(*questions), parts)
+    return Contents(chapter, tuple(Answer(*each) for each in questions), parts)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +38,7 @@ def text():
     section, drawn = Section("particle", (Text("on particle"),)), Figure("drawn", "a figure", ())
     first = contents((Text("Dimensionless.", ("one",)), COSTS, ROWS, section, drawn))
     second = contents((Text("see [cost](work_precision.md)"),), "laws")
-    return page.page([first, second], [{"commit": "x < y", "run": "first"}], live=LIVE)
+    return page.page([first, second], [{"commit": "x < y", "run": "first"}], images={"drawn": "data:,"})
 
 
 class Document(HTMLParser):
@@ -92,10 +78,8 @@ def test_the_page_is_well_formed_and_needs_no_network(text):
     assert "default-src 'none'" in text  # and the browser is told to refuse
 
 
-def test_every_entry_and_point_is_there(text):
-    data, live = (Document(text).data[name] for name in ("views", "live"))
-    rk4 = live["panels"]["a"]["time"]["curves"][0]
-    assert rk4["points"] == [[1e-3, 5.0, "step=0.1"], [1e-6, 50.0, "step=0.01"]]
+def test_every_entry_is_there(text):
+    data = Document(text).data
     assert data["costs"]["rows"][:2] == [
         ["contact-strang", ["≤ 2e-6", 0.0, "best"], "—"],
         ["rk4", ["≤ 2e-6", 2e-6], "—"],
@@ -112,10 +96,8 @@ def test_what_a_row_holds_cannot_break_the_page():
     )
     assert not document.wrong
     assert not [given for _, given in document.open if "onclick" in given]
-    assert evil not in json.dumps(
-        [document.data["views"]["evil"][name] for name in ("legend", "heads", "rows")]
-    )
-    assert Document(page.page([])).data == {"views": {}, "live": None}
+    assert evil not in json.dumps([document.data["evil"][name] for name in ("legend", "heads", "rows")])
+    assert Document(page.page([])).data == {}
 
 
 @pytest.mark.parametrize(
@@ -195,28 +177,3 @@ def test_a_table_is_drawn_when_it_is_opened_and_sorted_with_blanks_last(chrome):
     rows = visible(chrome, '[data-view="rows"] tbody tr')
     assert len(rows) == 17
     assert all("rk4" in row.text for row in rows)
-
-
-def test_the_live_plot_shows_scene_cost_and_families_chosen_rescales_and_names_a_point(chrome):
-    opened(chrome)
-
-    def lines():
-        return [line.get_attribute("data-name") for line in visible(chrome, "#live .line")]
-
-    def ticks():
-        return [tick.text for tick in visible(chrome, "#live svg text")]
-
-    scene, cost = visible(chrome, "#live select")
-    assert lines() == ["rk4", "contact-strang"]
-    assert "10⁷" not in ticks()
-    scene.send_keys("b")
-    assert "10⁷" in ticks()
-    visible(chrome, '.keys [value="rk4"]')[0].click()
-    assert lines() == ["contact-strang"]
-    assert "10⁷" not in ticks()
-    cost.send_keys("e")
-    assert "evaluations" in ticks()
-    dot = visible(chrome, "#live .plot .dot")[1]
-    ActionChains(chrome).move_to_element(dot).perform()
-    words = ["contact-strang", "step=0.01", "error 0.0001", "evaluations 2"]
-    assert visible(chrome, ".tip")[0].text.split("\n") == words

@@ -1,5 +1,6 @@
 """What the tables to read say, on small tables made by hand; views, numbers and their markdown; a comparison."""
 
+import base64
 import json
 import re
 
@@ -59,12 +60,15 @@ def test_clamped_uncertain_and_kept_entries_are_told_apart():
         at_cost("central", "contact-a", 0.5, contact_drift_clamped=3),
         at_cost("central", "rk4", 1e-8, contact_drift_uncertainty=2e-9),
         at_cost("central", "cvode-bdf", 1e-8, contact_drift_uncertainty=6e-9),
-        at_cost("central", "contact-b"),
+        at_cost("central", "contact-b", contact_drift_kept=True),
+        at_cost("central", "contact-c", contact_drift_kept=None, contact_drift_undecided=True),
+        at_cost("central", "rk5", 1e-4, contact_drift_undecided=True, contact_drift_bound=1e-3),
     ]
     tables = frames(decay_laws=rows)
     cells = [line[-1] for line in equal_cost_view(tables["decay_laws"], tables).rows]
-    assert [cell.text for cell in cells] == ["5.0e-01†", "1.0e-08 ± 2e-09", "≤ 1.0e-08", "1.0e-15"]
-    assert [cell.mark for cell in cells] == [None, None, None, Mark.kept]
+    written = ["5.0e-01†", "1.0e-08 ± 2e-09", "≤ 1.0e-08", "1.0e-15", "1.0e-15", "1.0e-04‡"]
+    assert [cell.text for cell in cells] == written
+    assert [cell.mark for cell in cells] == [None, None, None, Mark.kept, None, None]  # as the column says
 
 
 # -- cost ------------------------------------------------------------------------------------------
@@ -177,8 +181,8 @@ def test_one_wrong_setting_at_the_end_leaves_no_cost():
     ("more", "kept"), [((), "contact-rkn4"), (chaotic("contact-rkn4", 32, 0, 1e-9), "nobody")]
 )
 def test_pairs_are_kept_only_where_every_setting_keeps_them(more, kept):
-    summary = long_time.answers(frames(long_time=[*PLANTED, *more]))
-    assert summary["answer"].iloc[-1] == kept
+    *_, last = long_time.answers(frames(long_time=[*PLANTED, *more]))
+    assert last.answer == kept
 
 
 # -- cost against size -----------------------------------------------------------------------------
@@ -202,13 +206,13 @@ def test_the_power_by_which_time_grows_is_that_of_large_sizes():
 def test_who_is_cheapest_at_the_largest_size_and_who_is_first_at_the_error():
     rows = [*at_sizes("contact-a", 0.5, reach=2e-3), *at_sizes("rk4", 0.4), *at_sizes("limit-c", 0.2)]
     rows += [each | {"engine": "python"} for each in at_sizes("scipy-b", 0.1, reach=1e-9)]
-    each, reach, growth = scaling.answers(frames(scaling=rows)).to_dict("records")
-    assert (each["answer"], each["count"]) == ("rk4", "0.4 ns, ×2.00 the C loop")
-    assert (reach["answer"], reach["count"]) == ("rk4", "1 ms, then contact-a ×2.00")
-    assert growth["answer"] == "as n to the power 1.00"
+    each, reach, growth = scaling.answers(frames(scaling=rows))
+    assert (each.answer, each.count) == ("rk4", "0.4 ns, ×2.00 the C loop")
+    assert (reach.answer, reach.count) == ("rk4", "1 ms, then contact-a ×2.00")
+    assert growth.answer == "as n to the power 1.00"
     rows += at_sizes("contact-b", 0.3, reach=1e-4)
-    contradicted = scaling.answers(frames(scaling=rows))
-    assert list(contradicted["answer"][:2]) == ["contact-b", "contact-b"]
+    contradicted = [found.answer for found in scaling.answers(frames(scaling=rows))]
+    assert contradicted[:2] == ["contact-b", "contact-b"]
     assert "contact-b takes 0.3 ns" in scaling.figure(table("scaling", rows)).title
 
 
@@ -232,14 +236,14 @@ RING = [
 
 
 def test_who_has_the_energy_left_right_at_the_least_cost_in_the_longest_run():
-    time, evaluations = structure.answers(frames(structure_buys=RING)).to_dict("records")
-    assert "T = 10⁵" in time["question"]
-    assert (time["answer"], time["count"]) == ("contact-a", "8 ms; herglotz2 ×2.35, rk4 ×3.00")
-    assert evaluations["answer"] == "contact-a"
-    assert evaluations["count"] == "4 per unit of time; herglotz2 ×1.17, rk4 ×2.00"
+    time, evaluations = structure.answers(frames(structure_buys=RING))
+    assert "T = 10⁵" in time.question
+    assert (time.answer, time.count) == ("contact-a", "8 ms; herglotz2 ×2.35, rk4 ×3.00")
+    assert evaluations.answer == "contact-a"
+    assert evaluations.count == "4 per unit of time; herglotz2 ×1.17, rk4 ×2.00"
     contradicting = [*RING, *on_the_ring("rk5", {1e4: (1e-4, 1e-5), 1e5: (1e-4, 1e-5)}, 1.0)]
-    assert structure.answers(frames(structure_buys=contradicting))["answer"].iloc[0] == "rk5"
-    assert not len(structure.answers(frames()))
+    assert next(structure.answers(frames(structure_buys=contradicting))).answer == "rk5"
+    assert not [*structure.answers(frames())]
 
 
 def test_one_setting_is_shown_at_both_lengths_and_a_bound_as_one():
@@ -261,12 +265,12 @@ def derivative(method, mode, seconds, error=5e-7):
 def test_derivatives_are_compared_where_they_have_the_error_forward_and_in_reverse():
     rows = [derivative("rk4", "loss alone", 1e-4), derivative("rk4", "forward", 3e-4)]
     rows += [derivative("rk4", "backsolve", 1e-4, error=2e-6), derivative("rk4", "checkpointed", 4e-4)]
-    forward, reverse = gradients.answers(frames(gradients=rows)).to_dict("records")
-    assert (forward["answer"], forward["count"]) == ("rk4", "300 µs")
-    assert (reverse["answer"], reverse["count"]) == ("rk4, checkpointed", "400 µs")
+    forward, reverse = gradients.answers(frames(gradients=rows))
+    assert (forward.answer, forward.count) == ("rk4", "300 µs")
+    assert (reverse.answer, reverse.count) == ("rk4, checkpointed", "400 µs")
     contradicting = [*rows, derivative("contact-a", "reversible", 2e-4)]
-    reverse = gradients.answers(frames(gradients=contradicting)).to_dict("records")[1]
-    assert (reverse["answer"], reverse["count"]) == (
+    _, reverse = gradients.answers(frames(gradients=contradicting))
+    assert (reverse.answer, reverse.count) == (
         "contact-a, reversible",
         "200 µs; rk4, checkpointed ×2.00",
     )
@@ -322,22 +326,22 @@ def test_text_and_page_have_every_time_and_law_and_the_plot_every_kind(frame):
         assert f"{run.setting}, {run.error_reached:.1e}" in text
     assert "contact-exact: unsupported" in text
     assert "who is cheapest?" in page
-    data = json.loads(re.search(r'id="data">(.*)</script>', page)[1])
-    (panels,) = data["live"]["panels"].values()
-    assert [*panels] == ["Compiled", "Evaluations"]
-    laws = data["views"]["race_laws"]
+    assert [panel.title for panel in race.figure(frame).panels] == ["Compiled", "Evaluations"]
+    (drawn,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
+    assert b"<svg" in base64.b64decode(drawn)
+    laws = json.loads(re.search(r'id="data">(.*)</script>', page)[1])["race_laws"]
     assert "contact drift" in [label for label, *_ in laws["heads"]]
     assert len(laws["rows"]) == int((frame["status"] == "ok").sum())
 
 
 def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
     own = frame[frame["method"] == "contact-strang"].copy()
-    assert "contact drift" in race.kept_by(own)
+    assert "contact drift" in race.kept_laws(own)
     own.loc[own.index[0], ["contact_drift", "laws_kept"]] = [np.nan, ""]  # measured at one of the two errors
-    assert "contact drift" in race.kept_by(own)
+    assert "contact drift" in race.kept_laws(own)
     own["contact_drift"], own["laws_kept"] = np.nan, ""
-    assert "not measured: contact drift" in race.kept_by(own)
-    assert race.kept_by(frame[frame["method"] == "rk4"]) == "none"
+    assert "not measured: contact drift" in race.kept_laws(own)
+    assert race.kept_laws(frame[frame["method"] == "rk4"]) == "none"
 
 
 def test_a_curve_says_what_an_error_costs_and_never_turns_back():

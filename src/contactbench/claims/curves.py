@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,8 @@ from contactbench.claims.rigid_body import INERTIA, criterion, direction_growths
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
 
-Row = tuple[str, str, str, float, float, float]
+type Numbers = Iterable[float]
+type Row = tuple[str, str, str, float, float, float]
 IN_THE_PLANE = itertools.repeat(math.nan)
 
 
@@ -31,7 +32,9 @@ def rows(name: str) -> Iterator[dict[str, Any]]:
         count[panel, curve] += 1
 
 
-def curve(panel: str, name: str, kind: str, x: Any, y: Any, z: Any = IN_THE_PLANE) -> Iterator[Row]:
+def curve(
+    panel: str, name: str, kind: str, x: Numbers, y: Numbers, z: Numbers = IN_THE_PLANE
+) -> Iterator[Row]:
     for point in zip(x, y, z, strict=False):
         yield (panel, name, kind, *point)
 
@@ -62,7 +65,7 @@ def paper_4() -> Iterator[Row]:
         M = np.full(3, 0.08)
         M[axis] = math.sqrt(1 - 2 * 0.08 * 0.08)
         scene = SCENES["rigid_body"].with_(gamma=0.03, M=tuple(M), t_end=100.0)
-        path = numerical(scene, "contact-abc", 0.05, 200).M
+        path = numerical(scene, "contact-abc", 0.05, 200).y
         yield from curve("momentum", f"near axis {axis + 1}", "stable" if axis != 1 else "unstable", *path.T)
 
 
@@ -83,7 +86,7 @@ def paper_5() -> Iterator[Row]:
             for angle in (0.25, 0.5, 0.7):  # from the axis towards axis 2
                 M = np.zeros(3)
                 M[axis], M[1] = sign * math.cos(angle), math.sin(angle)
-                path = numerical(free.with_(M=tuple(M), t_end=60.0), "contact-abc", 0.1, 200).M
+                path = numerical(free.with_(M=tuple(M), t_end=60.0), "contact-abc", 0.1, 200).y
                 turns = np.unwrap(np.arctan2(path[:, 1], path[:, 2 - axis]))
                 once = int(np.argmax(np.abs(turns - turns[0]) > 2 * math.pi)) or len(path)
                 name = f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad"
@@ -96,7 +99,7 @@ def paper_7() -> Iterator[Row]:
     t = np.linspace(0, scene.t_end, 101)
     truth = scene.energy(reference(scene, t, ()).states())
 
-    def law(t: Any) -> Any:
+    def law(t: np.ndarray) -> np.ndarray:
         return truth[0] * np.exp(-scene.gamma * t)
 
     yield from curve("energy", "true H0", "truth", t, truth)
@@ -120,7 +123,7 @@ def paper_8() -> Iterator[Row]:
         run = numerical(scene, "contact-printed", PAPER_STEP, 300)
         energy = scene.energy(run.states())
         label = f"γ = {gamma:g}"
-        yield from curve("phase", label, kind, run.q[:, 0], run.p[:, 0])
+        yield from curve("phase", label, kind, run.y[:, 0], run.y[:, 2])
         yield from curve("energy", label, kind, run.t, energy)
         if gamma == 0:
             yield from curve("bounded", label, kind, run.t, energy / energy[0] - 1)

@@ -8,20 +8,24 @@ A one-form is a function ``eta(y) -> covector`` on coordinates y ∈ R^N, a two-
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its parts are loaded when first used
 
 from contactbench.claims.ledger import CORRECTED, Evidence, at_least, at_most, claim
-from contactbench.scene import State
+from contactbench.scene import Scene, State
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
 from contactbench.xla import jax, jnp
 
-Field = Callable[[Any], Any]
+if TYPE_CHECKING:
+    from jax import Array
+
+#: a function of coordinates: a number, a covector, a vector field, a map
+type Field = Callable[[Array], Array]
 SEED = 20
 #: sums of a few dozen products of numbers of size one, differentiated by AD: a few hundred ulp
 ROUND_OFF = 1e-12
@@ -41,46 +45,46 @@ def largest(function: Field, at: np.ndarray) -> float:
     return float(np.abs(everywhere(function, at)).max())
 
 
-def canonical(y: Any) -> State:
+def canonical(y: Array) -> State:
     n = (len(y) - 1) // 2
     return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n])
 
 
-def pack(x: Any) -> Any:
+def pack(x: Iterable[object]) -> Array:
     return jnp.concatenate([jnp.ravel(jnp.asarray(part, dtype=float)) for part in x if part is not None])
 
 
-def eta(y: Any) -> Any:
+def eta(y: Array) -> Array:
     """Return the suite's own contact form on T*Rⁿ × R, as a covector at y."""
     form = SCENES["particle"].contact_form
     return jax.grad(lambda v: form(canonical(y), canonical(v)))(jnp.zeros(len(y)))
 
 
-def exterior(form: Field, y: Any) -> Any:
+def exterior(form: Field, y: Array) -> Array:
     """Return dα as a matrix: dα(u, v) = D(α·v)[u] − D(α·u)[v]."""
     derivative = jax.jacfwd(form)(y)  # [i, j] = ∂_j α_i
     return derivative.T - derivative
 
 
-def pullback(map_: Field, form: Field, y: Any) -> Any:
+def pullback(map_: Field, form: Field, y: Array) -> Array:
     return form(map_(y)) @ jax.jacfwd(map_)(y)
 
 
-def lie_derivative(field: Field, form: Field, y: Any) -> Any:
+def lie_derivative(field: Field, form: Field, y: Array) -> Array:
     return jax.jacfwd(form)(y) @ field(y) + form(y) @ jax.jacfwd(field)(y)
 
 
-def along(field: Field, function: Field, y: Any) -> Any:
+def along(field: Field, function: Field, y: Array) -> Array:
     return jax.jvp(function, (y,), (field(y),))[1]
 
 
-def reeb(form: Field, y: Any) -> Any:
+def reeb(form: Field, y: Array) -> Array:
     """Return the vector with α(R) = 1 and ι_R dα = 0, by least squares on these equations."""
     rows = jnp.vstack([exterior(form, y).T, form(y)])
     return jnp.linalg.lstsq(rows, jnp.zeros(len(y) + 1).at[-1].set(1.0))[0]
 
 
-def contact_field(form: Field, hamiltonian: Field, y: Any) -> Any:
+def contact_field(form: Field, hamiltonian: Field, y: Array) -> Array:
     """Return X_H solved from its definition ι_X dα = dH − R(H) α, ι_X α = −H  (§2.3, eq. (11))."""
     slope, covector = jax.grad(hamiltonian)(y), form(y)
     right = jnp.append(slope - (slope @ reeb(form, y)) * covector, -hamiltonian(y))
@@ -90,7 +94,7 @@ def contact_field(form: Field, hamiltonian: Field, y: Any) -> Any:
 def contact_equations(hamiltonian: Field) -> Field:
     """Return X_H by the paper's coordinate formula (§2.3, eq. (23))."""
 
-    def field(y: Any) -> Any:
+    def field(y: Array) -> Array:
         n = (len(y) - 1) // 2
         slope, p = jax.grad(hamiltonian)(y), y[n : 2 * n]
         dq, dp, ds = slope[:n], slope[n : 2 * n], slope[2 * n]
@@ -99,11 +103,11 @@ def contact_equations(hamiltonian: Field) -> Field:
     return field
 
 
-def vector_field(scene: Any) -> Field:
+def vector_field(scene: Scene) -> Field:
     return lambda y: pack(scene.rhs(canonical(y)))
 
 
-def function_of(measure: Callable[[State], Any]) -> Field:
+def function_of(measure: Callable[[State], Array]) -> Field:
     return lambda y: measure(canonical(y))
 
 

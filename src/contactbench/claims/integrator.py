@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy  # its parts are loaded when first used
@@ -14,6 +14,7 @@ from contactbench.claims.geometry import (
     IDENTITY,
     ROUND_OFF,
     SEED,
+    Field,
     canonical,
     contact_equations,
     eta,
@@ -30,11 +31,17 @@ from contactbench.measure.order import fit_order
 from contactbench.measure.pullback import growth
 from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS, solve
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.loops import trajectory
+from contactbench.scene import Scene, State
 from contactbench.scenes import SCENES
+from contactbench.solution import Solution
 from contactbench.splitting.modified import modified_hamiltonian
 from contactbench.truth import decimal_context, distance, reference, with_decimals
 from contactbench.xla import jax, jnp
+
+if TYPE_CHECKING:
+    from jax import Array
 
 PARTICLE = SCENES["particle"]
 PRINTED, ABC, STRANG, RK4 = "contact-printed", "contact-abc", "contact-strang", "rk4"
@@ -50,13 +57,13 @@ def slope(errors: dict[float, float]) -> float:
     return fit_order(list(errors), list(errors.values()), 1e-12).order
 
 
-def exact_scene(changes: dict[str, Any]) -> tuple[Any, Any]:
+def exact_scene(changes: Mapping[str, object]) -> tuple[Any, Any]:
     """Return a 50-digit number namespace, and the particle, changed, with such numbers."""
     context = decimal_context(50)
     return context, with_decimals(PARTICLE.with_(**changes), context.mpf)
 
 
-def exact_order(name: str, **changes: Any) -> float:
+def exact_order(name: str, **changes: object) -> float:
     """Return the order of the error of (q, p) over t = 1, …, 4 in 50 digits; changes : of the particle."""
     context, twin = exact_scene(changes)
     decimals = reference(PARTICLE.with_(**changes), range(1, 5), ()).decimals
@@ -68,7 +75,7 @@ def exact_order(name: str, **changes: Any) -> float:
     return slope(errors)
 
 
-def one_step(method: Any, scene: Any, h: float) -> Any:
+def one_step(method: FixedStep, scene: Scene, h: float) -> Field:
     return lambda y: pack(method.advance(scene, canonical(y), h, 1, jnp))
 
 
@@ -105,7 +112,7 @@ def discrete_herglotz(seed: int = SEED, gamma: float = 0.1, h: float = 0.1) -> E
 
 
 # -- subflows and compositions ---------------------------------------------------------------------
-def flow_defect(flow: Any, hamiltonian: Any, seed: int) -> float:
+def flow_defect(flow: Callable[[float, Array], Array], hamiltonian: Field, seed: int) -> float:
     """Return max |dφ_h/dh − X_H(φ_h)|/(1 + |φ_h|) and |φ_0 − id| at random points and h: 0 for the exact flow."""
     field = contact_equations(hamiltonian)
 
@@ -162,7 +169,7 @@ def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evide
 
 
 @claim("C25")
-def printed_composition(**changes: Any) -> Evidence:
+def printed_composition(**changes: object) -> Evidence:
     """changes : of the particle, e.g. ``gamma``."""
 
     def asymmetry(name: str) -> float:
@@ -189,7 +196,7 @@ def contact_structure(seed: int = SEED, gamma: float = 0.1) -> Evidence:
         """Return max ‖Φ_h*η − e^{−γh}η‖/‖e^{−γh}η‖ of one step at random points."""
         decay, map_ = math.exp(-gamma * h), one_step(METHODS[name], scene, h)
 
-        def at(y: Any) -> Any:
+        def at(y: Array) -> Array:
             return jnp.linalg.norm(pullback(map_, eta, y) / decay - eta(y)) / jnp.linalg.norm(eta(y))
 
         return float(everywhere(at, points(5, seed=seed)).max())
@@ -203,10 +210,10 @@ def contact_structure(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     yield at_most(f"drift of one step, h = {sizes}", max(drifts.values()), *IDENTITY)
 
 
-def local_orders(name: str, scene: Any, starts: np.ndarray) -> list[float]:
+def local_orders(name: str, scene: Scene, starts: np.ndarray) -> list[float]:
     """Return the powers of h in the errors of H0 and s after a step from `starts` (k, 5), against DOP853 at 10⁻¹³."""
 
-    def state(y: np.ndarray) -> Any:
+    def state(y: np.ndarray) -> State:
         return scene.unpack(tuple(y.reshape(-1, 5).T), ("s",))
 
     def rate(_: float, y: np.ndarray) -> np.ndarray:
@@ -266,7 +273,7 @@ def verlet_limit(h: float = PAPER_STEP, steps: int = 2000) -> Evidence:
 FAR = np.geomspace(0.05, 200.0, 4001)  #: step sizes ωh at which "stable at every step size" is looked at
 
 
-def radius(name: str, gamma: float, h: Any) -> Any:
+def radius(name: str, gamma: float, h: float | np.ndarray) -> Any:
     """Return the largest |eigenvalue| of one step on the oscillator with ω = 1."""
     return spectral_radius(METHODS[name], gamma, 1.0, h)
 
@@ -332,21 +339,21 @@ def conditional_stability(gammas: Sequence[float] = (0.0, 0.1, 1.0), weak: float
 WIDTH = 1e-2, "one per cent of the energy, a line's width in the paper's figure"
 
 
-def numerical(scene: Any, method: str, step: float, count: int) -> Any:
+def numerical(scene: Scene, method: str, step: float, count: int) -> Solution:
     """Return a run without s, saved at `count` equal intervals, start included."""
     t = np.linspace(0, scene.t_end, count + 1)
     return solve(scene, method, step=step, save_at=t, carry=(), engine="python")
 
 
 @claim("C29")
-def closeness(**changes: Any) -> Evidence:
+def closeness(**changes: object) -> Evidence:
     printed, rk4 = (numerical(PARTICLE.with_(**changes), name, PAPER_STEP, 200).y for name in (PRINTED, RK4))
     off = np.abs(printed - rk4).max() / np.abs(rk4).max()
     width = 1e-2, "one per cent of the amplitude, a line's width in the paper's figure"
     yield at_most("max |(q, p) − (q, p)_RK4| / max |(q, p)|", off, *width)
 
 
-def rises(name: str, gamma: float, h: float, **changes: Any) -> tuple[int, float]:
+def rises(name: str, gamma: float, h: float, **changes: object) -> tuple[int, float]:
     """Return how many steps raise H0, and the largest rise over H0(0); T = 20."""
     run = numerical(PARTICLE.with_(gamma=gamma, **changes), name, h, round(20 / h))
     energy = run.scene.energy(run.states())
@@ -409,7 +416,7 @@ def dissipation_law(gamma: float = 0.1) -> Evidence:
 
 
 @claim("C32")
-def exponential_energy(**changes: Any) -> Evidence:
+def exponential_energy(**changes: object) -> Evidence:
     scene = PARTICLE.with_(**changes)
     t = np.linspace(0, scene.t_end, 201)
     truth = reference(scene, t).states()
@@ -432,7 +439,9 @@ NOMINAL = {PRINTED: 1, ABC: 2, STRANG: 2, RK4: 4}
 ENERGY_LADDER = (16, 32, 64, 128, 256, 512)  #: steps per unit of time
 
 
-def energy_errors(name: str, scene: Any, counts: Sequence[int], energy: str = "energy") -> dict[float, float]:
+def energy_errors(
+    name: str, scene: Scene, counts: Sequence[int], energy: str = "energy"
+) -> dict[float, float]:
     """Return the paper's measure, max |E − E*| over 20 equal times, against the step; energy : which one."""
     carry = ("s",) if energy == "hamiltonian" else ()
     value = getattr(scene, energy)
@@ -454,7 +463,7 @@ def body_error(law: str, name: str, steps: int) -> float:
 
 
 @claim("C33")
-def convergence_orders(**changes: Any) -> Evidence:
+def convergence_orders(**changes: object) -> Evidence:
     scene = PARTICLE.with_(**changes)
     # the caption's H is read both ways, as in C32
     readings = {"H0": "energy", "H": "hamiltonian"}
@@ -479,7 +488,7 @@ def convergence_orders(**changes: Any) -> Evidence:
 
 
 @claim("C34")
-def contact_drifts(**changes: Any) -> Evidence:
+def contact_drifts(**changes: object) -> Evidence:
     scene, law = PARTICLE.with_(**changes), LAWS["contact_drift"]
     end = {"save_at": [scene.t_end]}
     ours = max(law(solve(scene, name, step=0.1, **end)) for name in (PRINTED, ABC, STRANG))
@@ -501,7 +510,7 @@ def nearest_return(curve: np.ndarray) -> float:
 
 
 @claim("C35")
-def conservative_limit(**changes: Any) -> Evidence:
+def conservative_limit(**changes: object) -> Evidence:
     span, h = 20_000.0, 0.1
     free = PARTICLE.with_(gamma=0.0, t_end=span, **changes)
     run = solve(free, PRINTED, step=h, save_at=np.arange(1, 40_001) * (span / 40_000), carry=())
@@ -534,7 +543,7 @@ BETWEEN = 0.4
 LADDER = tuple(BETWEEN / n for n in (2, 3, 4, 5, 6))
 
 
-def deviations(degree: int, **changes: Any) -> dict[float, float]:
+def deviations(degree: int, **changes: object) -> dict[float, float]:
     """Return max |H̃e^{γt}/H̃(y₀) − 1| of contact-strang against the step; H̃ has brackets of up to `degree` parts."""
     scene, composition = PARTICLE.with_(**changes), METHODS[STRANG].composition
     found = {}

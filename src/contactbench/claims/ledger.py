@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
-from typing import Any
+from typing import Any, SupportsFloat
 
 from contactbench.errors import Registry
 from contactbench.results.schema import SEPARATOR
@@ -71,11 +71,11 @@ class Measurement:
 Evidence = Iterable[Measurement | str]
 
 
-def at_most(quantity: str, value: Any, bound: float, why: str) -> Measurement:
+def at_most(quantity: str, value: SupportsFloat, bound: float, why: str) -> Measurement:
     return Measurement(quantity, float(value), "≤", float(bound), why)
 
 
-def at_least(quantity: str, value: Any, bound: float, why: str) -> Measurement:
+def at_least(quantity: str, value: SupportsFloat, bound: float, why: str) -> Measurement:
     return Measurement(quantity, float(value), "≥", float(bound), why)
 
 
@@ -120,7 +120,7 @@ class Claim:
     correction: str = ""
     figures: tuple[str, ...] = ()
 
-    def row(self, **parameters: Any) -> dict[str, Any]:
+    def row(self, **parameters: object) -> dict[str, Any]:
         """Measure the claim, with parameters of `measure`, and return its row; without a verdict if that fails."""
         row: dict[str, Any] = {"id": self.name, "where": self.where, "claim": self.says, "scene": self.scene}
         row |= {"method": self.method, "command": f"contactbench claim {self.name}"}

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy  # its parts are loaded when first used
 
-from contactbench.claims.geometry import IDENTITY, ROUND_OFF, SEED, contact_field, largest, pack, points
+from contactbench.claims.geometry import (
+    IDENTITY,
+    ROUND_OFF,
+    SEED,
+    Field,
+    contact_field,
+    largest,
+    pack,
+    points,
+)
 from contactbench.claims.ledger import CORRECTED, Evidence, Measurement, at_least, at_most, claim
 from contactbench.methods import solve
 from contactbench.scene import BodyState, RigidBody, cross, quaternion_product
@@ -16,12 +25,19 @@ from contactbench.scenes import SCENES
 from contactbench.truth import reference
 from contactbench.xla import jax, jnp
 
+if TYPE_CHECKING:
+    from jax import Array
+
+#: D, or its diagonal alone; and M
+type Matrix = np.ndarray | Sequence[float] | Sequence[Sequence[float]]
+type Vector = np.ndarray | Sequence[float]
+
 BODY = SCENES["rigid_body"]
 INERTIA = (1.0, 2.0, 3.0)
 EIGENVALUES = 1e-12, "round-off of the eigenvalues of a 3×3 matrix of size one"
 
 
-def chart(y: Any) -> Any:
+def chart(y: Array) -> Any:
     """Return the coordinates (θ, M, s) of T*SO(3) × R: the attitude is the rotation by the vector θ ≠ 0."""
     theta = y[:3]
     angle = jnp.sqrt(theta @ theta)
@@ -29,12 +45,12 @@ def chart(y: Any) -> Any:
     return BodyState(tuple(y[3:6]), (jnp.cos(angle / 2), *axis), y[6])
 
 
-def momentum_rate(scene: RigidBody) -> Any:
+def momentum_rate(scene: RigidBody) -> Field:
     return lambda M: pack(scene.rhs(BodyState(tuple(M))))
 
 
 @claim("C15")
-def body_equations(seed: int = SEED, **changes: Any) -> Evidence:
+def body_equations(seed: int = SEED, **changes: object) -> Evidence:
     scene = BODY.with_(**changes)
 
     def form(y):
@@ -51,7 +67,7 @@ def body_equations(seed: int = SEED, **changes: Any) -> Evidence:
 
 
 @claim("C16")
-def body_momentum_map(seed: int = SEED, **changes: Any) -> Evidence:
+def body_momentum_map(seed: int = SEED, **changes: object) -> Evidence:
     scene = BODY.with_(**changes)
 
     def momentum_map(y):
@@ -77,7 +93,7 @@ def body_momentum_map(seed: int = SEED, **changes: Any) -> Evidence:
 
 
 @claim("C17")
-def body_energy(**changes: Any) -> Evidence:
+def body_energy(**changes: object) -> Evidence:
     scene = BODY.with_(**changes)
     run = solve(scene, "scipy-dop853", rtol=1e-13, save_at=np.linspace(0, scene.t_end, 21), carry=())
     energy = scene.energy(run.states()) * np.exp(2 * scene.gamma * run.t)
@@ -102,7 +118,7 @@ DAMPINGS = ("of full rank", *(f"with {kernel} its kernel" for kernel in KERNELS)
 SLOW = 2  #: of these, in which nothing is on an axis: M falls as t^{−1/2}
 
 
-def damping_of_kind(rng: np.random.Generator, kind: int, inertia: Any) -> np.ndarray:
+def damping_of_kind(rng: np.random.Generator, kind: int, inertia: Sequence[float]) -> np.ndarray:
     rates, a = rng.uniform(0.5, 1, 3), 1 / np.asarray(inertia)
     if kind == 3:
         normal = np.sqrt([a[0] - a[1], 0.0, a[1] - a[2]]) * [1, 1, rng.choice([-1, 1])]
@@ -115,12 +131,12 @@ def damping_of_kind(rng: np.random.Generator, kind: int, inertia: Any) -> np.nda
     return (turned + turned.T) / 2  # symmetric to the last bit
 
 
-def residual(M: Any, inertia: Any, D: Any) -> np.ndarray:
+def residual(M: np.ndarray, inertia: Sequence[float], D: np.ndarray) -> np.ndarray:
     """Return M × I⁻¹M − D M for any matrix D, symmetric or not (§4.5, eq. (74))."""
-    return np.array(cross(M, M / np.asarray(inertia))) - D @ M
+    return np.array(cross(tuple(M), tuple(M / np.asarray(inertia)))) - D @ M
 
 
-def equilibria(D: np.ndarray, inertia: Any, rng: np.random.Generator) -> list[np.ndarray]:
+def equilibria(D: np.ndarray, inertia: Sequence[float], rng: np.random.Generator) -> list[np.ndarray]:
     """Return the nonzero solutions of M × I⁻¹M = D M from random starts, by least squares on residual/‖M‖²."""
     found = []
     for start in rng.normal(size=(12, 3)):
@@ -163,7 +179,7 @@ def equilibrium_set(seed: int = 3, cases: int = 27, inertia: Sequence[float] = I
     yield at_least("smallest eigenvalue of the symmetric part of that D", lowest, *zero)
 
 
-def direction_growths(scene: Any) -> np.ndarray:
+def direction_growths(scene: RigidBody) -> np.ndarray:
     """Return the growth rates of M/‖M‖ across each axis of the isotropic body at ‖M‖ = 1, (3,): those of M, and γ."""
     matrices = [np.asarray(jax.jacfwd(momentum_rate(scene))(jnp.asarray(e))) for e in np.eye(3)]
     transverse = [np.delete(np.delete(A, i, 0), i, 1) for i, A in enumerate(matrices)]
@@ -193,14 +209,16 @@ def relative_equilibria(gamma: float = 0.1, inertia: Sequence[float] = INERTIA) 
     yield at_most("max |(H0/‖M‖²)(t)/(H0/‖M‖²)(0) − 1| along the true body", change, *rounded)
 
 
-def motions(D: np.ndarray, M: np.ndarray, inertia: Any, h: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
+def motions(
+    D: np.ndarray, M: np.ndarray, inertia: Sequence[float], h: float = 0.1
+) -> tuple[np.ndarray, np.ndarray]:
     """Return M at t = 2000 and 4000 of many bodies, by RK4: D (k, 3, 3), M (k, 3) → (k, 3) twice."""
     a = 1 / np.asarray(inertia)
 
-    def later(D: Any, M: Any) -> Any:
+    def later(D: Array, M: Array) -> Array:
         f = lambda M: jnp.cross(M, a * M) - D @ M  # noqa: E731
 
-        def step(_: Any, M: Any) -> Any:
+        def step(_: int, M: Array) -> Array:
             k1 = f(M)
             k2 = f(M + h / 2 * k1)
             k3 = f(M + h / 2 * k2)
@@ -263,14 +281,15 @@ def motions_settle(seed: int = SEED, starts: int = 1200, inertia: Sequence[float
 # asymptotically across the axis if D ≠ 0.  The last term of det A is positive for an extreme axis and negative for the
 # intermediate one: that is all the classical theorem sees.  The third term has either sign and changes it with m: M*
 # and −M* may differ.
-Case = tuple[Any, Sequence[float], Any]  #: (D, inertia, M*), M* on a principal axis in ker D
+#: (D, inertia, M*), M* on a principal axis in ker D
+type Case = tuple[Matrix, Sequence[float], Vector]
 BELOW_ZERO = -EIGENVALUES[0], EIGENVALUES[1]
 CASES = 300
 GONE = 1e-9, "10³ times the tolerance 10⁻¹² of the solver"
 SLOWEST = 0.15, "t^{−1/2}: 0.1, and half as much again for the transient"
 
 
-def body(D: Any, inertia: Sequence[float] = INERTIA) -> RigidBody:
+def body(D: Matrix, inertia: Sequence[float] = INERTIA) -> RigidBody:
     damping = tuple(map(tuple, D)) if np.ndim(D) == 2 else tuple(D)
     return SCENES["rigid_body_anisotropic"].with_(damping=damping, inertia=tuple(inertia))
 
@@ -295,11 +314,11 @@ def growths(cases: Sequence[Case]) -> np.ndarray:
     return transverse(cases).real.max(axis=1)
 
 
-def growth(D: Any, M: Any, inertia: Sequence[float] = INERTIA) -> float:
+def growth(D: Matrix, M: Vector, inertia: Sequence[float] = INERTIA) -> float:
     return float(growths([(D, inertia, M)])[0])
 
 
-def criterion(D: Any, M: Any, inertia: Sequence[float] = INERTIA) -> tuple[float, float]:
+def criterion(D: Matrix, M: Vector, inertia: Sequence[float] = INERTIA) -> tuple[float, float]:
     """Return (tr A, det A) at M* = m e_i with D e_i = 0, by the formulas above."""
     D, a = np.asarray(D, dtype=float), 1 / np.asarray(inertia, dtype=float)
     i = int(np.argmax(np.abs(M)))
@@ -343,7 +362,7 @@ def judge_criterion(cases: Sequence[Case]) -> Measurement:
 COUNTEREXAMPLE = ((0.5, -0.5, 0.0), (-0.5, 0.5, 0.0), (0.0, 0.0, 0.0))
 
 
-def momentum_at(D: Any, M: Any, t: float) -> np.ndarray:
+def momentum_at(D: Matrix, M: Vector, t: float) -> np.ndarray:
     scene = body(D).with_(M=tuple(float(m) for m in M), t_end=t)
     return solve(scene, "scipy-dop853", rtol=1e-12, save_at=[t], carry=()).y[-1]
 
@@ -355,7 +374,7 @@ def extreme_axes(seed: int = 4, cases: int = CASES) -> Evidence:
     end = momentum_at(COUNTEREXAMPLE, [1e-6, 1e-6, 1.0], t)
     after = growth(COUNTEREXAMPLE, [0.0, 0.0, end[2]])
     drawn = random_equilibria((0, 2), cases, seed)
-    largest = growths([(np.diag(np.diag(D)), inertia, M) for D, inertia, M in drawn if D.any()]).max()
+    largest = growths([(np.diag(np.diag(D)), inertia, M) for D, inertia, M in drawn if np.any(D)]).max()
     example = "M* = e₃, D = ½ [[1, −1, 0], [−1, 1, 0], [0, 0, 0]], I = (1, 2, 3)"
     reversed_ = 0.0, "the motion has left M* for the other half of the axis"
     yield at_most(f"growth rate at {example}", rate, *BELOW_ZERO)

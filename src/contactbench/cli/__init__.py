@@ -11,7 +11,7 @@ from importlib import metadata
 from typing import Any
 
 from contactbench.cli import runs, tables
-from contactbench.cli.parsing import PLUGIN, Command, Parser
+from contactbench.cli.parsing import HELP, PLUGIN, Parser, Run
 from contactbench.errors import VARIABLE, BadInput, limit, one_line
 
 #: seconds that a plug-in has where nobody says otherwise
@@ -21,16 +21,9 @@ SECONDS = "60"
 def parser() -> argparse.ArgumentParser:
     top = Parser(
         prog="contactbench",
-        description="Contact splitting integrators beside the established ODE solvers, measured.",
+        description=HELP["contactbench"]["about"],
         parents=[PLUGIN],
-        epilog="""examples:
-  contactbench list methods
-  contactbench solve particle contact-strang --step 0.01
-  contactbench check my-method --plugin my.py
-
-More with each command's --help.
-The tables come from the benchmark, `tox -e bench`.
-Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an error in a plug-in.""",
+        epilog=HELP["contactbench"]["epilog"],
     )
     about = "print the versions, those of the peers too, and exit"
     top.add_argument("--version", action="store_true", help=about)
@@ -42,8 +35,9 @@ Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an erro
     top.set_defaults(run=overview)
     commands: Any = top.add_subparsers(dest="command", metavar="COMMAND")
 
-    def command(name: str, run: Command, about: str, examples: str = "") -> argparse.ArgumentParser:
-        one = commands.add_parser(name, help=about, description=about, parents=[PLUGIN], epilog=examples)
+    def command(name: str, run: Run) -> argparse.ArgumentParser:
+        about, epilog = HELP[name]["about"], HELP[name].get("epilog", "")
+        one = commands.add_parser(name, help=about, description=about, parents=[PLUGIN], epilog=epilog)
         one.set_defaults(run=run)
         return one
 

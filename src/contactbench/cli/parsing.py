@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import tomllib
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -64,5 +66,12 @@ LIMIT = "for importing a plug-in and for each first evaluation of what it brings
 PLUGIN.add_argument("--plugin-timeout", metavar="SECONDS", help=LIMIT)
 PLUGIN.add_argument("--traceback", action="store_true", help="show where an error comes from")
 
-#: ``command(name, run, about, examples) -> parser`` makes one more command
-Command = Callable[..., Any]
+#: of each command, what it is for and what stands under its options
+HELP: dict[str, dict[str, str]] = tomllib.loads(
+    files(__package__).joinpath("help.toml").read_text(encoding="utf-8")
+)
+
+#: runs a command and returns the exit status
+type Run = Callable[[argparse.Namespace], int]
+#: makes one more command of that name
+type Command = Callable[[str, Run], argparse.ArgumentParser]

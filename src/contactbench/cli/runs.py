@@ -8,11 +8,17 @@ import math
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from contactbench.cli.parsing import Command, assignments, print_json, writable
 from contactbench.errors import BadInput, unknown_name
 from contactbench.files import replacing
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from contactbench.methods.base import Method
+    from contactbench.solution import Solution
 
 #: what a plot can be saved as
 PICTURES = (".svg", ".png", ".pdf")
@@ -35,7 +41,7 @@ def listing(arguments: argparse.Namespace) -> int:
     from contactbench.claims import CLAIMS
     from contactbench.measure.ladder import stepping
 
-    def method(item: Any) -> str:
+    def method(item: Method) -> str:
         kind = {"fixed": "fixed step"}.get(stepping(item), stepping(item))
         order = [f"order {item.order}"] if item.order else ["variable order"] if item.adaptive else []
         return f"{', '.join([*order, kind, '/'.join(item.engines)])}: {item.about}"
@@ -91,7 +97,7 @@ def solve(arguments: argparse.Namespace) -> int:
     return 0 if solution.ok else 1
 
 
-def steps(text: str, t_end: float) -> Any:
+def steps(text: str, t_end: float) -> float | list[float] | np.ndarray:
     """Return a step, or prescribed ones: ``geometric:COUNT:A``, or the numbers in a file."""
     from contactbench.methods.prescribed import geometric_steps
 
@@ -110,7 +116,7 @@ def steps(text: str, t_end: float) -> Any:
         raise BadInput(f"--step {text}: {allowed}") from None
 
 
-def summary(solution: Any) -> dict[str, Any]:
+def summary(solution: Solution) -> dict[str, Any]:
     scene, out = solution.scene, {}
     if solution.ok:
         y = solution.y[-1].tolist()
@@ -125,17 +131,6 @@ def summary(solution: Any) -> dict[str, Any]:
     run = {name: getattr(solution, name) for name in ("method", "engine", "setting", "status", "message")}
     ended = {"status": str(solution.status), "t": solution.end_time}
     return {"scene": scene.name, **run, **ended, **out, "counts": solution.counts._asdict()}
-
-
-SOLVE = """examples:
-  contactbench solve particle contact-strang --step 0.01
-  contactbench solve particle contact-rkn6 --rtol 1e-8           the step chosen from pilots
-  contactbench solve lane_emden_5 contact-rkn6 --step geometric:24:0.5
-  contactbench solve particle cvode-bdf --rtol 1e-8 --t-end 100
-  contactbench solve central contact-strang --step 0.01 --laws --plot run.svg --out run.csv
-  contactbench solve particle rk4 --step 0.01 --set gamma=0.3 --set q=[1,0.5] --json | jq .H0
-
-Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input."""
 
 
 def compare(arguments: argparse.Namespace) -> int:
@@ -188,15 +183,6 @@ def one_core() -> None:
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
-COMPARE = """examples:
-  contactbench compare particle
-  contactbench compare double-well --plugin my.py --error 1e-4,1e-8 --html out.html
-  contactbench compare particle contact-rkn8 cvode-adams heyoka-taylor --budget 20s --json | jq '.rows[].margin'
-
-Nothing is written but the files named.  Ctrl-C ends it with what there is.
-Exit status: 0 done, 1 nothing could be timed, 2 bad input or no reference, 130 interrupted."""
-
-
 ROW = "{:>4}  {:30} {:9} {:24} {}"
 
 
@@ -225,14 +211,11 @@ def check(arguments: argparse.Namespace) -> int:
     return 0
 
 
-CHECK = "Exit status: 0 all rules are kept, 1 one is broken (stderr says which), 2 bad input."
-
-
 def add(command: Command) -> None:
-    one = command("list", listing, "scenes, methods, laws and claims")
+    one = command("list", listing)
     one.add_argument("kind", nargs="?", choices=["scenes", "methods", "laws", "claims"], help="only these")
 
-    one = command("solve", solve, "solve one scene with one method and print where it ended", SOLVE)
+    one = command("solve", solve)
     one.add_argument("scene", help="its name (contactbench list scenes)")
     one.add_argument("method", help="its name (contactbench list methods)")
     plot = "motion, phase portrait and energies (.svg, .png, .pdf)"
@@ -245,8 +228,7 @@ def add(command: Command) -> None:
     one.add_argument("--max-steps", type=int, help="step budget")
     one.add_argument("--laws", action="store_true", help="how far the run is from every law of the scene")
 
-    about = "race the methods on one scene: what each costs at each error, what it keeps"
-    one = command("compare", compare, about, COMPARE)
+    one = command("compare", compare)
     one.add_argument("scene", help="its name (contactbench list scenes)")
     methods = "names (contactbench list methods); by default all"
     one.add_argument("method", nargs="*", default=[], help=methods)
@@ -257,7 +239,7 @@ def add(command: Command) -> None:
     one.add_argument("--budget", default="60s", metavar="TIME", help="for everything (default: 60s)")
     one.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
-    one = command("check", check, "check a method or a scene against every rule of its contract", CHECK)
+    one = command("check", check)
     one.add_argument("name", help="of a method or a scene")
     one.add_argument("--engine", action="append", help="of a method: only this one; may be repeated")
 

@@ -53,9 +53,6 @@ def report(arguments: argparse.Namespace) -> int:
     return 0
 
 
-REPORT = "Nothing is solved: every number is from the tables.  report.html is one page that needs no network."
-
-
 def bench(arguments: argparse.Namespace) -> int:
     from contactbench.gate import benchmark
     from contactbench.plugins import brought
@@ -69,13 +66,6 @@ def bench(arguments: argparse.Namespace) -> int:
     timed = (*benchmark.TIMED, "--report")
     parts = (benchmark.UNTIMED,) if arguments.untimed else (benchmark.UNTIMED, timed)
     return max(benchmark.start(root, results, [*options, *part]) for part in parts)
-
-
-BENCH = """examples:
-  contactbench bench --plugin my.py
-  contactbench bench --plugin my.py --profile smoke -k "my-method and particle"
-
-Every cell of what plug-ins and installed packages bring; where they bring nothing, the whole benchmark."""
 
 
 def gate(arguments: argparse.Namespace) -> int:
@@ -101,17 +91,6 @@ def gate(arguments: argparse.Namespace) -> int:
     return found.status
 
 
-GATE = """examples:
-  contactbench gate
-  contactbench gate --only accuracy --fresh /tmp/results-of-a-run
-  contactbench gate --only speed --base origin/main
-
-Accuracy: a fresh smoke run of the benchmark (two to three minutes), the tables of the working tree and those of
-another revision.  Speed: the working tree against another revision, in turns on one core (a few
-minutes).  The gate of that revision judges, by its own rules.  Prints one table of what moved.  A change that
-means to change tables names them, in a line "Tables-changed: laws, claims" of a commit's message or with
---tables-changed; one that takes tests out, in a line "Tests-removed: tests/gate".
-Exit status: 0 green, cells that stay open named; 1 red; 2 inconclusive as a whole, or could not run."""
 BASE = "revision to compare with (default: where the main branch was left, on it HEAD's parent)"
 BASELINE = "compare --fresh with this folder of tables instead, outside any repository"
 BUDGET = "time for the speed part; inconclusive where it ends before half of the cells are decided"
@@ -131,25 +110,25 @@ def references(_: argparse.Namespace) -> int:
 
 
 def add(command: Command) -> None:
-    one = command("claim", claim, "measure one claim of the ledger")
+    one = command("claim", claim)
     one.add_argument("id", help="C01 to C42, X01, X02, in either case (contactbench list claims)")
     one.add_argument("--json", action="store_true", help="print one JSON object")
 
-    one = command("report", report, "markdown, figures and report.html from the CSV tables alone", REPORT)
+    one = command("report", report)
     one.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
     one.add_argument("--png", action="store_true", help="save the figures as .png too")
     one.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
     about = "write nothing; name each file that is not what the tables give, a README.md beside them too: exit 1 then"
     one.add_argument("--check", action="store_true", help=about)
 
-    one = command("bench", bench, "measure: the tables of your own methods and scenes, or all of them", BENCH)
+    one = command("bench", bench)
     folder = "where the tables go"
     one.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help=folder)
     one.add_argument("--profile", choices=("smoke", "standard", "full"), default="standard", help="how much")
     one.add_argument("-k", metavar="EXPRESSION", help="only cells whose names match, as in pytest")
     one.add_argument("--untimed", action="store_true", help="errors, counts and laws alone: no times")
 
-    one = command("gate", gate, "has anything become less accurate or slower?", GATE)
+    one = command("gate", gate)
     one.add_argument("--only", choices=("accuracy", "speed"), help="one part; both by default")
     committed = "the committed tables, a folder of the repository (default: results)"
     one.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help=committed)
@@ -162,4 +141,4 @@ def add(command: Command) -> None:
     one.add_argument("--budget", type=float, metavar="SECONDS", help=BUDGET)
     one.add_argument("--json", action="store_true", help="print one JSON object")
 
-    command("references", references, "the stored references, their digits and digests")
+    command("references", references)

@@ -351,12 +351,24 @@ def energy_increases(solution: Solution) -> float:
 
 
 # -- all of them, of one run -----------------------------------------------------------------------
-def kept_by(solution: Solution) -> pd.DataFrame:
-    """How far a run is from every law that its scene has and whose fields it carries.
+def laws(solution: Solution) -> pd.DataFrame:
+    """Measure how far a run is from every law that its scene has and whose fields it carries.
 
-    Indexed by the law's name; columns: deviation (the maximum over the saved times), upper_bound (it is no
-    more than that: a derivative by differences did not resolve it), note (why there is no number), definition.
-    Raises `BadInput` for a scene whose gradient is not that of its potential along the motion.
+    Parameters
+    ----------
+    solution : Solution
+        The run.
+
+    Returns
+    -------
+    DataFrame
+        Indexed by the law's name; deviation (the maximum over the saved times), upper_bound (it is no more than
+        that: a derivative by differences did not resolve it), note (why there is no number), definition.
+
+    Raises
+    ------
+    BadInput
+        For a scene whose gradient is not that of its potential along the motion.
     """
     import pandas as pd
     from tqdm import tqdm
@@ -375,9 +387,6 @@ def kept_by(solution: Solution) -> pd.DataFrame:
     return pd.DataFrame.from_dict(
         rows, orient="index", columns=["deviation", "upper_bound", "note", "definition"]
     ).rename_axis("law")
-
-
-Solution.judge = kept_by
 
 
 # -- all of them, as a row -------------------------------------------------------------------------

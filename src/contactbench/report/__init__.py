@@ -1,6 +1,7 @@
 """Reports: documents, figures and one page, from the tables alone.
 
-A chapter answers one question with a summary, views and figures as data (chapters.py, views.py, drawing.py);
+A chapter answers one question with views and figures as data (chapters.py, views.py, drawing.py; its prose is in
+chapters.toml);
 markdown.py, draw.py and page/ render them.
 """
 

@@ -5,15 +5,17 @@ A renderer (markdown.py, page/) writes every part the same way and knows no ques
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from importlib.resources import files
 from typing import Any
 
 import pandas as pd
 
 from contactbench.errors import Registry
 from contactbench.report.drawing import Figure
-from contactbench.report.views import View
+from contactbench.report.views import Show, View
 
 #: table name → its rows
 Frames = Mapping[str, pd.DataFrame]
@@ -42,14 +44,19 @@ class Section:
 Part = Text | View | Figure | Section
 
 
-def summary(*rows: tuple[str, str, str]) -> pd.DataFrame:
-    return pd.DataFrame(list(rows), columns=["question", "answer", "count"])
+@dataclass(frozen=True)
+class Answer:
+    """A line of a summary.  count : of how many rows it is true; inline Markdown, as `View.legend`."""
+
+    question: str
+    answer: str
+    count: str
 
 
 @dataclass(frozen=True)
 class Contents:
     chapter: Chapter
-    summary: pd.DataFrame
+    answers: tuple[Answer, ...]
     parts: tuple[Part, ...]
 
 
@@ -60,7 +67,7 @@ class Chapter:
     name : its document is NAME.md.  title : its heading.  question : in one line.  order : its place.
     tables : the tables it reads; it has something to say when the first has rows.
     parts(frames) : its views, figures, texts and sections; views without rows, empty sections and None are left out.
-    summary(frames) : a frame of `summary`, a line or a few.
+    answers(frames) : its summary, a line or a few.
     """
 
     name: str
@@ -69,7 +76,7 @@ class Chapter:
     order: int
     tables: tuple[str, ...]
     parts: Callable[[Frames], Iterable[Part | None]]
-    summary: Callable[[Frames], pd.DataFrame] = field(default=lambda frames: summary())
+    answers: Callable[[Frames], Iterable[Answer]] = lambda frames: ()
     document: str = ""
 
     @property
@@ -77,10 +84,43 @@ class Chapter:
         return self.document or f"{self.name}.md"
 
     def fill(self, frames: Frames) -> Contents:
-        return Contents(self, self.summary(frames), tuple(shown(self.parts(frames))))
+        return Contents(self, tuple(self.answers(frames)), tuple(shown(self.parts(frames))))
 
 
 CHAPTERS = Registry("chapter", Chapter)
+
+
+# -- the chapters of this package: their prose is data -------------------------------------------------
+PROSE: dict[str, dict[str, Any]] = tomllib.loads(
+    files(__package__).joinpath("chapters.toml").read_text(encoding="utf-8")
+)
+VIEWS = {
+    name: {"source": f"{chapter['tables'][0]}.csv"} | entry
+    for chapter in PROSE.values()
+    for name, entry in chapter.pop("views", {}).items()
+}
+
+type Parts = Callable[[Frames], Iterable[Part | None]]
+
+
+def chapter(
+    name: str, answers: Callable[[Frames], Iterable[Answer]] = lambda frames: ()
+) -> Callable[[Parts], Parts]:
+    """Return a decorator that registers the parts of a chapter of chapters.toml."""
+    own = PROSE[name] | {"tables": tuple(PROSE[name]["tables"])}
+
+    def register(parts: Parts) -> Parts:
+        CHAPTERS.add(Chapter(name, parts=parts, answers=answers, **own))
+        return parts
+
+    return register
+
+
+def view(name: str, frame: pd.DataFrame, show: Mapping[str, Show] | None = None, **values: object) -> View:
+    """Return a table to read with the title and legend of chapters.toml, `values` filled into the legend."""
+    prose = VIEWS[name]
+    legend = " ".join(prose.get("legend", "").format(**values).split())
+    return View(name, prose["title"], frame, legend, prose["source"], show or {})
 
 
 def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
@@ -97,7 +137,7 @@ def chapters(frames: Frames) -> list[Chapter]:
     return sorted((c for c in CHAPTERS.values() if len(frames[c.tables[0]])), key=lambda c: c.order)
 
 
-def every(kind: type, parts: Iterable[Part | None]) -> Iterator[Any]:
+def every[P: Part](kind: type[P], parts: Iterable[Part | None]) -> Iterator[P]:
     for part in parts:
         if isinstance(part, Section):
             yield from every(kind, part.parts)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pandas as pd
 
 from contactbench.report import paper
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
 from contactbench.report.drawing import Figure
 from contactbench.report.numbers import DASH, how_often
 from contactbench.report.views import Cell, Mark, View, frame_of
 from contactbench.results.schema import BEYOND, SEPARATOR
 
-SOURCE = "claims.csv"
 VERDICTS = {"holds": Mark.holds, "holds, corrected": Mark.corrected, "refuted": Mark.refuted}
 CAPTIONS = {
     "repairs": "Corrected",
@@ -19,10 +20,6 @@ CAPTIONS = {
     "sharpens": "Stronger",
     "extends": "How far it goes",
 }
-LEGEND = (
-    "*holds*: the measurements agree with the claim as it stands. *holds, corrected*: true once the stated correction "
-    "is made. *refuted*: a number contradicts it. [How claims are judged](../docs/reading.md#claims)."
-)
 
 
 def split_claims(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -36,15 +33,13 @@ def counts(frame: pd.DataFrame) -> str:
     return ", ".join(f"{verdicts.get(name, 0)} {word}" for name, word in words.items()) + f", of {len(frame)}"
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     own, beyond = split_claims(frames["claims"])
     asked = {"Do the paper's claims hold as printed?": own, "Do the claims beyond the paper hold?": beyond}
-    lines = []
     for question, part in asked.items():
         if len(part):
             holds = int((part["verdict"] == "holds").sum())
-            lines.append((question, how_often(holds, len(part)), counts(part)))
-    return summary(*lines)
+            yield Answer(question, how_often(holds, len(part)), counts(part))
 
 
 def claims_view(frame: pd.DataFrame) -> View:
@@ -55,7 +50,7 @@ def claims_view(frame: pd.DataFrame) -> View:
         judged = Cell(verdict, mark=VERDICTS.get(verdict, Mark.bad))
         rows.append((row["id"], judged, *row[["claim", "where", "quantity", "measured"]], needed))
     labels = ["id", "verdict", "claim", "where in the paper", "measured", "value", "needed"]
-    return View("claims", "All claims", frame_of(rows, labels), LEGEND, SOURCE, {"": "{:.2g}".format})
+    return view("claims", frame_of(rows, labels), {"": "{:.2g}".format})
 
 
 def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
@@ -77,6 +72,7 @@ def items(evidence: str) -> tuple[str, ...]:
     return tuple(item.replace(" fails (", " **fails** (") for item in found)
 
 
+@chapter("claims", answers)
 def parts(frames: Frames) -> list[Part]:
     frame = frames["claims"]
     drawn = {figure.name: figure for figure in paper.all_figures(frames["paper_figures"])}
@@ -84,7 +80,3 @@ def parts(frames: Frames) -> list[Part]:
     for title, some in zip(("Claim by claim", "Beyond the paper"), split_claims(frame), strict=True):
         sections.append(Section(title, tuple(claim_section(row, drawn) for _, row in some.iterrows())))
     return [claims_view(frame), *sections, Section("Other figures", tuple(drawn.values()))]
-
-
-TITLE, QUESTION = "The paper's claims, measured", "Which claims of the paper hold?"
-CHAPTERS.add(Chapter("claims", TITLE, QUESTION, 70, ("claims", "paper_figures"), parts, answers))

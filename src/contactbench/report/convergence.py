@@ -6,13 +6,12 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, view
 from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import how_often
-from contactbench.report.views import Cell, Mark, View, matrix
+from contactbench.report.views import Cell, Mark, matrix
 
-SOURCE = "convergence.csv"
 #: a measured order further than this from the claimed one, and than its own spread, is an exception
 AGREES = 0.1
 #: the scene that is drawn; the table has them all
@@ -31,12 +30,12 @@ def fits(frame: pd.DataFrame) -> pd.DataFrame:
     return first.assign(off=off & first["order"].notna())
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     known = fits(frames["convergence"])
     known = known[known["order"].notna()]
     right = int((~known["off"]).sum())
     count = f"{right} of {len(known)} pairs of method and scene, within {AGREES:g} or the spread"
-    return summary((QUESTION, how_often(right, len(known)), count))
+    yield Answer(PROSE["convergence"]["question"], how_often(right, len(known)), count)
 
 
 def order_cell(rows: pd.DataFrame) -> Cell:
@@ -49,14 +48,11 @@ def order_cell(rows: pd.DataFrame) -> Cell:
     return Cell(f"{row['order']:.2f}{spread}", float(row["order"]), Mark.exception if row["off"] else None)
 
 
+@chapter("convergence", answers)
 def parts(frames: Frames) -> list[Part | None]:
     fit = fits(frames["convergence"])
     orders = matrix(fit, "method", "scene", order_cell)
-    legend = (
-        f"±: spread of the extrapolation. Marked: further from the claimed order than that and than {AGREES:g}. "
-        "Before any extrapolation: column `last_slope`."
-    )
-    return [View("orders", "Extrapolated order", orders, legend, SOURCE), figure(frames["convergence"])]
+    return [view("orders", orders, agrees=AGREES), figure(frames["convergence"])]
 
 
 def guides(rows: pd.DataFrame, methods: list[str]) -> Iterator[Curve]:
@@ -83,7 +79,3 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     slopes = guides(rows, [curve.method for curve in curves if not curve.muted])
     caption = "Dotted: the claimed slopes. In colour: the most accurate of each family and order."
     return Figure("convergence", title, (Panel("", x, y, (*slopes, *curves)),), caption)
-
-
-TITLE, QUESTION = "Order of convergence", "Do the methods have the order they claim?"
-CHAPTERS.add(Chapter("convergence", TITLE, QUESTION, 30, ("convergence",), parts, answers))

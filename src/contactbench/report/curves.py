@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -31,7 +30,7 @@ BEYOND, CONTEST = 30.0, 3
 type Score = Callable[[Curve, Sequence[Curve]], float]
 
 
-def floats(values: Iterable[Any]) -> tuple[float, ...]:
+def floats(values: Iterable[object]) -> tuple[float, ...]:
     series = pd.to_numeric(pd.Series(values), errors="coerce")
     return tuple(series.to_numpy(dtype=float, na_value=np.nan).tolist())
 
@@ -46,8 +45,7 @@ def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[C
     for method, line in rows.groupby("method", sort=False):
         family = str(line["family"].iloc[0]) if "family" in line else ""
         points = floats(line[x]), above(line[y], scale)
-        settings = tuple(line["setting"]) if "setting" in line else ()
-        curves.append(Curve(*points, str(method), str(method), family=family, settings=settings))
+        curves.append(Curve(*points, str(method), str(method), family=family))
     return tuple(curves)
 
 

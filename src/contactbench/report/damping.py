@@ -7,7 +7,7 @@ import pandas as pd
 
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import ALIKE, COUNTED, ties
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
+from contactbench.report.chapters import Frames, Part, chapter, view
 from contactbench.report.numbers import DASH, count, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 
@@ -26,12 +26,8 @@ def rates_view(frame: pd.DataFrame) -> View:
         steps = part["control"] == "step"
         name = f"rate of weak damping, `{scene}`, T = {span:.0e}"
         rows.append((name, *at_equal_cost(part[steps], part[~steps])))
-    legend = (
-        "Error of a measured damping rate, at no more evaluations than the dearest fixed-step run took. Methods within "
-        f"a factor of {ALIKE:g} tie."
-    )
     table = frame_of(rows, ["rate", "most accurate", "evaluations allowed"])
-    return View("rates", "Most accurate damping rate", table, legend, "damping_rates.csv")
+    return view("rates", table, alike=ALIKE)
 
 
 def at_equal_cost(fixed: pd.DataFrame, adaptive: pd.DataFrame) -> tuple[Cell, Cell]:
@@ -66,14 +62,9 @@ def strong_view(frame: pd.DataFrame) -> View:
         return as_cell(usable(rows, bases[rows["gamma"].iloc[0]]), "{:.2g}".format)
 
     table = matrix(rows, "method", "gamma", cell, "γ = {:g}".format)
-    legend = f"γh per evaluation up to which a method is no less accurate than {BASE} at the same cost; 0: nowhere."
-    title = "Strong damping: where negative substeps stop paying"
-    return View("strong_usable", title, table, legend, "strong_damping.csv")
+    return view("strong_usable", table, base=BASE)
 
 
+@chapter("damping")
 def parts(frames: Frames) -> list[Part]:
     return [rates_view(frames["damping_rates"]), strong_view(frames["strong_damping"])]
-
-
-TITLE, QUESTION = "Damping", "How accurate are damping rates, and who copes with strong damping?"
-CHAPTERS.add(Chapter("damping", TITLE, QUESTION, 54, ("damping_rates", "strong_damping"), parts))

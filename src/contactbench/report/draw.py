@@ -179,7 +179,7 @@ def render(figure: Figure) -> Drawing:
     legend = entries(curve for panel in panels for curve in panel.curves)
     margin = len(panels) == 1 and not panels[0].equal and all(curve.line for curve in panels[0].curves)
     columns = max(1, int(width / (0.8 + LETTER * max(map(len, legend), default=1))))
-    rows = 0 if margin or figure.legend == "each" else -(-len(legend) // columns)
+    rows = 0 if margin else -(-len(legend) // columns)
     height = down * min(HEIGHT, 0.8 * width / across) + LINE * (title.count("\n") + 1 + rows)
     with plt.rc_context(RC):
         drawing = plt.figure(figsize=(width, height), layout="constrained")
@@ -187,10 +187,7 @@ def render(figure: Figure) -> Drawing:
         for i, panel in enumerate(panels):
             axes = drawing.add_subplot(down, across, i + 1)
             draw_panel(axes, panel)
-            own = entries(panel.curves)
-            if figure.legend == "each":
-                axes.legend(own.values(), own.keys(), fontsize=9)
-            elif margin:
+            if margin:
                 name_in_margin(axes, panel.curves)
         if rows:
             drawing.legend(legend.values(), legend.keys(), loc="outside lower left", ncols=columns)

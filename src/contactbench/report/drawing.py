@@ -22,7 +22,7 @@ class Curve:
 
     label : its entry in the legend, equal ones are one; "" for none.  method : gives it that method's look.
     role : of `look.ROLES`, the look of what is no method.  family : what a method unknown to look.py declares itself.
-    muted : thin and grey, not the best of its family.  settings : of each point; empty for none.
+    muted : thin and grey, not the best of its family.
     """
 
     x: tuple[float, ...]
@@ -34,7 +34,6 @@ class Curve:
     markers: bool = True
     family: str = ""
     muted: bool = False
-    settings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,9 @@ class Panel:
 class Figure:
     """Panels side by side, `across` in a row, saved as figures/NAME.svg.
 
+    Names of curves stand in the margin of a single panel, or below several.
+
     title : its message.  caption : one or two sentences: what is compared, what is better.
-    legend : names in the margin of a single panel, below several ("shared"), or in each of them ("each").
     """
 
     name: str
@@ -71,11 +71,3 @@ class Figure:
     panels: tuple[Panel, ...]
     caption: str = ""
     across: int = 2
-    legend: Literal["shared", "each"] = "shared"
-
-
-@dataclass(frozen=True)
-class Live:
-    title: str
-    panels: dict[tuple[str, str], Panel]
-    caption: str = ""

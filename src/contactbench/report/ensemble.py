@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import count, duration, names, power, times
@@ -14,7 +15,6 @@ from contactbench.report.views import View, matrix, pick
 from contactbench.report.work_precision import ERROR, LEGEND, cost_cell, error_label
 from contactbench.results.contest import COMPILED, CONTACT, LIMIT, MARGINAL, Kind, costs, standings
 
-SOURCE = "ensemble.csv"
 #: time of a whole call per trajectory
 WHOLE_CALLS = replace(COMPILED, cost="each")
 
@@ -40,13 +40,11 @@ def standing(frame: pd.DataFrame, kind: Kind, keys: tuple[str, ...]) -> pd.DataF
     return standings(costs(part, kind, keys), ("error",))
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     calls = standing(with_rates(frames["ensemble"]), WHOLE_CALLS, ("method", "variant"))
-    lines = []
     for error, own in calls[calls["verdict"].isin(["win", "tie", "undecided"])].groupby("error", sort=False):
         question = f"Who takes the least time per trajectory, error {power(error)}?"
-        lines.append((question, names(list(own["method"].unique()), 3), duration(own["cost"].min())))
-    return summary(*lines)
+        yield Answer(question, names(list(own["method"].unique()), 3), duration(own["cost"].min()))
 
 
 def arithmetic_view(frame: pd.DataFrame) -> View:
@@ -55,19 +53,15 @@ def arithmetic_view(frame: pd.DataFrame) -> View:
     table = pick(own, "method", "engine", "setting", stage="per gradient", **loops)
     table = table.assign(**{f"ratio to {shape}": own["stage"] / own[shape] for shape in shapes})
     show = {"": duration} | {f"ratio to {shape}": times for shape in shapes}
-    legend = (
-        "Time per gradient and trajectory, least round, one core, the same steps. `passes`: every flow a loop over all "
-        "trajectories; `plain`: drift and kick in one loop; `tiled`: all steps of some trajectories before the next."
-    )
-    return View("ensemble_arithmetic", "The same arithmetic as C loops", table, legend, SOURCE, show)
+    return view("ensemble_arithmetic", table, show)
 
 
-def error_view(frame: pd.DataFrame, kind: Kind, name: str, title: str, legend: str) -> View:
+def error_view(frame: pd.DataFrame, kind: Kind, name: str) -> View:
     found = standing(frame, kind, ("method", "engine", "variant"))
     way = found["method"] + ", " + found["engine"] + found["variant"].map(lambda v: f", {v}" if v else "")
     found = found.assign(way=way).sort_values(["way", "error"], ascending=[True, False])
     table = matrix(found, "way", "error", cost_cell, error_label)
-    return View(name, title, table, f"{legend} {LEGEND}", SOURCE)
+    return view(name, table, legend=LEGEND)
 
 
 def figure(frame: pd.DataFrame) -> Figure | None:
@@ -90,17 +84,12 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     return Figure("ensemble", title, (panel,), caption)
 
 
+@chapter("ensemble", answers)
 def parts(frames: Frames) -> list[Part | None]:
     frame = with_rates(frames["ensemble"])
-    called = "Time of a whole call per trajectory, one core."
-    more = "Time of one more trajectory, one core: from calls with a quarter of them and all."
     return [
-        error_view(frame, WHOLE_CALLS, "ensemble_error", "A trajectory at equal error", called),
-        error_view(frame, MARGINAL, "ensemble_marginal", "One more trajectory at equal error", more),
+        error_view(frame, WHOLE_CALLS, "ensemble_error"),
+        error_view(frame, MARGINAL, "ensemble_marginal"),
         arithmetic_view(frame),
         figure(frame),
     ]
-
-
-TITLE, QUESTION = "Ensembles", "How fast are many trajectories at once?"
-CHAPTERS.add(Chapter("ensemble", TITLE, QUESTION, 60, ("ensemble",), parts, answers))

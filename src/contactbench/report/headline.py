@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from itertools import islice
 
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, structure, work_precision
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, chapters, summary
-from contactbench.report.laws import cost_cells, law_label, with_bounds
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chapters, view
+from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, how_often, names
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.contest import OTHER
@@ -22,51 +22,53 @@ PICTURED = "particle"
 #: a column of the result with the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 #: the scenes of the mission, the methods that a reader knows, and the laws; that of J where a method claims it
-SCENES = ("oscillator", "particle", "rigid_body")
-METHODS = ["contact-printed", "contact-strang", "contact-rkn4", "contact-rkn8", "contact-o8", "herglotz2"]
-METHODS += ["rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "diffrax-dopri8", "heyoka-taylor"]
-LAWS = ("energy_law", "momentum_law", "contact_drift")
+SHOWN_SCENES = ("oscillator", "particle", "rigid_body")
+SHOWN_METHODS = [
+    "contact-printed",
+    "contact-strang",
+    "contact-rkn4",
+    "contact-rkn8",
+    "contact-o8",
+    "herglotz2",
+]
+SHOWN_METHODS += ["rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "diffrax-dopri8", "heyoka-taylor"]
+SHOWN_LAWS = ("energy_law", "momentum_law", "contact_drift")
 
 
 # -- the answers -----------------------------------------------------------------------------------
-def structure_answer(frames: Frames) -> tuple[str, str, str] | None:
+def structure_answer(frames: Frames) -> Iterator[Answer]:
     rows = laws.structural_rows(frames)
     promised = rows[rows["claimed"] & rows["law"].isin(PROMISED)]
     found = [(PROMISED[str(law)], own) for law, own in promised.groupby("law", sort=False)]
     answer = ", ".join(f"{label} {how_often(*laws.kept_of(own))}" for label, own in found)
-    count = "; ".join(laws.counts(own) for _, own in found)
-    return ("Does it keep J and the contact form where it promises to?", answer, count) if found else None
+    if found:
+        question = "Does it keep J and the contact form where it promises to?"
+        yield Answer(question, answer, "; ".join(laws.counts(own) for _, own in found))
 
 
-def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
+def cost_answers(frames: Frames) -> Iterator[Answer]:
+    costs = {answer.question: answer for answer in work_precision.answers(frames)}
+    asked = (work_precision.QUESTIONS[kind] for kind in ("compiled", "evaluations"))
+    yield from (costs[question] for question in asked if question in costs)
     won = work_precision.all_contests(frames)["compiled"].contests
     judged = won[won["winner"] != ""]
-    if not len(judged):
-        return None
-    lost = judged["winner"] == OTHER
-    every = lost.groupby(judged["scene"], sort=False).transform("all")
-    scenes = [f"`{scene}`" for scene in judged["scene"][every].unique()]
-    there, others, pairs = int(every.sum()), int(lost[~every].sum()), int((~every).sum())
-    count = f"{there} of {there} pairs there, {others} of {pairs} elsewhere"
-    return "Where is it slower at every error, compiled?", names(scenes) or "nowhere", count
+    if len(judged):
+        lost = judged["winner"] == OTHER
+        every = lost.groupby(judged["scene"], sort=False).transform("all")
+        scenes = [f"`{scene}`" for scene in judged["scene"][every].unique()]
+        there, others, pairs = int(every.sum()), int(lost[~every].sum()), int((~every).sum())
+        count = f"{there} of {there} pairs there, {others} of {pairs} elsewhere"
+        yield Answer("Where is it slower at every error, compiled?", names(scenes) or "nowhere", count)
 
 
-def answers(frames: Frames) -> pd.DataFrame:
-    asked = [structure_answer(frames)]
+def answers(frames: Frames) -> Iterator[Answer]:
+    yield from structure_answer(frames)
     if len(frames["convergence"]):
-        asked += rows_of(convergence.answers(frames))
+        yield from convergence.answers(frames)
     if len(frames["work_precision"]):
-        costs = {row[0]: row for row in rows_of(work_precision.answers(frames))}
-        asked += [costs.get(work_precision.QUESTIONS[kind]) for kind in ("compiled", "evaluations")]
-        asked.append(loss_answer(frames))
-    asked += rows_of(structure.answers(frames))
-    if len(frames["claims"]):
-        asked += rows_of(claims.answers(frames))[:1]
-    return summary(*(row for row in asked if row is not None))
-
-
-def rows_of(frame: pd.DataFrame) -> list[tuple[str, str, str]]:
-    return list(frame.itertuples(index=False, name=None))
+        yield from cost_answers(frames)
+    yield from structure.answers(frames)
+    yield from islice(claims.answers(frames), 1)
 
 
 # -- results/README.md -----------------------------------------------------------------------------
@@ -76,37 +78,31 @@ def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def mission_view(frames: Frames) -> View | None:
-    rows = with_bounds(most_met_cost(frames["decay_laws"]))
-    rows = rows[rows["scene"].isin(SCENES) & rows["method"].isin(METHODS)]
+    rows = most_met_cost(frames["decay_laws"])
+    rows = rows[rows["scene"].isin(SHOWN_SCENES) & rows["method"].isin(SHOWN_METHODS)]
     if not len(rows):
         return None
     momentum = law_rows(frames, "momentum_law")
     claimed = set(momentum[momentum["claimed"]]["scene"])
-    shown = [scene for scene in SCENES if scene in set(rows["scene"])]
-    laws_of = {s: [law for law in LAWS if law != "momentum_law" or s in claimed] for s in shown}
+    shown = [scene for scene in SHOWN_SCENES if scene in set(rows["scene"])]
+    laws_of = {s: [law for law in SHOWN_LAWS if law != "momentum_law" or s in claimed] for s in shown}
     by_pair = {(row["method"], row["scene"]): row for row in rows.to_dict("records")}
     lines = []
-    for method in sorted(set(rows["method"]), key=METHODS.index):
+    for method in sorted(set(rows["method"]), key=SHOWN_METHODS.index):
         cells: list[Cell] = []
         for scene, own in laws_of.items():
             cells += cost_cells(frames, by_pair.get((method, scene), {"status": DASH}), own)
         lines.append((method, *cells))
     heads = {scene: ("evaluations", "order", *map(law_label, own)) for scene, own in laws_of.items()}
     labels = [("", "method"), *((scene, label) for scene, own in heads.items() for label in own)]
-    legend = (
-        "Largest deviation over the run, every method as near to the same number of evaluations as its steps and "
-        "tolerances allow. Bold: at round-off. ≤: an upper bound, by differences of the solver. "
-        "[All methods, scenes and costs](laws.md#at-equal-cost)."
-    )
-    title = "Order, laws and drifts at equal cost"
-    return View("mission", title, frame_of(lines, labels), legend, "decay_laws.csv")
+    return view("mission", frame_of(lines, labels))
 
 
 def documents_view(frames: Frames) -> View:
     found = {chapter.file: chapter.question for chapter in chapters(frames) if chapter.name != NAME}
     found["glossary.md"] = "What is each method, scene and column?"
     rows = [(Cell(file, link=file), question) for file, question in found.items()]
-    return View("documents", "All tables", frame_of(rows, ["document", "question"]))
+    return view("documents", frame_of(rows, ["document", "question"]))
 
 
 def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
@@ -123,6 +119,7 @@ def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
     return [Section("Who is cheapest where", (Text(legend), *tables)), lost]
 
 
+@chapter(NAME, answers)
 def parts(frames: Frames) -> list[Part | None]:
     found: list[Part | None] = [mission_view(frames)]
     if len(frames["work_precision"]):
@@ -133,14 +130,10 @@ def parts(frames: Frames) -> list[Part | None]:
     return [*found, documents_view(frames)]
 
 
-def machine(runs: Sequence[Mapping[str, Any]]) -> Text:
+def machine(runs: Sequence[Mapping[str, object]]) -> Text:
     places = dict.fromkeys(
         f"{run.get('cpu', '')}, {run.get('cores', '')} cores, Python {run.get('python', '')}, "
         f"commit `{str(run.get('commit', ''))[:12] or 'unknown'}`{' with local changes' if run.get('dirty') else ''}"
         for run in runs
     )
     return Text(f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units.")
-
-
-TABLES = ("laws", "decay_laws", "work_precision", "convergence", "structure_buys", "claims")
-CHAPTERS.add(Chapter(NAME, "Results", "What was found?", 0, TABLES, parts, answers, "README.md"))

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.law import UNSURE, judge
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.measure.law import DECIDABLE, UNSURE
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
 from contactbench.report.numbers import DASH, count, how_often, names, readable, scientific, times
 from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
-from contactbench.results.judgement import bound, law_rows, laws_at_equal_cost, laws_in, structural_laws
+from contactbench.results.judgement import law_rows, laws_at_equal_cost, laws_in, structural_laws
 from contactbench.results.schema import Column
 from contactbench.results.tables import LAWS_TABLE
 
@@ -47,22 +47,16 @@ def counts(rows: pd.DataFrame) -> str:
     return f"{kept} of {decided} runs" + (f" ({beside})" if beside else "")
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     rows = structural_rows(frames)
-    claimed = rows[rows["claimed"]].groupby("label", sort=False)
-    question = "{}: at round-off where claimed?".format
-    return summary(*((question(label), how_often(*kept_of(own)), counts(own)) for label, own in claimed))
+    for label, own in rows[rows["claimed"]].groupby("label", sort=False):
+        yield Answer(f"{label}: at round-off where claimed?", how_often(*kept_of(own)), counts(own))
 
 
 # -- cells -----------------------------------------------------------------------------------------
 def law_label(law: str) -> str:
     known = LAWS_TABLE.columns.get(law)
     return known.label if known and known.label else law.replace("_", " ")
-
-
-def with_bounds(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the frame with a column `LAW_bound` for each structural law it has: up to what it is round-off."""
-    return frame.assign(**{f"{law}_bound": bound(frame, law) for law in structural_laws() if law in frame})
 
 
 def drift_cell(row: Any, law: str) -> Cell:
@@ -73,12 +67,12 @@ def drift_cell(row: Any, law: str) -> Cell:
     if pd.isna(row.get(law)):
         return Cell(DASH)
     value, error, limit = (number(name) for name in (law, f"{law}_uncertainty", f"{law}_bound"))
-    kept, ill = judge(value, limit) if limit else (False, False)
+    ill = number(f"{law}_undecided") > 0 and limit > DECIDABLE
     unsure = error > 0 and value <= UNSURE * error
     bar = f" ± {scientific(error, 0)}" if not unsure and 0 < value / 10 <= error else ""
     signs = (DAGGER if number(f"{law}_clamped") > 0 else "") + (DOUBLE_DAGGER if ill else "")
     text = f"{'≤ ' if unsure else ''}{scientific(value)}{bar}{signs}"
-    return Cell(text, value, Mark.kept if kept else None)
+    return Cell(text, value, Mark.kept if number(f"{law}_kept") else None)
 
 
 def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
@@ -111,11 +105,7 @@ def claims_view(rows: pd.DataFrame) -> View:
     rows = rows.assign(who=groups.where(~rows["claimed"], "claimed"))
     rows = rows.sort_values("who", key=lambda who: who != "claimed", kind="stable")
     frame = matrix(rows.rename(columns={"label": "law or drift"}), "law or drift", "who", counts)
-    legend = (
-        "Runs that keep it to round-off, of those that decide. Not judged: the solution is off by more than a tenth. "
-        "[Why a law is not claimed](../docs/reading.md#laws)."
-    )
-    return View("law_claims", "Who keeps what", frame, legend, SOURCE)
+    return view("law_claims", frame)
 
 
 def broken_view(rows: pd.DataFrame) -> View:
@@ -130,15 +120,14 @@ def broken_view(rows: pd.DataFrame) -> View:
     labels = ["law or drift", "scene", "methods", "runs", "kept with steps held fixed"]
     labels += ["over the bound", "deviation", "worst"]
     show: dict[str, Show] = {"over the bound": times, "deviation": scientific}
-    legend = "Claimed, and not kept; the worst run by its deviation over the bound of round-off."
-    return View("law_exceptions", "Exceptions", frame_of(lines, labels), legend, SOURCE, show)
+    return view("law_exceptions", frame_of(lines, labels), show)
 
 
 def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
     scene, cost = str(part["scene"].iloc[0]), part["cost"].iloc[0]
     laws = [law for law in laws_at_equal_cost() if law in part and part[law].notna().any()]
     rows = []
-    for row in with_bounds(part).to_dict("records"):
+    for row in part.to_dict("records"):
         evaluations, order, *drifts = cost_cells(frames, row, laws)
         error = as_cell(row["solution_error"], scientific)
         rows.append((row["method"], row["engine"], row["setting"], evaluations, order, error, *drifts))
@@ -154,6 +143,7 @@ def law_view(frames: Frames, law: str, column: Column) -> View:
     return View(f"law_{law}", law_label(law), frame, f"{column.meaning}.", SOURCE)
 
 
+@chapter("laws", answers)
 def parts(frames: Frames) -> list[Part | None]:
     rows, time = structural_rows(frames), frames["laws_time"]
     equal = frames["decay_laws"].groupby(["scene", "cost"], sort=False)
@@ -229,8 +219,3 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure:
         "colour: in each panel, of each family the closest to the true motion."
     )
     return Figure(f"laws_{scene}", title, tuple(panels), caption)
-
-
-TITLE, QUESTION = "Decay laws and drifts", "Which methods keep the laws of the motion?"
-TABLES = ("laws", "decay_laws", "laws_time", "convergence", "stability")
-CHAPTERS.add(Chapter("laws", TITLE, QUESTION, 20, TABLES, parts, answers))

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import RUNG, ties
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.curves import ROUND_OFF, by_method, decade
 from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.numbers import DASH, names, scientific
+from contactbench.report.numbers import names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, SUM
 
-SOURCE = "long_time.csv"
 #: how far an average may be off, as a part of it
 ALLOWED = {ENERGY: 0.1, EXPONENT: 0.05, DIMENSION: 0.01}
 #: error bars that count as a deviation
@@ -68,21 +68,20 @@ def pairing(frame: pd.DataFrame) -> pd.Series:
     return worst.reindex([m for m in dict.fromkeys(frame["method"]) if m in worst.index])
 
 
-def answers(frames: Frames) -> pd.DataFrame:
-    frame, lines = frames["long_time"], []
+def answers(frames: Frames) -> Iterator[Answer]:
+    frame = frames["long_time"]
     for quantity in ALLOWED:
         costs = least(frame, quantity)
         if len(costs):
             first = [str(name) for name in costs.index[costs["first"]]]
             question = f"Which methods need the fewest evaluations for the right {quantity}?"
             cost = f"{cost_text(costs.iloc[0])} evaluations per unit of time"
-            lines.append((question, names(first, 4), cost))
+            yield Answer(question, names(first, 4), cost)
     defects = pairing(frame)
     if len(defects):
         kept = [str(name) for name in defects.index[defects <= STRUCTURE]]
         count = f"{len(kept)} of {len(defects)} methods"
-        lines.append(("Who keeps the pairs of exponents to round-off?", names(kept) or "nobody", count))
-    return summary(*lines)
+        yield Answer("Who keeps the pairs of exponents to round-off?", names(kept) or "nobody", count)
 
 
 def costs_view(frame: pd.DataFrame) -> View:
@@ -96,13 +95,8 @@ def costs_view(frame: pd.DataFrame) -> View:
         return Cell(cost_text(cost), float(cost["cost"]), mark if cost["first"] else None)
 
     allowed = names([f"{100 * part:g} % ({quantity})" for quantity, part in ALLOWED.items()])
-    legend = (
-        f"Evaluations per unit of time from which on an average stays within {allowed} of the reference; "
-        f"{SURE:g} error bars included; ≤: at its cheapest setting. A factor {RUNG:g} is a tie. "
-        f"{DASH}: wrong at every setting, or not measured. [How to read it](../docs/reading.md#long-chaotic-runs)."
-    )
     table = matrix(found, "method", "average", cell)
-    return View("long_time_costs", "The least that has the averages right", table, legend, SOURCE)
+    return view("long_time_costs", table, allowed=allowed, sure=SURE, rung=RUNG)
 
 
 def pairs_view(frame: pd.DataFrame) -> View:
@@ -115,11 +109,7 @@ def pairs_view(frame: pd.DataFrame) -> View:
         right = right_from(sums, sums["mean"].abs() <= sums["setting"].map(bars))
         rows.append((method, *ends, as_cell(right, "{:.2g}".format)))
     labels = ["method", "defect, cheapest setting", "defect, dearest setting", "sum right from"]
-    legend = (
-        "Deviation of σ₁σ₂ from e^{−γt}. Sum right from: evaluations per unit of time from which on the sum of the "
-        "exponents is off by less than the error bar of the largest."
-    )
-    return View("long_time_pairs", "Pairs of exponents", frame_of(rows, labels), legend, SOURCE)
+    return view("long_time_pairs", frame_of(rows, labels))
 
 
 def figure(frame: pd.DataFrame) -> Figure | None:
@@ -139,10 +129,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     return Figure("pairing", title, (Panel("", x, y, curves, (ROUND_OFF,)),), caption)
 
 
+@chapter("long_time", answers)
 def parts(frames: Frames) -> list[Part | None]:
     frame = frames["long_time"]
     return [costs_view(frame), pairs_view(frame), figure(frame)]
-
-
-TITLE, QUESTION = "Long chaotic runs", "Which averages of long chaotic runs are right, and at what cost?"
-CHAPTERS.add(Chapter("long_time", TITLE, QUESTION, 58, ("long_time",), parts, answers))

@@ -52,7 +52,7 @@ DASHES: dict[int | None, tuple[float, ...]] = {
     6: (10, 1.5, 1.5, 1.5),
 }
 
-METHODS = {
+LOOKS = {
     "contact-printed": Look("contact", "X", 1),
     "contact-abc": Look("contact", "s", 2),
     "contact-strang": Look("contact", "o", 2),
@@ -95,7 +95,7 @@ SPARE = ("p", "8", "s", "D", "^", "v")
 
 
 def look(method: str, family: str = "") -> Look:
-    known = METHODS.get(method)
+    known = LOOKS.get(method)
     spare = SPARE[hashlib.sha256(method.encode()).digest()[0] % len(SPARE)]
     return known or Look(family if family in FAMILIES else "other", spare)
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 
-import pandas as pd
-
-from contactbench.report.chapters import Contents, Part, Section, Text
+from contactbench.report.chapters import Answer, Contents, Part, Section, Text
 from contactbench.report.drawing import Figure
 from contactbench.report.views import Cell, Mark, View
 
@@ -83,12 +81,12 @@ def parts(items: Iterable[Part | None], depth: int = 2) -> str:
     return "\n\n".join(filter(None, (WRITERS[type(item)](item, depth) for item in items)))
 
 
-def answers(summary: pd.DataFrame) -> str:
-    rows = [[escaped(str(entry)) for entry in row] for row in summary.itertuples(index=False)]
-    return grid(summary.columns, rows, [True] * 3) if rows else ""
+def answers(items: Iterable[Answer]) -> str:
+    rows = [[escaped(text) for text in (item.question, item.answer, item.count)] for item in items]
+    return grid(["question", "answer", "count"], rows, [True] * 3) if rows else ""
 
 
 def document(item: Contents) -> str:
-    own = "" if item.chapter.document else answers(item.summary)
+    own = "" if item.chapter.document else answers(item.answers)
     blocks = [f"# {item.chapter.title}", own, parts(item.parts)]
     return "\n\n".join(filter(None, blocks)) + "\n"

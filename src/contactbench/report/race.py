@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -11,9 +12,9 @@ import pandas as pd
 
 from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
-from contactbench.report.chapters import Chapter, Contents, Part, Text, summary
+from contactbench.report.chapters import Answer, Chapter, Contents, Part, Text, shown
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
-from contactbench.report.drawing import Axis, Figure, Live, Panel
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import law_label
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.page import page
@@ -26,13 +27,12 @@ ALIKE = ("tie", "undecided")
 
 
 # -- answers and notes -----------------------------------------------------------------------------------------
-def answers(frame: pd.DataFrame) -> pd.DataFrame:
-    first, lines = frame[frame["verdict"].isin(["win", *ALIKE])], []
+def answers(frame: pd.DataFrame) -> Iterator[Answer]:
+    first = frame[frame["verdict"].isin(["win", *ALIKE])]
     for (kind, error), rows in first.groupby(["kind", "error_asked"], sort=False):
         ranked = rows.sort_values("time_s", kind="stable")
         question = f"{TITLES[str(kind)]}, error {error:g}: who is cheapest?"
-        lines.append((question, names(list(ranked["method"]), 4), duration(ranked["time_s"].min())))
-    return summary(*lines)
+        yield Answer(question, names(list(ranked["method"]), 4), duration(ranked["time_s"].min()))
 
 
 def notes(frame: pd.DataFrame) -> Iterator[str]:
@@ -97,7 +97,7 @@ def time_cell(row: Any) -> Cell:
     return Cell(f"{duration(row.time_s)} {beside}", row.time_s, mark)
 
 
-def kept_by(rows: pd.DataFrame) -> str:
+def kept_laws(rows: pd.DataFrame) -> str:
     """Return the laws kept at every setting at which they were measured, and those that there was no time for."""
     done = rows[has_laws(rows)]
     if done.empty:
@@ -120,7 +120,7 @@ def times_view(frame: pd.DataFrame, kind: str) -> View:
     for method, part in frame[frame["kind"] == kind].groupby("method", sort=False):
         if not (part["status"] == "unsupported").all():
             cells = [time_cell(row) for row in part.itertuples()]
-            rows.append((str(method), *cells, *part["evaluations"], kept_by(part)))
+            rows.append((str(method), *cells, *part["evaluations"], kept_laws(part)))
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
     labels = [("", "method"), *((f"{what} at error", e) for what in ("time", "evaluations") for e in errors)]
     table = frame_of(rows, [*labels, ("", "at round-off")])
@@ -181,12 +181,17 @@ def front(tried: pd.DataFrame) -> pd.DataFrame:
 
 # -- documents -------------------------------------------------------------------------------------
 def html(frame: pd.DataFrame) -> str:
+    """Return a page of its own: the figure stands in it, not beside it."""
+    from contactbench.report.draw import svg  # takes long to load
+
     scene, drawn = str(frame["scene"].iloc[0]), figure(frame)
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
-    parts: tuple[Part, ...] = (*views(frame), laws_view(frame), Text(items=tuple(notes(frame))))
-    panels = {(scene, panel.title): panel for panel in drawn.panels} if drawn else {}
-    live = Live(drawn.title, panels, drawn.caption) if drawn else None
-    return page([Contents(chapter, answers(frame), parts)], live=live)
+    parts: list[Part | None] = [drawn, *views(frame), laws_view(frame), Text(items=tuple(notes(frame)))]
+    contents, images = Contents(chapter, tuple(answers(frame)), tuple(shown(parts))), {}
+    if drawn:
+        picture = base64.b64encode(svg(drawn).encode()).decode()
+        images[drawn.name] = f"data:image/svg+xml;base64,{picture}"
+    return page([contents], images=images)
 
 
 def text(frame: pd.DataFrame) -> str:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import PROCESSES, Verdict
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import count, duration, names, times
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.results.contest import COMPILED, LIMIT, standings
 
-SOURCE = "scaling.csv"
 #: the scene that every method is run on, and the size at which the way to the error is asked for
 SCENE, SIZE = "fput", 1024
 #: the slope is that from so many degrees of freedom on: below, a call and the ends of loops count
@@ -51,9 +52,9 @@ def beside_loop(frame: pd.DataFrame, n: int, each: float) -> str:
     return f"{times(each / loop)} the C loop" if loop > 0 else ""
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     frame = frames["scaling"]
-    main, found = frame[frame["scene"] == SCENE], []
+    main = frame[frame["scene"] == SCENE]
     for cost, sizes in ((EACH, main["n"]), (REACH, main["n"][main["n"] <= SIZE])):
         rows = ranked(main, cost)
         rows = rows[rows["n"] == sizes.max()]
@@ -66,17 +67,16 @@ def answers(frames: Frames) -> pd.DataFrame:
         if cost == EACH:
             asked = f"Which method takes the least time per degree of freedom and evaluation {at}"
             beside = beside_loop(main, int(sizes.max()), float(best))
-            found.append((asked, own, ", ".join(filter(None, [duration(1e-9 * best), beside]))))
+            yield Answer(asked, own, ", ".join(filter(None, [duration(1e-9 * best), beside])))
         else:
             then = [f"then {rest['method'].iloc[0]} {times(rest['ratio'].iloc[0])}"] if len(rest) else []
-            found.append((f"Who is first at an error of 10⁻⁶ {at}", own, ", ".join([duration(best), *then])))
+            yield Answer(f"Who is first at an error of 10⁻⁶ {at}", own, ", ".join([duration(best), *then]))
     slopes = [s for own in lines(main[main["cores"] == 1]).values() if (s := slope(own)) == s]
     if slopes:
         middle = f"as n to the power {np.median(slopes):.2f}"
         among = f"{len(slopes)} methods and engines, a C loop among them"
         between = f"{min(slopes):.2f} to {max(slopes):.2f}, {among}"
-        found.append((f"How does the time of an evaluation grow on `{SCENE}`?", middle, between))
-    return summary(*found)
+        yield Answer(f"How does the time of an evaluation grow on `{SCENE}`?", middle, between)
 
 
 def costs_view(frame: pd.DataFrame) -> View:
@@ -104,14 +104,8 @@ def costs_view(frame: pd.DataFrame) -> View:
     group = "an evaluation at a degree of freedom, n ="
     labels += [(group, size) for size in (*map(count, sizes), "another")]
     labels += [("", name) for name in ("power of n", "to 10⁻⁶", "compilation", "memory, MB")]
-    legend = (
-        f"Least round. Power of n: of the time of an evaluation, from n = {LARGE} on. To 10⁻⁶: at the "
-        f"largest n ≤ {SIZE}. Compilation: of what no row before has "
-        "compiled. Memory: beside one state, at the largest n. Bold: the least of one core, compiled; "
-        "italic: a tie. —: not run, or not reached."
-    )
     show = {"power of n": "{:.2f}".format, "compilation": duration, "memory, MB": "{:.2g}".format}
-    return View("scaling_costs", "Cost by size", frame_of(rows, labels), legend, SOURCE, show)
+    return view("scaling_costs", frame_of(rows, labels), show, large=LARGE, size=SIZE)
 
 
 def figure(frame: pd.DataFrame) -> Figure | None:
@@ -133,9 +127,6 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     return Figure("scaling", ", ".join(filter(None, [title, beside])), (panel,), caption)
 
 
+@chapter("scaling", answers)
 def parts(frames: Frames) -> list[Part | None]:
     return [costs_view(frames["scaling"]), figure(frames["scaling"])]
-
-
-TITLE, QUESTION = "Scaling", "How does cost grow with the number of degrees of freedom?"
-CHAPTERS.add(Chapter("scaling", TITLE, QUESTION, 62, ("scaling",), parts, answers))

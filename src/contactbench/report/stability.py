@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
 from contactbench.report.curves import best_of_each, by_method, highest
 from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.laws import LEGEND, drift_cell, law_label, with_bounds
+from contactbench.report.laws import LEGEND, drift_cell, law_label
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
@@ -20,7 +21,7 @@ from contactbench.results.judgement import laws_in
 from contactbench.results.schema import numbers
 from contactbench.results.tables import STABILITY
 
-SOURCE, LIMITS = "stability.csv", "stability_limits.csv"
+SOURCE = "stability.csv"
 #: above this condition number the round-off of a solution is more than round-off
 WELL_CONDITIONED = 1e3
 LADDER = "Settings from coarse to fine; h/n: the time that an evaluation of a fixed-step method is worth."
@@ -39,14 +40,14 @@ def started_runs(hard: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(right=rows["status"] == wanted)
 
 
-def answers(frames: Frames) -> pd.DataFrame:
+def answers(frames: Frames) -> Iterator[Answer]:
     rows, won = started_runs(frames["stability"]), hard_contest(frames).contests
     right = int(rows["right"].sum())
-    ends = how_often(right, len(rows)), f"{right} of {len(rows)} runs"
-    lines = [("Do runs end as the true motion does?", *ends)]
+    yield Answer(
+        "Do runs end as the true motion does?", how_often(right, len(rows)), f"{right} of {len(rows)} runs"
+    )
     if len(won):
-        lines.append(("Does a contact method need the fewest evaluations on hard scenes?", *tally(won)))
-    return summary(*lines)
+        yield Answer("Does a contact method need the fewest evaluations on hard scenes?", *tally(won))
 
 
 # -- views -----------------------------------------------------------------------------------------
@@ -69,7 +70,7 @@ def ending(run: pd.Series) -> Cell:
 
 def scene_view(here: pd.DataFrame, scene: str) -> View:
     unsupported = here["status"] == "unsupported"
-    rows = with_bounds(here[~unsupported])
+    rows = here[~unsupported]
     steps, ok = rungs(rows), rows[rows["status"] == "ok"]
     laws = [n for n in laws_in(STABILITY, "stability") if n != "solution_error" and ok[n].notna().any()]
     lines = []
@@ -98,6 +99,7 @@ def worst_cell(runs: list[dict[str, object]], law: str) -> Cell:
     return worst if all(cell.mark is Mark.kept for cell in cells) else replace(worst, mark=None)
 
 
+@chapter("stability", answers)
 def parts(frames: Frames) -> list[Part]:
     hard, own = frames["stability"], hard_contest(frames)
     contests: list[Part] = []
@@ -106,10 +108,6 @@ def parts(frames: Frames) -> list[Part]:
         contests = [winners_view(own, "hard_winners", SOURCE), losses_view(lost, "hard_losses", SOURCE)]
     scenes = (scene_view(here, str(scene)) for scene, here in hard.groupby("scene", sort=False))
     return [*contests, Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes))]
-
-
-TITLE, QUESTION = "Numerical stability on hard scenes", "How does every method end on the hard scenes?"
-CHAPTERS.add(Chapter("stability", TITLE, QUESTION, 50, ("stability",), parts, answers))
 
 
 # -- the chapter of limits ---------------------------------------------------------------------------
@@ -123,12 +121,7 @@ def limit_cell(rows: pd.DataFrame) -> Cell:
 def limit_view(frame: pd.DataFrame) -> View:
     one = frame[(frame["omega"] == 1.0) & frame["limit"].notna()].sort_values("gamma", kind="stable")
     table = matrix(one, "method", "gamma", limit_cell, "γ = {:g}".format)
-    legend = (
-        "Largest stable step of q'' + γq' + q = 0. In parentheses: theory. Marked: larger steps are stable again "
-        "(column `windows`). Columns `limit_kernel` and `limit_saved`: processed methods saved at the end only, at "
-        "every step."
-    )
-    return View("limit", "First loss of stability", table, legend, LIMITS)
+    return view("limit", table)
 
 
 def stability_map(frame: pd.DataFrame) -> Figure:
@@ -151,9 +144,6 @@ def stability_map(frame: pd.DataFrame) -> Figure:
     return Figure("stability_map", title, (panel,), caption)
 
 
+@chapter("limits")
 def limit_parts(frames: Frames) -> list[Part]:
     return [limit_view(frames["stability_limits"]), stability_map(frames["stability_limits"])]
-
-
-TITLE, QUESTION = "Stability limits", "Up to which step does a bounded motion stay bounded?"
-CHAPTERS.add(Chapter("limits", TITLE, QUESTION, 52, ("stability_limits",), limit_parts))

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, costs_to_reach, ties
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
+from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.curves import best_of_each, by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.numbers import duration, names, power, scientific, times
 from contactbench.report.views import Mark, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 
-SOURCE = "structure_buys.csv"
 #: how far the energy left may be off
 ALLOWED = 0.01
 #: the scene, and the damping and number of sites that all methods are run at
@@ -55,8 +54,8 @@ def costs(rows: pd.DataFrame) -> pd.DataFrame:
     return frame.sort_values(["run_s", "evaluations_per_time"], kind="stable")
 
 
-def answers(frames: Frames) -> pd.DataFrame:
-    found, lines = costs(main_rows(frames["structure_buys"])), []
+def answers(frames: Frames) -> Iterator[Answer]:
+    found = costs(main_rows(frames["structure_buys"]))
     found = found[found["t_end"] == found["t_end"].max()]
     for column, (asked, unit, show) in COSTS.items():
         rows = found.dropna(subset=column).sort_values(column, kind="stable")
@@ -70,8 +69,7 @@ def answers(frames: Frames) -> pd.DataFrame:
         what = f"the energy left in a chaotic ring of {SITES} after {after}, within 1 % (median start)"
         question = f"Which {asked} to have {what}?"
         methods = names([str(m) for m in rows["method"][first]], 3)
-        lines.append((question, methods, "; ".join(filter(None, [show(least) + unit, ", ".join(beside)]))))
-    return summary(*lines)
+        yield Answer(question, methods, "; ".join(filter(None, [show(least) + unit, ", ".join(beside)])))
 
 
 def at_allowed(own: pd.DataFrame) -> pd.DataFrame:
@@ -107,16 +105,15 @@ def costs_view(rows: pd.DataFrame) -> View:
     heads = [(f"to 1 %, {at}", head) for at in at_spans for head in ("time", "evaluations", "ratio")]
     heads += [("one setting", "setting")]
     heads += [("its error", at) for at in at_spans] + [("|γ_eff/γ − 1|", at_spans[-1])]
-    legend = (
-        f"{SCENE}, n = {SITES}, γ = {power(GAMMA)}. Medians of the starts, interpolated between settings. Time of the "
-        "whole run, from that of its beginning and the evaluations of both; evaluations per unit of time; ratio of the "
-        "time to the least. One setting: the cheapest with 1 % in the shorter run. γ_eff: from the energy left. Bold: "
-        f"the least, to a factor {COUNTED:g}. ≤: at the cheapest setting. —: not reached, or not run. "
-        "[Why](../docs/mathematics.md#what-keeping-the-structure-buys)."
-    )
     table = frame_of(lines, [("", "method"), *heads])
-    return View(
-        "structure_costs", "The least that has the energy right", table, legend, SOURCE, {"": scientific}
+    return view(
+        "structure_costs",
+        table,
+        {"": scientific},
+        scene=SCENE,
+        sites=SITES,
+        gamma=power(GAMMA),
+        counted=COUNTED,
     )
 
 
@@ -132,8 +129,7 @@ def others_view(frame: pd.DataFrame) -> View:
     made = matrix(
         cells, "method", "case", lambda own: as_cell(cost(own, "evaluations_per_time"), "{:.2g}".format)
     )
-    legend = "Evaluations per unit of time that the energy left within 1 % takes. —: not reached."
-    return View("structure_others", "Other dampings and sizes", made, legend, SOURCE)
+    return view("structure_others", made)
 
 
 def reaching(curve: Curve, own: Sequence[Curve]) -> float:
@@ -171,12 +167,8 @@ def figure(rows: pd.DataFrame) -> Figure | None:
     return Figure("structure_buys", title, tuple(panels), caption, across=3)
 
 
+@chapter("structure_buys", answers)
 def parts(frames: Frames) -> list[Part | None]:
     frame = frames["structure_buys"]
     rows = main_rows(frame)
     return [costs_view(rows), figure(rows), others_view(frame)]
-
-
-TITLE = "What structure buys"
-QUESTION = "What does keeping the contact structure buy on a long chaotic motion?"
-CHAPTERS.add(Chapter("structure_buys", TITLE, QUESTION, 57, ("structure_buys",), parts, answers))

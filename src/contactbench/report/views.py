@@ -104,10 +104,12 @@ def as_cell(value: object, show: Show = readable, mark: Mark | None = None) -> C
 def frame_of(
     rows: Iterable[Sequence[object]], labels: Sequence[str] | Sequence[tuple[str, str]]
 ) -> pd.DataFrame:
+    """Return rows of words, numbers or cells as the frame of a view; labels : of the columns, or (group, label)."""
     return pd.DataFrame(list(rows), columns=pd.Index(labels, tupleize_cols=False), dtype=object)
 
 
 def pick(frame: pd.DataFrame, *same: str, **others: str) -> pd.DataFrame:
+    """Return columns under their own names and, column=label, under others."""
     return frame[[*same, *others]].rename(columns=others)
 
 
@@ -118,6 +120,7 @@ def matrix(
     cell: Callable[[pd.DataFrame], object],
     label: Callable[[Any], str] = str,
 ) -> pd.DataFrame:
+    """Return a row for each value of one column and a column for each of another; cell(rows that have both)."""
     parts = dict(list(frame.groupby([row, column], sort=False)))
     names, values = (list(dict.fromkeys(frame[key])) for key in (row, column))
     lines = [(n, *(cell(parts[n, v]) if (n, v) in parts else DASH for v in values)) for n in names]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -11,13 +11,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
-from contactbench.report.drawing import Axis, Curve, Figure, Live, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
 from contactbench.report.views import Cell, Mark, View, matrix
-from contactbench.results import contest as judge
-from contactbench.results.contest import COMPILED, CONTACT, EVALUATIONS, KINDS, OTHER, Kind, contestants
+from contactbench.results.contest import (
+    COMPILED,
+    CONTACT,
+    EVALUATIONS,
+    KINDS,
+    OTHER,
+    Kind,
+    contestants,
+    contests,
+    costs,
+    standings,
+)
 
 SOURCE = "work_precision.csv"
 LEGEND = (
@@ -42,8 +52,8 @@ class Contest:
 
 
 def contest(work: pd.DataFrame, kind: Kind) -> Contest:
-    found = judge.costs(contestants(work), kind)
-    return Contest(kind, judge.standings(found), judge.contests(found))
+    found = costs(contestants(work), kind)
+    return Contest(kind, standings(found), contests(found))
 
 
 @lru_cache(2)
@@ -62,9 +72,10 @@ def tally(won: pd.DataFrame) -> tuple[str, str]:
     return how_often(counted.get(CONTACT, 0), len(judged)), text + (f"; others: {rest}" if rest else "")
 
 
-def answers(frames: Frames) -> pd.DataFrame:
-    found = {name: own.contests for name, own in all_contests(frames).items() if len(own.contests)}
-    return summary(*((QUESTIONS[name], *tally(won)) for name, won in found.items()))
+def answers(frames: Frames) -> Iterator[Answer]:
+    for name, own in all_contests(frames).items():
+        if len(own.contests):
+            yield Answer(QUESTIONS[name], *tally(own.contests))
 
 
 # -- who is cheapest -------------------------------------------------------------------------------
@@ -133,6 +144,7 @@ def costs_view(own: Contest, scene: str) -> View:
     return View(f"{own.kind.name}_{scene}", own.kind.title, frame, "", SOURCE)
 
 
+@chapter("work_precision", answers)
 def parts(frames: Frames) -> list[Part]:
     work, found = frames["work_precision"], all_contests(frames).values()
     scenes = [
@@ -186,7 +198,7 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     rows = contestants(work)
-    table = judge.contests(judge.costs(rows[rows["scene"] == scene], COMPILED))
+    table = contests(costs(rows[rows["scene"] == scene], COMPILED))
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
     if not len(table):
         return f"{scene}: cost against error", []
@@ -197,20 +209,3 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     if row["winner"] == OTHER:
         both, ratio = both[::-1], 1 / ratio
     return f"{scene}: {both[0]} needs {1 / ratio:.0%} of the time of {both[1]} {at}", both
-
-
-def live(frames: Frames) -> Live | None:
-    compared_in = {"work_precision": KINDS, "stability": (EVALUATIONS,)}
-    panels = {
-        (str(scene), kind.title): panel(rows, kind)
-        for table, kinds in compared_in.items()
-        for scene in dict.fromkeys(frames[table]["scene"])
-        for kind in kinds
-        if len(rows := compared(frames[table], scene, kind))
-    }
-    caption = f"{IN_COLOUR} Click a family to hide it; of one or two families every method is in colour."
-    return Live("Cost against error", panels, caption) if panels else None
-
-
-TITLE, QUESTION = "Cost at equal error", "What does an error cost?"
-CHAPTERS.add(Chapter("work_precision", TITLE, QUESTION, 40, ("work_precision",), parts, answers))

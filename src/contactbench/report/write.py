@@ -13,7 +13,7 @@ import numpy as np
 from contactbench.errors import BadInput
 from contactbench.files import replacing
 from contactbench.measure.ladder import stepping
-from contactbench.report import draw, headline, markdown, page, work_precision
+from contactbench.report import draw, headline, markdown, page
 from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View, frame_of
@@ -45,7 +45,7 @@ def documents(
     words = glossary(registries)
     texts = {one.chapter.file: markdown.document(one) for one in found}
     texts["glossary.md"] = f"# Glossary\n\n{markdown.parts(words)}\n"
-    texts["report.html"] = page.page(found, recorded, words, page.LINKS, work_precision.live(frames))
+    texts["report.html"] = page.page(found, recorded, words, page.LINKS)
     texts |= {f"figures/{figure.name}.svg": draw.svg(figure) for figure in drawn}
     paths = {results / name: text for name, text in texts.items()}
     return paths | ({readme: with_answers(readme, frames)} if readme else {}), drawn

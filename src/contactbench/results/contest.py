@@ -43,6 +43,9 @@ ENOUGH = 8
 #: the difference of two times is resolved where its own halves agree within this; else it is noise of what is fixed
 RESOLVED = 1.5
 
+#: the columns of a row
+type Record = dict[str, Any]
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -139,7 +142,7 @@ def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "metho
         part = part.assign(method=part["method"].replace(SAME_INTEGRATOR))
         said = part.groupby(list(keys))[kind.cost].transform("count")  # by some solvers never
         part = part[said > 0]
-    found: list[dict[str, Any]] = []
+    found: list[Record] = []
     for key, own in part.groupby(list(keys), sort=False):
         engines = [one for _, one in own.groupby("engine", sort=False)] if kind.timed else [own]
         tried = [list(_costs_on(one, kind, spreads[one["engine"].iloc[0]])) for one in engines]
@@ -149,12 +152,12 @@ def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "metho
     return pd.DataFrame(found, columns=list(dict.fromkeys([*keys, *columns])))
 
 
-def _preference(row: dict[str, Any]) -> tuple[bool, float]:
+def _preference(row: Record) -> tuple[bool, float]:
     reached = not math.isnan(row["cost"])
     return not reached, row["cost"] if reached else not row["reason"]
 
 
-def _costs_on(rows: pd.DataFrame, kind: Kind, processes: float) -> Iterator[dict[str, Any]]:
+def _costs_on(rows: pd.DataFrame, kind: Kind, processes: float) -> Iterator[Record]:
     reason, rows = cut_off(rows), rows[rows["status"] == "ok"]
     errors, spent = (_floats(rows[name]) for name in ("solution_error", kind.cost))
     front = envelope(errors, spent)
@@ -239,7 +242,7 @@ def contests(costs: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names.split())
 
 
-def _contest(ours: Any, theirs: Any) -> dict[str, Any]:
+def _contest(ours: Any, theirs: Any) -> Record:
     row = {"contact": ours.method, "contact_cost": ours.cost} if ours else {"contact": ""}
     row |= {"other": theirs.method, "other_cost": theirs.cost} if theirs else {"other": ""}
     if ours is None or theirs is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,13 +31,14 @@ GROUPS = {
 COMMON = GROUPS["+common"]
 
 
-def law_columns() -> dict[str, Column]:
-    columns = {}
-    for name, law in LAWS.items():
+def law_columns(names: Iterable[str]) -> dict[str, Column]:
+    """Return the columns of laws, then those of the judgement of each that is structural."""
+    columns, laws = {}, {name: LAWS[name] for name in names}
+    for name, law in laws.items():
         kind: Any = "whole" if law.gate.value == "count" else "number"
         label = law.label or name.replace("_", " ")
         columns[name] = Column(law.definition, kind, Rule[law.gate.value], label=label, shown=law.shown)
-    for name in [name for name, law in LAWS.items() if law.structural]:
+    for name in [name for name, law in laws.items() if law.structural]:
         about = {what: f"{name}: {meaning}" for what, meaning in JUDGEMENT.items()}
         columns[f"{name}_claimed"] = Column(about["claimed"], "flag", Rule.same)
         for what in ("kept", "undecided"):
@@ -49,10 +50,8 @@ def law_columns() -> dict[str, Column]:
 def columns(declared: Mapping[str, Any]) -> dict[str, Column]:
     found: dict[str, Column] = {}
     for name, entry in declared.items():
-        if name == "+laws":
-            found |= law_columns()
-        elif name == "+laws_at_equal_cost":
-            found |= {law: law_columns()[law] for law in entry}
+        if name.startswith("+laws"):
+            found |= law_columns(LAWS if entry is True else entry)
         else:
             found |= GROUPS.get(name) or {name: column(**entry)}
     return found
@@ -107,10 +106,15 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
 
     Parameters
     ----------
-    name
+    name : str
         Of a table, such as "laws", "work_precision", "stability", "claims", "ensemble".
-    folder
+    folder : path-like, optional
         Of a run of your own; by default the tables that came with the package.
+
+    Returns
+    -------
+    DataFrame
+        A row for each cell: scene × method × engine × setting, or what the table is about.
 
     Raises
     ------

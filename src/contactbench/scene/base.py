@@ -22,7 +22,6 @@ from contactbench.errors import (
     excerpt,
     finite,
     function,
-    html_table,
     is_ours,
     items_of,
     positive,
@@ -31,6 +30,7 @@ from contactbench.errors import (
     their_code,
     unknown_name,
 )
+from contactbench.notebook import html_table
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted

@@ -1,27 +1,19 @@
 """``report.html``: all chapters on one page that needs no network.
 
 A renderer: it knows no question, no table and no method.  Figures are the SVG files beside the page; tables are
-embedded as JSON and drawn when they are opened; one plot is live (`drawing.Live`).
+embedded as JSON and drawn when they are opened.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
 
 import jinja2
-import numpy as np
 from markupsafe import Markup, escape
-from matplotlib.markers import MarkerStyle
-from matplotlib.transforms import Affine2D
 
 from contactbench.report.chapters import Contents, Part, every
-from contactbench.report.drawing import Curve, Figure, Live
-from contactbench.report.look import DASHES, look
 from contactbench.report.views import Cell, View
 
 #: where readers go from here: documents beside the page, and the source above it
@@ -82,15 +74,20 @@ def substitute(pattern: re.Pattern[str], text: str, mark: Callable[[re.Match[str
 
 
 # -- tables as JSON --------------------------------------------------------------------------------
-def cell(of: Cell, addresses: Mapping[str, str]) -> str | list[Any]:
+#: a text, or a text, what it is sorted by, its mark and its link, as far as there are such
+type Entry = str | list[str | float | None]
+
+
+def cell(of: Cell, addresses: Mapping[str, str]) -> Entry:
     value = None if of.value is None else float(f"{of.value:.6g}")
-    more: list[Any] = [str(inline(of.text, addresses)), value, of.mark or "", addresses.get(of.link, of.link)]
+    text, link = str(inline(of.text, addresses)), addresses.get(of.link, of.link)
+    more: list[str | float | None] = [text, value, of.mark or "", link]
     while not more[-1] and len(more) > 1:
         more.pop()
-    return more if more[1:] else str(more[0])
+    return more if more[1:] else text
 
 
-def table(view: View, addresses: Mapping[str, str]) -> dict[str, Any]:
+def table(view: View, addresses: Mapping[str, str]) -> dict[str, object]:
     heads = [[str(inline(head.label)), int(head.words), head.group] for head in view.columns]
     return {
         "title": view.title,
@@ -101,50 +98,21 @@ def table(view: View, addresses: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-# -- the live plot as JSON -------------------------------------------------------------------------
-def live_look(curve: Curve) -> dict[str, Any]:
-    own = look(curve.method, curve.family)
-    style = MarkerStyle(own.marker)
-    path = style.get_path().transformed(style.get_transform() + Affine2D().scale(100, -100))
-    lines = map(np.asarray, path.to_polygons(closed_only=False))
-    outline = "".join("M" + "L".join(f"{x:.0f} {y:.0f}" for x, y in line) for line in lines)
-    dash, filled = " ".join(f"{1.5 * part:g}" for part in DASHES.get(own.order, ())), own.family == "contact"
-    return {"family": own.family, "color": own.color, "outline": outline, "filled": filled, "dash": dash}
-
-
-def live_points(curve: Curve) -> list[tuple[float, float, str]]:
-    points = zip(curve.x, curve.y, curve.settings, strict=True)
-    known = [point for point in points if 0 < point[0] < math.inf and 0 < point[1] < math.inf]
-    return [(float(f"{x:.3g}"), float(f"{y:.3g}"), setting) for x, y, setting in known]
-
-
-def live_plot(live: Live) -> dict[str, Any]:
-    panels: dict[str, dict[str, Any]] = {}
-    looks: dict[str, dict[str, Any]] = {}
-    for (scene, cost), panel in live.panels.items():
-        curves = [{"name": c.method, "muted": c.muted, "points": live_points(c)} for c in panel.curves]
-        axes = {"x": panel.x.label, "y": panel.y.label, "ends": (*panel.x.within, panel.y.within[1])}
-        panels.setdefault(scene, {})[cost] = {**axes, "curves": curves}
-        looks |= {curve.method: live_look(curve) for curve in panel.curves}
-    return {"panels": panels, "looks": looks}
-
-
 # -- the page --------------------------------------------------------------------------------------
 def page(
     contents: Sequence[Contents],
-    recorded: Sequence[Mapping[str, Any]] = (),
+    recorded: Sequence[Mapping[str, object]] = (),
     glossary: Sequence[Part] = (),
     links: Mapping[str, str] | None = None,
-    live: Live | None = None,
+    images: Mapping[str, str] | None = None,
 ) -> str:
-    """Return the HTML; recorded : runs behind the tables; live : stands for the figures of the first chapter."""
-    if live:
-        first = tuple(part for part in contents[0].parts if not isinstance(part, Figure))
-        contents = [replace(contents[0], parts=first), *contents[1:]]
+    """Return the HTML.
+
+    recorded : runs behind the tables.  images : addresses of figures that are no files beside the page, by name.
+    """
     addresses = {one.chapter.file: f"#{one.chapter.name}" for one in contents}
     shown = [*(part for one in contents for part in one.parts), *glossary]
     views = {view.name: table(view, addresses) for view in every(View, shown)}
-    data = {"views": views, "live": live and live_plot(live)}
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("contactbench.report", "page"),
         autoescape=True,
@@ -154,11 +122,11 @@ def page(
     )
     environment.filters["inline"] = lambda text: inline(text, addresses)
     environment.filters["kind"] = lambda part: type(part).__name__
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    text = json.dumps(views, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return environment.get_template("page.html").render(
         data=text.replace("<", "\\u003c"),  # it stands inside a script element
         contents=contents,
-        live=live,
+        images=images or {},
         runs=recorded,
         glossary=glossary,
         links=links or {},

@@ -47,7 +47,7 @@
     return sign * (typeof a === "number" ? a - b : a.localeCompare(b, "en", { numeric: true }));
   }
   function drawTable(details) {
-    const view = data.views[details.dataset.view];
+    const view = data[details.dataset.view];
     if (!view || details.querySelector("table")) return;
     const words = view.heads.map((head) => head[1]);
     const rows = view.rows.map((cells) => ({ cells, node: html("tr", {}, ...cells.map((cell, i) => entry(cell, words[i]))) }));
