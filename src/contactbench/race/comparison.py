@@ -492,8 +492,8 @@ class Comparison:
             # the others go first
             each = min(turns, key=lambda one: PATIENCE * self.budget if one in slow else one.spent)
             self.bar.set_description(each.method.name)
-            seen = (one.compile_s for one in self.scouts if one.engine == each.engine)
-            expected = 0.0 if each.attempts else max(COMPILING.get(each.engine, 0.0), *seen)
+            seen = [one.compile_s for one in self.scouts if one.engine == each.engine and one.compile_s]
+            expected = 0.0 if each.attempts else max(COMPILING.get(each.engine, 0.0), min(seen, default=0.0))
             if expected > left:
                 each.why = ("budget", f"compiling it takes about {expected:.2g} s, {left:.2g} s were left")
                 del turns[each]

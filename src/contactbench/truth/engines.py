@@ -153,7 +153,7 @@ class Stopwatch:
         """Return whether the deadline has passed, or, seen from t, will pass before the end."""
         spent = (now := perf_counter()) - self.begun
         hopeless = spent * self.span > self.patience * (self.deadline - self.begun) * t
-        return now > self.deadline or (spent > FORESEEN and hopeless)
+        return now > self.deadline or (spent > FORESEEN and t > 0 and hopeless)
 
     def check(self, t: float) -> None:
         if self.is_over(t):

@@ -45,6 +45,8 @@ def doubles(
 
     start, times = np.array(scene.pack(scene.initial(carry))), sorted({*t.tolist(), *stops})
     saved, breaks = np.searchsorted(times, t), scene.breaks_until(times[-1])
+    with np.errstate(all="ignore"):
+        slope(start)  # the first records the functions: no part of the pace
     gragg = partial(extrapolate, most=COLUMNS, tolerance=TIGHTEST)
 
     def agreed(pair: tuple[str, str]) -> tuple[np.ndarray, int]:
