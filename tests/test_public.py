@@ -11,6 +11,7 @@ import pytest
 from matplotlib import pyplot
 
 import contactbench as cb
+from cases import refusal
 from contactbench.cli import main
 from contactbench.errors import FUNCTIONS
 from contactbench.measure.laws import LAWS, laws_of
@@ -79,6 +80,13 @@ def test_a_function_of_plain_numbers_is_named_with_its_line(scene, name, method)
         message = str(error)
     assert f"{name} takes plain numbers only" in message
     assert "test_public.py, line" in message
+
+
+def test_our_own_functions_are_not_named_where_their_argument_is_wrong():
+    math = cb.math
+    message = refusal(lambda: cb.solve(cb.Mechanical(potential=lambda q: math.cos({}), **ONE), "rk4", step=0.1))
+    assert "dict" in message
+    assert "takes plain numbers only" not in message
 
 
 def test_laws_of_such_a_force_say_why_they_have_no_number():
