@@ -15,7 +15,7 @@ import pytest
 
 import contactbench as cb
 from cells import cells, controlled, key, outcome, right_hand_sides, small, step_budget, tolerance_at
-from contactbench.errors import UserError
+from contactbench.blame import UserError
 from contactbench.measure import stability
 from contactbench.measure.clock import seconds
 from contactbench.measure.isolation import Died, TimedOut, Worker

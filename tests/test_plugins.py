@@ -18,7 +18,7 @@ import contactbench as cb
 from cases import REPOSITORY, bench, finished, run
 from contactbench import plugins
 from contactbench.cli import main
-from contactbench.errors import VARIABLE
+from contactbench.limits import VARIABLE
 from contactbench.report import write
 from contactbench.results.provenance import runs
 from contactbench.results.store import read

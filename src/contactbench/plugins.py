@@ -18,9 +18,12 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from contactbench.errors import BadInput, Registry, limit, one_line, their_code, user_error, within
+from contactbench.blame import their_code, user_error
+from contactbench.errors import BadInput, one_line
+from contactbench.limits import limit, within
 from contactbench.methods import METHODS
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.registry import Registry
 from contactbench.scene import Scene, verify
 from contactbench.scenes import SCENES
 

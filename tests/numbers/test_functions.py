@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.errors import FUNCTIONS
+from contactbench.blame import FUNCTIONS
 from contactbench.numbers.dual import DERIVATIVES, Dual
 from contactbench.numbers.dual import slope as slope_of
 from contactbench.numbers.dual import value as value_of

@@ -14,7 +14,7 @@ from enum import StrEnum
 from importlib.resources import files
 from typing import Any, SupportsFloat
 
-from contactbench.errors import Registry
+from contactbench.registry import Registry
 from contactbench.results.schema import SEPARATOR
 
 CLAIMS = Registry("claim")

@@ -12,7 +12,8 @@ from typing import Any
 
 from contactbench.cli import runs, tables
 from contactbench.cli.parsing import HELP, PLUGIN, Parser, Run
-from contactbench.errors import VARIABLE, BadInput, limit, one_line
+from contactbench.errors import BadInput, one_line
+from contactbench.limits import VARIABLE, limit
 
 #: seconds that a plug-in has where nobody says otherwise
 SECONDS = "60"

@@ -7,8 +7,9 @@ import signal
 import sys
 from pathlib import Path
 
+from contactbench.checks import positive
 from contactbench.cli.parsing import Command, print_json, writable
-from contactbench.errors import BadInput, positive
+from contactbench.errors import BadInput
 
 
 def claim(arguments: argparse.Namespace) -> int:

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.checks import positive, switch, whole
 from contactbench.ensembles.chunks import ENGINES, Task, results
 from contactbench.ensembles.members import ENERGY, Statistic, decaying, members, overall, tally
-from contactbench.errors import BadInput, excerpt, positive, switch, whole
+from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import METHODS, lookup, make_request
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import FixedStepRun

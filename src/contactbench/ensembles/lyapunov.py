@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.checks import positive, whole
 from contactbench.ensembles.chunks import lanes_of
 from contactbench.ensembles.members import furthest, members, within
-from contactbench.errors import BadInput, positive, whole
+from contactbench.errors import BadInput
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.base import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun

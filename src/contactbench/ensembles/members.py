@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, excerpt, finite, unknown_name
+from contactbench.checks import array, finite
+from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.measure.law import conformal_deviation
 from contactbench.measure.laws import LAWS
 from contactbench.scene import BodyState, DrivenState, Scene, State, quaternion_of

@@ -17,7 +17,8 @@ import numpy as np
 from scipy.integrate import DenseOutput, OdeSolver
 from scipy.integrate._ivp.common import warn_extraneous
 
-from contactbench.errors import BadInput, excerpt, positive
+from contactbench.checks import positive
+from contactbench.errors import BadInput, excerpt
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.loops import Loop, identity
 from contactbench.methods.one_step import OneStep, step_map

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput, blame
+from contactbench.blame import blame
+from contactbench.errors import BadInput
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Solution

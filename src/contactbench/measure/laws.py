@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, Registry
+from contactbench.errors import BadInput
 from contactbench.measure.law import (
     ATTAINABLE,
     JUDGEMENT,
@@ -36,6 +36,7 @@ from contactbench.measure.law import (
 )
 from contactbench.measure.pullback import Pulled, growth, pairs, pullback
 from contactbench.methods.base import METHODS
+from contactbench.registry import Registry
 from contactbench.scene import Scene, rotation_matrix
 from contactbench.scene.definition import verify_along
 from contactbench.solution import Differential, Solution

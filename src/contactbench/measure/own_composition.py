@@ -7,7 +7,8 @@ from fractions import Fraction
 from itertools import zip_longest
 from typing import Any
 
-from contactbench.errors import BadInput, excerpt, items_of, switch, text, whole
+from contactbench.checks import items_of, switch, text, whole
+from contactbench.errors import BadInput, excerpt
 from contactbench.measure.order import local_order
 from contactbench.methods.base import METHODS
 from contactbench.methods.contact import ContactMethod, contact_method

@@ -14,7 +14,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, blame, excerpt, positive, text, whole
+from contactbench.blame import blame
+from contactbench.checks import array, positive, text, whole
+from contactbench.errors import BadInput, excerpt
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_start
 from contactbench.methods.prescribed import end_times, steps_of, steps_until

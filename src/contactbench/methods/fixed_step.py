@@ -9,17 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import (
-    NAME,
-    BadInput,
-    excerpt,
-    function,
-    is_number,
-    switch,
-    text,
-    their_code,
-    whole,
-)
+from contactbench.blame import their_code
+from contactbench.checks import function, is_number, switch, text, whole
+from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import Traced
@@ -28,6 +20,7 @@ from contactbench.methods.many import SITE_LOOPS
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
+from contactbench.registry import NAME
 from contactbench.scene import Scene
 from contactbench.scene.base import TRIED
 

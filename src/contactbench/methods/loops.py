@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import is_ours
+from contactbench.blame import is_ours
 from contactbench.methods.prepared import NO_NUMBER, Request, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord

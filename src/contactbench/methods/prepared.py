@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, Registry, blame, excerpt, finite, is_ours, vector
+from contactbench.blame import blame, is_ours
+from contactbench.checks import finite, vector
+from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.protocol import CannotRecord
+from contactbench.registry import Registry
 from contactbench.scene import Cache, Scene, key, norm
 from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
 

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, excerpt, positive, whole
+from contactbench.checks import array, positive, whole
+from contactbench.errors import BadInput, excerpt
 
 #: how far the difference of two saved times may be off, in units of the last place of the later one: both are
 #: rounded, as a product or a sum of two, and so may be the spacing of the grid

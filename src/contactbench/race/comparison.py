@@ -15,18 +15,9 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from contactbench.errors import (
-    BadInput,
-    UserError,
-    array,
-    excerpt,
-    finite,
-    function,
-    items_of,
-    positive,
-    switch,
-    their_code,
-)
+from contactbench.blame import UserError, their_code
+from contactbench.checks import array, finite, function, items_of, positive, switch
+from contactbench.errors import BadInput, excerpt
 from contactbench.measure.clock import VISITS, Call, Race, time_columns
 from contactbench.measure.ladder import (
     ENDS,

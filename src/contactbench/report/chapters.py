@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.errors import Registry
+from contactbench.registry import Registry
 from contactbench.report.drawing import Figure
 from contactbench.report.views import Show, View
 

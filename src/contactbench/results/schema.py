@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from contactbench.errors import BadInput, Registry
+from contactbench.errors import BadInput
 from contactbench.measure.law import STRUCTURE
+from contactbench.registry import Registry
 
 if TYPE_CHECKING:
     import pandas as pd

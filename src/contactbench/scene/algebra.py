@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, excerpt
+from contactbench.checks import array
+from contactbench.errors import BadInput, excerpt
 
 Vector = tuple[Any, ...]
 

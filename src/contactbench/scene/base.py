@@ -16,23 +16,13 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.errors import (
-    BadInput,
-    Registry,
-    excerpt,
-    finite,
-    function,
-    is_ours,
-    items_of,
-    positive,
-    switch,
-    text,
-    their_code,
-    unknown_name,
-)
+from contactbench.blame import is_ours, their_code
+from contactbench.checks import finite, function, items_of, positive, switch, text
+from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.notebook import html_table
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
+from contactbench.registry import Registry
 from contactbench.scene.algebra import Vector, shifted
 from contactbench.scene.flow import Flow
 from contactbench.scene.scales import in_order

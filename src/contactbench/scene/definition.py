@@ -17,7 +17,9 @@ from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
-from contactbench.errors import BadInput, excerpt, is_number, is_ours, their_code
+from contactbench.blame import is_ours, their_code
+from contactbench.checks import is_number
+from contactbench.errors import BadInput, excerpt
 from contactbench.scene.base import Cache, Scene, key
 from contactbench.scene.driven import Driven
 from contactbench.scene.general_damping import GeneralDamping

@@ -10,7 +10,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, excerpt, finite, function, is_number, require_number
+from contactbench.checks import array, finite, function, is_number, require_number
+from contactbench.errors import BadInput, excerpt
 from contactbench.numbers import quadrature
 from contactbench.scene.algebra import Vector, scaled, times
 from contactbench.scene.base import Check, optional

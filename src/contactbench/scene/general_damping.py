@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from contactbench.errors import BadInput, function, require_number
+from contactbench.checks import function, require_number
+from contactbench.errors import BadInput
 from contactbench.numbers.control import choose, scan, settle
 from contactbench.numbers.protocol import abilities
 from contactbench.scene.algebra import State

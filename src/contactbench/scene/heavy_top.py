@@ -8,7 +8,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.errors import BadInput, finite, function, require_number, vector
+from contactbench.checks import finite, function, require_number, vector
+from contactbench.errors import BadInput
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import BodyState, Vector, cross, dot, norm, rotate
 from contactbench.scene.base import Check, optional

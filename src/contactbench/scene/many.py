@@ -14,7 +14,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, excerpt, function, their_code, whole
+from contactbench.blame import their_code
+from contactbench.checks import array, function, whole
+from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.functions import namespace
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total

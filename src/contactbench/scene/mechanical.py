@@ -11,17 +11,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.errors import (
-    BadInput,
-    excerpt,
-    finite,
-    function,
-    is_ours,
-    positive,
-    switch,
-    their_code,
-    vector,
-)
+from contactbench.blame import is_ours, their_code
+from contactbench.checks import finite, function, positive, switch, vector
+from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled, times

@@ -10,7 +10,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, excerpt, finite, vector
+from contactbench.checks import array, finite, vector
+from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import settle
 from contactbench.numbers.protocol import abilities
 from contactbench.scene.algebra import (

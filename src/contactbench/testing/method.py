@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import NAME, BadInput, excerpt
+from contactbench.errors import BadInput, excerpt
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import march, order_at
 from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.loops import trajectory
 from contactbench.methods.prepared import Prepared, Refused
+from contactbench.registry import NAME
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
 from contactbench.solution import Status

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import NAME
+from contactbench.registry import NAME
 from contactbench.scene import Scene, verify
 from contactbench.scene.definition import verify_along
 from contactbench.scene.many import Many

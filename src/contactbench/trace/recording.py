@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import place, plain_function
+from contactbench.blame import place, plain_function
 from contactbench.numbers.dual import Dual, DualNumbers, leaves, rebuild
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, ChoosingNumbers, Unknown
 from contactbench.trace import form

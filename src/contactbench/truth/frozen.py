@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, is_ours
+from contactbench.blame import is_ours
+from contactbench.errors import BadInput
 from contactbench.scene import Scene
 from contactbench.scene.many import Many
 from contactbench.trace.formula import Formula

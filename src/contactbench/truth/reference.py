@@ -15,8 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, excerpt, is_ours, is_real, one_line, plain_function
-from contactbench.errors import place as place_of
+from contactbench.blame import is_ours, plain_function
+from contactbench.blame import place as place_of
+from contactbench.checks import array, is_real
+from contactbench.errors import BadInput, excerpt, one_line
 from contactbench.scene import Cache, Scene, key, verify
 from contactbench.scene.base import scene_of
 from contactbench.scene.definition import difference, verify_along

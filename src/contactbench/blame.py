@@ -1,0 +1,119 @@
+"""Where other people's code is called: whose an error is, where it happened, and in what words it is told."""
+
+from __future__ import annotations
+
+import linecache
+import os
+import re
+import sysconfig
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+from contactbench.errors import BadInput, one_line
+from contactbench.limits import VARIABLE, Overrun, limit, within
+
+#: characters of another's message that are repeated
+REPEATED = 120
+#: the functions of one number that `cb.math` has, by their names in `math`
+FUNCTIONS: tuple[str, ...] = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
+FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
+#: and those of several
+SEVERAL = ("atan2", "hypot", "where")
+#: where no user's code is: this package, Python's library, installed packages
+_OURS = str(Path(__file__).parent) + os.sep
+_PATHS = [sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")]
+_NOT_USERS = (_OURS, *_PATHS, "<frozen")
+#: nor in generated programs
+_GENERATED = ("contactbench", "<contactbench", "program_")
+
+
+class UserError(BadInput):
+    """An error in a user's function or plug-in; the exception itself is its `__cause__`."""
+
+
+def is_ours(function: Any) -> bool:
+    """Whether a function, or a class, was written in this package: it computes the same tomorrow.
+
+    Where one that wraps another was written is told by its globals; what it has captured must not change either.
+    """
+    if not isinstance(function, FunctionType):
+        return isinstance(function, type) and _is_package(function.__module__)
+    captured = [cell.cell_contents for cell in function.__closure__ or ()]
+    return _is_package(function.__globals__.get("__name__")) and all(
+        is_ours(each) or is_ours(type(each)) or isinstance(each, int | float | str) for each in captured
+    )
+
+
+def _is_package(module: object) -> bool:
+    return str(module).partition(".")[0] == "contactbench"
+
+
+def frame_of(error: BaseException) -> traceback.FrameSummary | None:
+    theirs = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith(_NOT_USERS)
+        and not os.path.basename(frame.filename).startswith(_GENERATED)
+        and (frame.filename, frame.name) != ("<string>", "__init__")  # what `dataclass` writes
+    ]
+    return theirs[-1] if theirs else None
+
+
+def plain_function(error: BaseException) -> str | None:
+    """What to write in place of a function of `math` or NumPy that was given a number it does not know."""
+    frame = frame_of(error)
+    math = os.path.join(_OURS, "numbers", "functions.py")  # cb.math itself was called, and is not to blame
+    if frame is None or any(last.filename == math for last in traceback.extract_tb(error.__traceback__)):
+        return None
+    line = linecache.getline(frame.filename, frame.lineno or 0).encode()
+    failing = line[frame.colno : frame.end_colno].decode(errors="ignore")
+    called = re.match(r"(?:(?:math|numpy|np)\.)?(\w+)\(", failing)
+    if called is None:
+        return None
+    written, name = called[0][:-1], called[1].replace("arc", "a", 1)  # NumPy's arcsin
+    if name in (*FUNCTIONS, *SEVERAL):
+        return f"{written} takes plain numbers only: use cb.math.{name}"
+    if written == name:
+        return None
+    return f"{written} takes plain numbers only: use cb.math, which has {', '.join((*FUNCTIONS, *SEVERAL))}"
+
+
+def user_error(what: str, error: BaseException) -> UserError:
+    """The error as a line: whose it is, where it happened, what it says."""
+    if isinstance(error, Overrun):
+        says = f"ended after {limit():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
+    else:
+        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}"
+    made = UserError(f"{what}{place(error)}: {says}")
+    made.__cause__ = error
+    return made
+
+
+def place(error: BaseException) -> str:
+    """Where in a user's code an error happened: ", function (file, line n)"; empty where it did not."""
+    frame = frame_of(error)
+    if frame is None:
+        return ""
+    return f", {frame.name} ({os.path.basename(frame.filename)}, line {frame.lineno})"
+
+
+def blame(what: str, error: BaseException) -> BaseException:
+    """The error as a `UserError` where it comes from a user's own code, else as it is."""
+    passed = isinstance(error, BadInput | KeyboardInterrupt | GeneratorExit)
+    return error if passed or frame_of(error) is None else user_error(what, error)
+
+
+@contextmanager
+def their_code(what: str) -> Iterator[None]:
+    """Raise a `UserError` that names `what` for an error, an exit or an endless loop inside."""
+    try:
+        with within(limit()):
+            yield
+    except (BadInput, KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:
+        raise user_error(what, error) from error

@@ -1,0 +1,51 @@
+"""Registries: dicts in table order whose missing keys suggest the nearest name."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, ClassVar
+
+from contactbench.errors import BadInput, excerpt, unknown_name
+from contactbench.notebook import html_table
+
+#: a name is also a key in tables, a part of file names and a word on the command line
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
+
+
+class Registry(dict):
+    """A dict in table order whose missing keys raise `UnknownName`; kind : its items in messages; of : their class."""
+
+    #: all registries there are
+    every: ClassVar[list[Registry]] = []
+
+    def __init__(self, kind: str, of: type = object) -> None:
+        super().__init__()
+        self.every.append(self)
+        self.kind, self.of = kind, of
+
+    def _repr_html_(self) -> str:
+        return html_table({name: getattr(item, "about", "") for name, item in self.items()}, self.kind)
+
+    def __getitem__(self, name: Any) -> Any:
+        if not isinstance(name, str) or name not in self:  # perhaps something that cannot be a key at all
+            raise unknown_name(self.kind, name, self)
+        return super().__getitem__(name)
+
+    def add(self, item: Any) -> Any:
+        """Register `item` under its name and return it; raises `BadInput` for a taken or bad name, or no such item."""
+        name = getattr(item, "name", None)
+        if isinstance(name, str) and name in self:
+            raise BadInput(f"{self.kind} {name!r} is already registered")
+        self[name] = item
+        return item
+
+    def __setitem__(self, name: Any, item: Any) -> None:
+        """Register `item` under its own name, in place of what had it; raises `BadInput` as `add` does."""
+        own = getattr(item, "name", None)
+        if not isinstance(item, self.of) or own is None:
+            raise BadInput(f"{excerpt(item)} cannot be registered: it is no {self.kind}")
+        if not isinstance(own, str) or not NAME.fullmatch(own):
+            raise BadInput(f"{self.kind} name {excerpt(own)}: must be letters, digits, '_', '.', '+', '-'")
+        if name != own:
+            raise BadInput(f"{self.kind} name {excerpt(name)}: must be the item's own, {own!r}")
+        super().__setitem__(name, item)
