@@ -46,7 +46,7 @@ NAMES = ("planted-hang", "planted-crash", "planted-raise", "planted-nan", "plant
 
 def row(method):
     """A row of the stability table, made where the planted methods are registered."""
-    from bench_stability import stability_row
+    from contactbench.study.stability import stability_row
 
     for name in NAMES:
         if name not in METHODS:

@@ -10,12 +10,12 @@ import pytest
 
 import contactbench as cb
 from cases import REPOSITORY
-from cells import controlled
 from contactbench.measure.law import STRUCTURE
 from contactbench.results import provenance, tables
 from contactbench.results.schema import TABLES, Rule
 from contactbench.results.store import OldTable, merge, read, replacing
 from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
+from contactbench.study.choice import controlled
 from made_up import ROWS, folder
 
 

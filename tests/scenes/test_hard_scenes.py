@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-import bench_stability
 import contactbench as cb
-from bench_stability import TOLERANCES, rows_of, settings
 from cases import saved
 from contactbench.measure.laws import laws_of
 from contactbench.scenes import scenes_of
+from contactbench.study import stability
+from contactbench.study.stability import TOLERANCES, rows_of, settings
 from contactbench.truth import blow_up_time, condition_number
 
 HARD = scenes_of("stability")
@@ -81,10 +81,10 @@ def test_the_clock_decides_nothing(monkeypatch):
     """A clock that says every call took minutes changes the time in the row and nothing else."""
     method = cb.METHODS["contact-adaptive"]  # its derivative is taken here, at the cost of many runs
     asked = ("critical", method.name, method.engines[0], "rtol", 1e-6, 10_000)
-    row = bench_stability.stability_row(*asked)
+    row = stability.stability_row(*asked)
     ticks = iter(range(0, 10**6, 300))
-    monkeypatch.setattr(bench_stability, "perf_counter", lambda: float(next(ticks)))
-    slow = bench_stability.stability_row(*asked)
+    monkeypatch.setattr(stability, "perf_counter", lambda: float(next(ticks)))
+    slow = stability.stability_row(*asked)
     assert slow.pop("time_s") == 300.0
     assert row.pop("time_s") < 300.0
     assert slow == row
@@ -100,7 +100,7 @@ def test_every_adaptive_method_gets_its_full_range(name):
     assert tolerances[:3] == [1e-4, 1e-7, 1e-10]
 
 
-def test_after_a_spent_budget_no_tighter_tolerance_is_run():
+def test_after_a_spent_budget_no_tighter_tolerance_is_run(monkeypatch):
     class Worker:
         ran = ()
 
@@ -110,7 +110,8 @@ def test_after_a_spent_budget_no_tighter_tolerance_is_run():
 
     endings = {"rtol=0.001": "ok", "rtol=0.0001": "budget", "rtol=1e-05": "ok", "rtol=1e-06": "ok"}
     worker = Worker()
-    rows = rows_of([({"setting": s, "status": "failed"}, None, (s, e)) for s, e in endings.items()], worker)
+    monkeypatch.setattr(stability, "worker", lambda: worker)
+    rows = rows_of(({"setting": s, "status": "failed"}, None, (s, e)) for s, e in endings.items())
     assert worker.ran == ("rtol=0.001", "rtol=0.0001")
     assert [row["status"] for row in rows] == ["ok", "budget", "budget", "budget"]
     assert "rtol=0.0001" in rows[-1]["message"]

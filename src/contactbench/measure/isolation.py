@@ -45,8 +45,8 @@ class Worker(AbstractContextManager):
             self.running = pool, next(p for p in multiprocessing.active_children() if p.pid == pid)
         return self.running[0].submit(function, *arguments)
 
-    def call(self, limit: float, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a function returns, and raise what it raises; `TimedOut` after so many seconds, and `Died`."""
+    def call(self, limit: float | None, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a function returns, and raise what it raises; `TimedOut` after a limit in seconds, and `Died`."""
         call = self.submit(function, *arguments)
         try:
             return call.result(limit)

@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 from filelock import FileLock
 
+from contactbench.errors import BadInput
 from contactbench.results.provenance import save_run
 from contactbench.results.schema import PROFILES, TABLES, Table
-from contactbench.results.store import keys, merge, read, replacing
+from contactbench.results.store import keys, merge, note, read, replacing
 
 FOLDER = ".cells"
 #: of a file that is not merged yet, of one that is, and of the time at which a selection was last begun
@@ -93,7 +94,7 @@ class Cells:
         (self.results / FOLDER).mkdir(parents=True, exist_ok=True)
         with FileLock(self.results / FOLDER / "lock"):
             paths = sorted((self.results / FOLDER).glob(f"*/*{NEW}"), key=lambda path: path.stat().st_mtime)
-            entries = [entry for entry in map(_read, paths) if entry]
+            entries = [entry for entry in map(_read, paths) if entry and _fits(entry)]
             rows = _by_table(entry.rows for entry in entries)
             whole = self._whole(set(expected), entries)
             profiles = PROFILES[: PROFILES.index(self.profile) + 1]
@@ -132,6 +133,17 @@ def _by_table(cells: Iterable[Rows]) -> dict[str, list[dict[str, Any]]]:
     for name, row in (each for rows in cells for each in rows):
         found.setdefault(name, []).append(row)
     return found
+
+
+def _fits(entry: Entry) -> bool:
+    """Whether the tables can take the rows; what another version, or a plug-in that is not here, made stays aside."""
+    try:
+        for name, row in entry.rows:
+            TABLES[name].require(row)
+    except BadInput as error:
+        note(f"{entry.path}: {error}; left out")
+        return False
+    return True
 
 
 def _digest(*names: str) -> str:
