@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 
 from contactbench.errors import BadInput
 from contactbench.measure.clock import Call
+from contactbench.measure.isolation import bind
 from contactbench.methods import METHODS
 from contactbench.scenes import SCENES
 from contactbench.study.experiment import PROFILES, Experiment, experiments
@@ -29,7 +29,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--profile", choices=list(PROFILES), default="standard", help="how much to run")
     group.addoption("--results", type=Path, default=REPOSITORY / "results", help="where the tables go")
     group.addoption("--untimed", action="store_true", help="errors, counts and laws alone: no times")
-    group.addoption("--own", action="store_true", help="only what plug-ins and installed packages bring")
     group.addoption("--resume", action="store_true", help="keep the rows of a run that was killed")
     group.addoption("--report", action="store_true", help="write documents and figures at the end")
 
@@ -39,27 +38,16 @@ def pytest_configure(config: pytest.Config) -> None:
     shared = bool(worker or config.getoption("numprocesses", None))
     config.controls, config.begun = worker is None, False
     if worker or not shared:
-        pin_to_one_core(int(worker["workerid"].removeprefix("gw")) if worker else -1)
+        which = int(worker["workerid"].removeprefix("gw")) if worker else -1
+        bind(CORES and [CORES[which % len(CORES)]])
     profile, results = PROFILES[config.getoption("--profile")], config.getoption("--results").resolve()
-    timed, own = not (shared or config.getoption("untimed")), config.getoption("own")
-    name = {"name": worker["run"]} if worker else {}
-    config.run = Run(results, profile, selection(config), timed, own, **name)
+    timed, name = not (shared or config.getoption("untimed")), {"name": worker["run"]} if worker else {}
+    config.run = Run(results, profile, selection(config), timed, **name)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
     node.workerinput["run"] = node.config.run.name
-
-
-def pin_to_one_core(which: int) -> None:
-    """XLA sizes its thread pool by the cores it may use, and handing parts of a small program to another
-    thread costs more than running them (up to 70 µs a call, measured)."""
-    if CORES:
-        os.sched_setaffinity(0, {CORES[which % len(CORES)]})
-        if "jax" in sys.modules:  # it took one for every core; brought up later, it takes the one it is left
-            from contactbench.xla import jax  # not above: pytest asks every name of this file for attributes
-
-            jax.config.update("jax_num_cpu_devices", 1)
 
 
 def selection(config: pytest.Config) -> str:
@@ -68,8 +56,7 @@ def selection(config: pytest.Config) -> str:
     Marks do not count: a run is made in two goes, what is timed by itself.
     """
     narrowed = [argument for argument in config.args if "::" in argument or argument.endswith(".py")]
-    own = ["--own"] * config.getoption("own")
-    return " ".join([*narrowed, config.getoption("keyword"), *own]).strip()
+    return " ".join([*narrowed, config.getoption("keyword")]).strip()
 
 
 # -- which cells -----------------------------------------------------------------------------------
@@ -148,10 +135,7 @@ def measure(task: Task, request: pytest.FixtureRequest) -> Callable[[], None]:
     def measure() -> None:
         run = request.config.run
         with full_disk():
-            if not task.experiment.timed:
-                run.measure(task)
-                return
-            entry = run.prepare(task, request.getfixturevalue("timetable"))
+            entry = run.measure(task, request.getfixturevalue("timetable") if task.experiment.timed else None)
         call = entry and entry.call
         if isinstance(call, Call) and request.config.pluginmanager.hasplugin("benchmark"):
             benchmark = request.getfixturevalue("benchmark")
@@ -195,8 +179,7 @@ def write_report(results: Path) -> None:
     from contactbench.report import write
     from contactbench.study.runner import disk
 
-    if CORES:  # nothing is timed any more
-        os.sched_setaffinity(0, CORES)
+    bind(CORES)  # nothing is timed any more
     readme = REPOSITORY / "README.md"
     beside = results == REPOSITORY / "results" and readme.exists()
     with full_disk(), disk():

@@ -18,6 +18,7 @@ import numpy as np
 import contactbench as cb
 from contactbench.ensembles import ENGINES
 from contactbench.measure.clock import Call, Part
+from contactbench.measure.isolation import usable_cores
 from contactbench.methods.prepared import Refused
 from contactbench.results.tables import ENSEMBLE_TABLE
 from contactbench.scene import Scene
@@ -25,7 +26,7 @@ from contactbench.solution import keywords
 from contactbench.study.c_loops import SHAPES, ensemble_kernel
 from contactbench.study.choice import key
 from contactbench.study.experiment import Cell, Profile, Row, Timing, experiment
-from contactbench.study.timetable import last_cores, usable_cores
+from contactbench.study.timetable import last_cores
 
 #: a run, and what tells its steps, evaluations and their kind when it has been made; or why there is none
 type Made = tuple[Callable[[], Any], Callable[[], tuple[Any, ...]]]

@@ -10,9 +10,9 @@ import re
 import sys
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import groupby
@@ -31,7 +31,7 @@ from contactbench.results import provenance
 from contactbench.results.schema import TABLES, Table
 from contactbench.results.store import OldTable, read
 from contactbench.study.experiment import Cell, Experiment, Profile, Row, Timing, experiments
-from contactbench.study.timetable import Entry, Remote, Timetable
+from contactbench.study.timetable import Entry, Timetable
 from contactbench.xla import keep_programs
 
 
@@ -140,16 +140,13 @@ class Run:
             self.cells.merge(() if self.selection else [task.key for task in self.tasks()])
 
     # -- one cell ----------------------------------------------------------------------------------
-    def complete(self, task: Task, table: Table, row: Row) -> Row:
-        """Add the family of the method, and the smallest profile that has the cell; raise `BadInput` for a bad row."""
-        known = "family" in table.columns and row["method"] in METHODS
-        family = {"family": METHODS[row["method"]].family} if known else {}
-        row = {**family, **row, "profile": task.experiment.profile_of(task.cell)}
-        table.require(row)
-        return row
+    def measure(self, task: Task, timetable: Timetable | None = None) -> Entry | None:
+        """Measure a cell and keep its rows, those before a failure too; one that is to be timed joins a timetable.
 
-    def measure(self, task: Task) -> None:
-        """Measure a cell without a clock and keep its rows, those before a failure too."""
+        Where there is none its row has no times.
+        """
+        if task.experiment.timed:
+            return self.prepare(task, timetable)
         rows: list[tuple[Table, Row]] = []
         finished = False
         try:
@@ -160,21 +157,28 @@ class Run:
             if rows or finished:
                 with disk():
                     self.cells.save(rows, task.key, finished)
+        return None
+
+    def complete(self, task: Task, table: Table, row: Row) -> Row:
+        """Add the family of the method, and the smallest profile that has the cell; raise `BadInput` for a bad row."""
+        known = "family" in table.columns and row["method"] in METHODS
+        family = {"family": METHODS[row["method"]].family} if known else {}
+        row = {**family, **row, "profile": task.experiment.profile_of(task.cell)}
+        table.require(row)
+        if row.get("status", "ok") != "ok" and not row["message"]:
+            raise BadInput(f"table {table.name!r}: status {row['status']} without a message")
+        return row
 
     def prepare(self, task: Task, timetable: Timetable | None) -> Entry | None:
-        """Prepare a cell to be timed with the others of its question.
-
-        None where it has no call, came to a bad end or the run is one without a clock: its row is recorded at once.
-        """
         timing: Timing = task.experiment.rows(task.cell, self.profile)
-        before = self.untimed(task)
+        row, call, again = self.untimed(task), None, None
         if timing.cores and timetable is not None:
-            call: Any = timetable.remote(timing.cores, timing.cores, timing.prepare, *timing.arguments)
-            more, again = call.prepared.result()[1], None
-        else:
-            ends_well = before.get("status", "ok") == "ok"
-            more, call = timing.prepare(*timing.arguments) if ends_well else ({}, None)
-        row = self.complete(task, timing.table, before | more)
+            call = timetable.remote(timing.cores, timing.cores, timing.prepare, *timing.arguments)
+            row |= call.prepared.result()[1]
+        elif row.get("status", "ok") == "ok":
+            more, call = timing.prepare(*timing.arguments)
+            row |= more
+        row = self.complete(task, timing.table, row)
 
         def keep(columns: Row) -> None:
             times = columns | (timing.derived(row | columns) if columns else {})
@@ -186,11 +190,11 @@ class Run:
         if call is None or timetable is None:
             keep({})
             return None
-        if not isinstance(call, Remote):
+        if not timing.cores:
             call.warm_up()
-            sampled = task.key in timetable.sample
-            again = timetable.second(timing.prepare, *timing.arguments) if sampled else None
-        timetable.entries.append(Entry(call, getattr(call, "part", None), again, keep))
+            if task.key in timetable.sample:
+                again = timetable.second(timing.prepare, *timing.arguments)
+        timetable.entries.append(Entry(call, again, keep))
         return timetable.entries[-1]
 
     def untimed(self, task: Task) -> Row:
@@ -198,8 +202,9 @@ class Run:
         errors = task.experiment.errors
         if errors is None:
             return {}
-        twin = Task(errors, task.cell, task.name)
-        rows: Any = self.cells.rows(twin.key) or errors.rows(task.cell, self.profile)
+        rows: Any = self.cells.rows(Task(errors, task.cell, task.name).key) or errors.rows(
+            task.cell, self.profile
+        )
         return dict(next(iter(rows))[1])
 
     def timetable(self, tasks: Iterable[Task]) -> Timetable:
@@ -216,32 +221,27 @@ def known(run: Run) -> dict[journal.Cell, Task]:
     return {task.key: task for task in run.tasks()}
 
 
-def attempt(function: Callable[..., Any], task: Task, *arguments: Any) -> str:
-    """Return what went wrong, empty for nothing; a full disk raises."""
-    try:
-        function(task, *arguments)
-    except DiskFull:
-        raise
-    except Exception as error:
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{os.path.basename(last.filename)}, line {last.lineno}"
-        return f"{task}: {type(error).__name__} in {where}: {one_line(error)}"
-    return ""
-
-
-def measure(run: Run, cell: journal.Cell) -> str:
-    """Measure a cell, in a process on one of all cores; return what went wrong."""
-    task = known(run)[cell]
-    return attempt(run.prepare, task, None) if task.experiment.timed else attempt(run.measure, task)
+def attempt(run: Run, cells: Iterable[journal.Cell], timetable: Timetable | None = None) -> list[str]:
+    """Measure cells, in a process of its own; return what went wrong.  A full disk raises."""
+    wrong = []
+    for cell in cells:
+        try:
+            run.measure(known(run)[cell], timetable)
+        except DiskFull:
+            raise
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{os.path.basename(last.filename)}, line {last.lineno}"
+            wrong.append(f"{' '.join(cell)}: {type(error).__name__} in {where}: {one_line(error)}")
+    return wrong
 
 
 def time(run: Run, cells: list[journal.Cell]) -> list[str]:
-    """Time cells of a question, in a process alone on its core; return what went wrong."""
-    tasks = [known(run)[cell] for cell in cells]
-    with run.timetable(tasks) as timetable:
-        wrong = [attempt(run.prepare, task, timetable) for task in tqdm(tasks, "preparing", disable=None)]
+    """As `attempt`, cells of one question that are timed."""
+    with run.timetable(known(run)[cell] for cell in cells) as timetable:
+        wrong = attempt(run, tqdm(cells, "preparing", disable=None), timetable)
         timetable.go()
-    return list(filter(None, wrong))
+    return wrong
 
 
 def work(run: Run, keyword: str = "", resume: bool = False) -> int:
@@ -250,51 +250,40 @@ def work(run: Run, keyword: str = "", resume: bool = False) -> int:
     keep_programs()
     run.begin()
     tasks = run.remaining([task for task in run.tasks() if task.matches(keyword)], resume)
-    timed: list[Task] = []
-    others: list[Task] = []
-    for task in tasks:
-        (timed if task.experiment.timed and run.timed else others).append(task)
+    timed = [task for task in tasks if task.experiment.timed and run.timed]
+    others = sorted(set(tasks).difference(timed), key=lambda task: str(task.cell))
     # what shares its compiled programs, one method on one scene, stays together
-    others.sort(key=lambda task: str(task.cell))
-    queue = deque(list(group) for _, group in groupby(others, lambda task: task.cell[:2]))
-    cores: list[list[int]] = [[]] * (os.cpu_count() or 1)
-    if hasattr(os, "sched_getaffinity"):
-        cores = [[core] for core in sorted(os.sched_getaffinity(0))]
-    workers, failed = [Worker(each) for each in cores], 0
-    with tqdm(total=len(tasks), unit="cell", disable=None) as bar:
+    queue = deque([task.key for task in part] for _, part in groupby(others, lambda task: task.cell[:2]))
+    allowed = getattr(os, "sched_getaffinity", lambda _: ())(0)
+    cores = [[core] for core in sorted(allowed)] or [[]] * (os.cpu_count() or 1)
+    failed: list[str] = []
+    calls: dict[Future, tuple[Worker, list[journal.Cell]]] = {}
+    with ExitStack() as ends, tqdm(total=len(tasks), unit="cell", disable=None) as bar:
+        ends.callback(run.end)
 
-        def tell(tasks: Sequence[Task], wrong: list[str]) -> None:
-            nonlocal failed
-            failed += len(wrong)
+        def tell(worker: Worker, call: Future, cells: list[journal.Cell]) -> None:
+            try:
+                wrong = worker.result(call)
+            except Died as error:
+                wrong = [f"{' '.join(cell)}: {error}" for cell in cells]
             for why in wrong:
                 bar.write(f"failed: {why}", file=sys.stderr)
-            bar.update(len(tasks))
+            failed.extend(wrong)
+            bar.update(len(cells))
 
-        def call(worker: Worker, tasks: Sequence[Task], function: Callable[..., Any], given: Any) -> None:
-            try:
-                wrong = worker.call(None, function, run, given)
-            except Died as error:
-                wrong = [f"{task}: {error}" for task in tasks]
-            tell(tasks, wrong if isinstance(wrong, list) else [wrong] * bool(wrong))
-
-        def follow(worker: Worker) -> None:
-            with worker, suppress(IndexError):
-                while True:
-                    for task in queue.popleft():
-                        call(worker, [task], measure, task.key)
-
-        try:
-            with ThreadPoolExecutor(len(workers)) as threads:
-                try:
-                    list(threads.map(follow, workers))
-                except BaseException:  # a full disk, Ctrl-C: no thread begins another cell
-                    queue.clear()
-                    for worker in workers:
-                        worker.close()
-                    raise
-            with Worker(cores[-1]) as worker:
-                for _, group in groupby(timed, lambda task: task.experiment.question):
-                    call(worker, part := list(group), time, [task.key for task in part])
-        finally:
-            run.end()
-    return failed
+        idle = [ends.enter_context(Worker(each)) for each in cores]
+        while queue or calls:
+            while queue and idle:
+                worker, cells = idle.pop(), queue.popleft()
+                calls[worker.submit(attempt, run, cells)] = worker, cells
+            for call in wait(calls, return_when=FIRST_COMPLETED).done:
+                worker, cells = calls.pop(call)
+                tell(worker, call, cells)
+                idle.append(worker)
+        for worker in idle:
+            worker.end()
+        with Worker(cores[-1]) as alone:
+            for _, part in groupby(timed, lambda task: task.experiment.question):
+                tell(alone, alone.submit(time, run, cells := [task.key for task in part]), cells)
+            alone.end()
+    return len(failed)

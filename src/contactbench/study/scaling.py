@@ -17,6 +17,7 @@ import numpy as np
 
 import contactbench as cb
 from contactbench.measure.clock import Call
+from contactbench.measure.isolation import usable_cores
 from contactbench.measure.memory import peak_memory
 from contactbench.race.comparison import Question, Scout, ends
 from contactbench.results.tables import SCALING
@@ -25,7 +26,7 @@ from contactbench.study.c_loops import ring_kernel
 from contactbench.study.choice import EVERYWHERE, key, outcome
 from contactbench.study.experiment import Cell, Profile, Row, Timing, experiment
 from contactbench.study.search import step_at
-from contactbench.study.timetable import last_cores, usable_cores
+from contactbench.study.timetable import last_cores
 from contactbench.truth import Reference
 
 MAIN, RINGS, PERIOD, ERROR = "fput", ("fput", "linear_ring"), 16, 1e-6

@@ -19,14 +19,13 @@ from contactbench.measure.clock import (
     ROUNDS,
     SEED,
     Call,
-    Part,
     Race,
     Visit,
     length_columns,
     process_columns,
     time_columns,
 )
-from contactbench.measure.isolation import Worker
+from contactbench.measure.isolation import Worker, usable_cores
 
 #: cells of every engine that a second process times too
 SAMPLE = 20
@@ -62,6 +61,7 @@ class Remote:
     worker: Worker
     prepared: Future
     cores: Sequence[int]
+    part = None
 
     def warm_up(self) -> float:
         return self.worker.submit(warm_up, self.prepared.result()[0], self.cores).result()
@@ -74,21 +74,20 @@ class Remote:
 class Entry:
     """A cell to be timed: its call, the same call in a second process, and who takes its time columns.
 
-    part : of the run, with a length of its own.  told : takes the least time of all visits.
+    told : takes the least time of all visits.
     """
 
     call: Call | Remote
-    part: Part | None
     again: Remote | None
     record: Callable[[dict[str, Any]], None]
     told: dict[str, Any] = field(default_factory=dict)
 
     def finish(self, visits: list[Visit], again: list[Visit]) -> None:
-        columns = time_columns(visits)
-        if self.part is not None:
-            columns |= length_columns(visits, self.part)
+        columns, part = time_columns(visits), self.call.part
+        if part is not None:
+            columns |= length_columns(visits, part)
         if self.again is not None:
-            columns |= process_columns(visits, again, self.part)
+            columns |= process_columns(visits, again, part)
         self.told["least_s"] = columns["time_min_s"]
         self.record(columns)
 
@@ -118,10 +117,9 @@ class Timetable(AbstractContextManager):
 
     def second(self, *call: Any) -> Remote:
         """Let a second process prepare a call on another core than this one's, and time it on the same."""
-        if not hasattr(os, "sched_getaffinity"):
-            return self.remote([], [], *call)
-        mine = sorted(os.sched_getaffinity(0))
-        return self.remote([core for core in usable_cores() if core not in mine][:1] or mine, mine, *call)
+        cores = usable_cores()
+        mine = sorted(os.sched_getaffinity(0)) if cores else []
+        return self.remote([core for core in cores if core not in mine][:1] or mine, mine, *call)
 
     def go(self) -> None:
         """Visit all of them in turns; each is recorded with its last visit."""
@@ -141,13 +139,3 @@ class Timetable(AbstractContextManager):
     def __exit__(self, *_: Any) -> None:
         for worker in self.workers.values():
             worker.close()
-
-
-def usable_cores() -> list[int]:
-    """The cores the machine lets us use; this process is bound to one of them."""
-    bound = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, range(os.cpu_count() or 1))
-    try:
-        return sorted(os.sched_getaffinity(0))
-    finally:
-        os.sched_setaffinity(0, bound)
