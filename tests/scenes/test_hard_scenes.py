@@ -100,7 +100,7 @@ def test_every_adaptive_method_gets_its_full_range(name):
     assert tolerances[:3] == [1e-4, 1e-7, 1e-10]
 
 
-def test_after_a_spent_budget_no_tighter_tolerance_is_run(monkeypatch):
+def test_after_a_spent_budget_no_tighter_tolerance_is_run():
     class Worker:
         ran = ()
 
@@ -110,8 +110,7 @@ def test_after_a_spent_budget_no_tighter_tolerance_is_run(monkeypatch):
 
     endings = {"rtol=0.001": "ok", "rtol=0.0001": "budget", "rtol=1e-05": "ok", "rtol=1e-06": "ok"}
     worker = Worker()
-    monkeypatch.setattr(stability, "worker", lambda: worker)
-    rows = rows_of(({"setting": s, "status": "failed"}, None, (s, e)) for s, e in endings.items())
+    rows = rows_of([({"setting": s, "status": "failed"}, None, (s, e)) for s, e in endings.items()], worker)
     assert worker.ran == ("rtol=0.001", "rtol=0.0001")
     assert [row["status"] for row in rows] == ["ok", "budget", "budget", "budget"]
     assert "rtol=0.0001" in rows[-1]["message"]

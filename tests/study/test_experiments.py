@@ -33,6 +33,7 @@ class Scripted:
 
     def __init__(self, name, order, *times):
         self.name, self.order, self.times = name, order, iter(times)
+        self.part = Part(lambda: None, share=0.25, span=1.0)
 
     def warm_up(self):
         return 1.0
@@ -49,9 +50,8 @@ def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_l
 
     def entry(name):
         again = Scripted(f"{name} again", order, *[3.0] * 8) if name == "a" else None
-        part = Part(lambda: None, share=0.25, span=1.0)
         record = lambda columns: recorded.update({name: (columns, len(order))})  # noqa: E731
-        return Entry(Scripted(name, order, *[4.0, 2.0] * 4), part, again, record)
+        return Entry(Scripted(name, order, *[4.0, 2.0] * 4), again, record)
 
     table.entries += map(entry, cells)
     table.go()

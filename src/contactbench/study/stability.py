@@ -289,7 +289,7 @@ def worker() -> Worker:
     return Worker()
 
 
-def rows_of(calls: Iterable[Asked]) -> list[Row]:
+def rows_of(calls: Iterable[Asked], worker: Worker) -> list[Row]:
     """The row of each call, coarse to fine; how it ended where there is none.
 
     Where a tolerance spent the budget a tighter one would spend it too, and is not run.
@@ -301,7 +301,7 @@ def rows_of(calls: Iterable[Asked]) -> list[Row]:
             rows.append(row | {"status": "budget", "message": f"not run: {spent} spent the budget"})
             continue
         try:
-            rows.append(worker().call(LIMIT, function, *arguments))
+            rows.append(worker.call(LIMIT, function, *arguments))
         except TimedOut as error:
             rows.append(row | {"status": "timeout", "message": str(error)})
         except (Died, SolverError) as error:  # anything else is a fault of ours, and fails the cell
@@ -313,12 +313,12 @@ def rows_of(calls: Iterable[Asked]) -> list[Row]:
 
 @experiment(ladder)
 def stability(cell: Cell, profile: Profile) -> Recorded:
-    yield from ((STABILITY, row) for row in rows_of(calls(cell, profile)))
+    yield from ((STABILITY, row) for row in rows_of(calls(cell, profile), worker()))
 
 
 @experiment(questions)
 def rates(cell: Cell, profile: Profile) -> Recorded:
-    yield from ((DAMPING_RATES, row) for row in rows_of(rate_calls(cell, profile)))
+    yield from ((DAMPING_RATES, row) for row in rows_of(rate_calls(cell, profile), worker()))
 
 
 # -- linear stability ------------------------------------------------------------------------------
