@@ -11,10 +11,10 @@ import pytest
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 from contactbench.errors import BadInput
+from contactbench.measure.isolation import settle
 from contactbench.plugins import load_file
-from contactbench.xla import keep_programs
 
-keep_programs()  # JAX reads its settings when it is imported, here and in every process started from here
+settle()  # JAX reads its settings when it is imported, here and in every process started from here
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

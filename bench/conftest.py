@@ -14,9 +14,10 @@ from contactbench.errors import BadInput
 from contactbench.measure.clock import Call
 from contactbench.measure.isolation import bind
 from contactbench.methods import METHODS
+from contactbench.results.cells import DiskFull, disk
 from contactbench.scenes import SCENES
 from contactbench.study.experiment import PROFILES, Experiment, experiments
-from contactbench.study.runner import DiskFull, Run, Task
+from contactbench.study.runner import Run, Task
 from contactbench.study.timetable import Timetable
 
 #: what this process may use before it is bound to one of them
@@ -177,7 +178,6 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 
 def write_report(results: Path) -> None:
     from contactbench.report import write
-    from contactbench.study.runner import disk
 
     bind(CORES)  # nothing is timed any more
     readme = REPOSITORY / "README.md"

@@ -10,35 +10,12 @@ devices.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import importlib
 import os
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from contactbench.errors import BadInput
-
-
-def keep_programs() -> None:
-    """Let JAX keep its programs beside numba's, every one of them, in this process and those it starts.
-
-    JAX reads that when it is imported.  A choice already made stands.  JAX itself does not tell processors apart, as
-    numba does: the folder's name does.
-    """
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
-        return
-    from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
-    from platformdirs import user_cache_path
-
-    processor = f"{get_host_cpu_name()} {get_host_cpu_features().flatten()}"
-    chosen = os.environ.get("CONTACTBENCH_CACHE")
-    folder = Path(chosen) if chosen else user_cache_path("contactbench")
-    os.environ.update(
-        JAX_COMPILATION_CACHE_DIR=str(folder / "xla" / hashlib.sha256(processor.encode()).hexdigest()[:16]),
-        JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0",
-        JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES="-1",
-    )
 
 
 @cache

@@ -150,7 +150,7 @@ def test_a_column_more_or_less_is_no_other_version(tmp_path, caplog):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"colour": "red"}, r"no columns \['colour'\]"),
+        ({"colour": "red"}, "no column 'colour'"),
         ({"steps": 2.5}, "column 'steps'"),
         ({"in_fit": "perhaps"}, "column 'in_fit'"),
     ],

@@ -171,7 +171,7 @@ def test_fixed_steps_are_chosen_for_equal_cost(name):
 
 
 # -- A disk that is full while a benchmark runs ----------------------------------------------------
-#: from its second cell on, or when the tables are written, there is no room
+#: after one file of the run and one of a cell, or when the tables are written, there is no room
 FULL = """
 import errno
 from contactbench.methods import METHODS
@@ -192,7 +192,7 @@ cells.{name} = full(cells.{name})
 """
 
 
-@pytest.mark.parametrize(("name", "after"), few_slow([("Cells.save", 1), ("merge", 0)], ("merge", 0)))
+@pytest.mark.parametrize(("name", "after"), few_slow([("replacing", 2), ("merge", 0)], ("merge", 0)))
 def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, tmp_path):
     fault, results = tmp_path / "full.py", tmp_path / "results"
     fault.write_text(FULL.format(name=name, after=after))

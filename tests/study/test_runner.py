@@ -41,9 +41,9 @@ def test_what_is_no_expression_is_refused(expression):
     ("more", "message"),
     [
         ({"colour": "red"}, "no column 'colour'"),
-        ({"solution_error": "small"}, "'solution_error': 'small' is no value of type number"),
-        ({"steps": 1.5}, "'steps': 1.5 is no value of type whole"),
-        ({"in_fit": 1.0}, "'in_fit': 1.0 is no value of type flag"),
+        ({"solution_error": "small"}, "'solution_error': 'small' is no finite number"),
+        ({"steps": 1.5}, "'steps': 1.5 is no whole number"),
+        ({"in_fit": 1.0}, "'in_fit': 1.0 is no truth value"),
         ({"status": "failed", "message": ""}, "status failed without a message"),
     ],
 )

@@ -72,6 +72,7 @@ class Call:
         return 1 if self.once[0] > LONG else most
 
     def visit(self, rounds: int = ROUNDS) -> Visit:
+        self.warm_up()
         calls = [self.calls_a_round(once) for once in self.once]
         collects = gc.isenabled()
         gc.disable()

@@ -6,6 +6,7 @@ started, when a call exceeds its time or takes the process down.
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 import os
 import signal
@@ -16,6 +17,10 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from multiprocessing.process import BaseProcess
 from typing import Any
+
+from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+
+from contactbench.trace.compiled import folder
 
 #: seconds a process may take to come up and import what it needs
 STARTUP = 120.0
@@ -79,6 +84,20 @@ class Worker(AbstractContextManager):
 
     def __exit__(self, *_: Any) -> None:
         self.close()
+
+
+def settle() -> None:
+    """Set one thread for every engine and where JAX keeps its programs, beside numba's, unless that is chosen already.
+
+    Both are read when the libraries are first imported, here and in processes started from here.  JAX itself does not
+    tell processors apart, as numba does: the folder's name does.
+    """
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    processor = f"{get_host_cpu_name()} {get_host_cpu_features().flatten()}"
+    programs = folder().with_name("xla") / hashlib.sha256(processor.encode()).hexdigest()[:16]
+    jax = {"JAX_COMPILATION_CACHE_DIR": str(programs), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    jax |= {"JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
+    os.environ.update(dict.fromkeys(names, "1") | jax | os.environ)
 
 
 def bind(cores: Iterable[int]) -> None:

@@ -15,7 +15,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from filelock import FileLock
 from contactbench.errors import BadInput
 from contactbench.results.provenance import save_run
 from contactbench.results.schema import PROFILES, TABLES, Table
-from contactbench.results.store import keys, merge, note, read, replacing
+from contactbench.results.store import check, keys, merge, note, read, replacing
 
 FOLDER = ".cells"
 #: of a file that is not merged yet, of one that is, and of the time at which a selection was last begun
@@ -46,6 +46,20 @@ class Entry:
     rows: Rows
 
 
+class DiskFull(BadInput):
+    """The disk takes no more; what was finished before is there."""
+
+
+@contextlib.contextmanager
+def disk() -> Iterator[None]:
+    """Say in one line where a disk takes no more."""
+    try:
+        yield
+    except OSError as error:
+        where = f"{error.strerror} ({error.filename})" if error.filename else error.strerror
+        raise DiskFull(f"{where}: finished cells are kept; make room, then --resume") from None
+
+
 class Cells:
     """The cells of one run, which one or several processes finish, and those of the runs before it.
 
@@ -58,6 +72,7 @@ class Cells:
         self.mark = self.folder / f"{_digest(selection)}{BEGUN}"
 
     # -- one cell ----------------------------------------------------------------------------------
+    @disk()
     def save(
         self, rows: Iterable[tuple[Table, Mapping[str, Any]]], cell: Cell, finished: bool = True
     ) -> None:
@@ -81,6 +96,7 @@ class Cells:
             json.dump(record, file)
         self.merge()
 
+    @disk()
     def begin_anew(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         self.mark.touch()
@@ -89,6 +105,7 @@ class Cells:
         files = (path for path in self.folder.glob(f"*{DONE}") if path.stat().st_mtime >= self._begun())
         return {entry.cell: entry.rows for entry in map(_read, files) if entry and entry.cell}
 
+    @disk()
     def merge(self, expected: Iterable[Cell] = ()) -> None:
         """Put all new cells into the tables, whichever run finished them; expected : all cells of a whole run."""
         (self.results / FOLDER).mkdir(parents=True, exist_ok=True)
@@ -139,7 +156,7 @@ def _fits(entry: Entry) -> bool:
     """Whether the tables can take the rows; what another version, or a plug-in that is not here, made stays aside."""
     try:
         for name, row in entry.rows:
-            TABLES[name].require(row)
+            check(TABLES[name], row)
     except BadInput as error:
         note(f"{entry.path}: {error}; left out")
         return False

@@ -6,14 +6,12 @@ what a rerun reproduces, NAME_times.csv the key and what the clock said.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -122,17 +120,6 @@ class Table:
         columns = self.every_column.items()
         return {name: column.rule for name, column in columns if column.rule is not None}
 
-    def require(self, row: Mapping[str, Any]) -> None:
-        """Raise `BadInput` for a row with a column or a value that the table cannot take."""
-        for name, value in row.items():
-            if name not in self.every_column:
-                raise BadInput(
-                    f"table {self.name!r} has no column {name!r}; columns: {', '.join(self.columns)}"
-                )
-            kind = self.every_column[name].type
-            if not fits(value, kind):
-                raise BadInput(f"table {self.name!r}, column {name!r}: {value!r} is no value of type {kind}")
-
     def files(self, results: Path) -> dict[Path, list[str]]:
         untimed = [name for name, column in self.every_column.items() if not column.timed]
         files = {self.path(results): untimed}
@@ -145,18 +132,6 @@ class Table:
 
 
 TABLES = Registry("table", Table)
-
-
-def fits(value: Any, kind: str) -> bool:
-    """Whether a column of a type can have a value; what is not finite is left blank."""
-    if value is None or kind == "text":
-        return True
-    if kind in ("flag", "answer"):
-        return isinstance(value, bool | np.bool_)
-    if not isinstance(value, Real):
-        return False
-    number = float(value)
-    return kind == "number" or not math.isfinite(number) or (number.is_integer() and abs(number) <= 2**53)
 
 
 def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:

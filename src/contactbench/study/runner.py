@@ -10,9 +10,9 @@ import re
 import sys
 import traceback
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import groupby
@@ -22,31 +22,16 @@ from typing import Any
 from tqdm import tqdm
 
 from contactbench.errors import BadInput, one_line
-from contactbench.measure.isolation import Died, Worker
+from contactbench.measure.isolation import Died, Worker, settle
 from contactbench.methods import METHODS
 from contactbench.methods.base import ENGINES
 from contactbench.plugins import brought
 from contactbench.results import cells as journal
 from contactbench.results import provenance
 from contactbench.results.schema import TABLES, Table
-from contactbench.results.store import OldTable, read
+from contactbench.results.store import OldTable, check, read
 from contactbench.study.experiment import Cell, Experiment, Profile, Row, Timing, experiments
 from contactbench.study.timetable import Entry, Timetable
-from contactbench.xla import keep_programs
-
-
-class DiskFull(BadInput):
-    """The disk takes no more; what was finished before is there."""
-
-
-@contextmanager
-def disk() -> Iterator[None]:
-    """Say in one line where a disk takes no more."""
-    try:
-        yield
-    except OSError as error:
-        where = f"{error.strerror} ({error.filename})" if error.filename else error.strerror
-        raise DiskFull(f"{where}: finished cells are kept; make room, then --resume") from None
 
 
 @dataclass(frozen=True)
@@ -63,10 +48,6 @@ class Task:
     @property
     def key(self) -> journal.Cell:
         return self.experiment.question, str(self)
-
-    @property
-    def engine(self) -> str:
-        return next((part for part in self.cell if part in ENGINES), "")
 
     def matches(self, expression: str) -> bool:
         """Whether an expression of parts of names, ``and``, ``or``, ``not`` and parentheses holds, as pytest's -k."""
@@ -130,14 +111,12 @@ class Run:
     def remaining(self, tasks: Iterable[Task], resume: bool) -> list[Task]:
         """Return what is not done; unless it resumes, the run begins anew."""
         if not resume:
-            with disk():
-                self.cells.begin_anew()
+            self.cells.begin_anew()
         done = self.cells.done() if resume else ()
         return [task for task in tasks if task.key not in done]
 
     def end(self) -> None:
-        with disk():
-            self.cells.merge(() if self.selection else [task.key for task in self.tasks()])
+        self.cells.merge(() if self.selection else [task.key for task in self.tasks()])
 
     # -- one cell ----------------------------------------------------------------------------------
     def measure(self, task: Task, timetable: Timetable | None = None) -> Entry | None:
@@ -155,8 +134,7 @@ class Run:
             finished = True
         finally:
             if rows or finished:
-                with disk():
-                    self.cells.save(rows, task.key, finished)
+                self.cells.save(rows, task.key, finished)
         return None
 
     def complete(self, task: Task, table: Table, row: Row) -> Row:
@@ -164,7 +142,7 @@ class Run:
         known = "family" in table.columns and row["method"] in METHODS
         family = {"family": METHODS[row["method"]].family} if known else {}
         row = {**family, **row, "profile": task.experiment.profile_of(task.cell)}
-        table.require(row)
+        check(table, row)
         if row.get("status", "ok") != "ok" and not row["message"]:
             raise BadInput(f"table {table.name!r}: status {row['status']} without a message")
         return row
@@ -182,8 +160,7 @@ class Run:
 
         def keep(columns: Row) -> None:
             times = columns | (timing.derived(row | columns) if columns else {})
-            with disk():
-                self.cells.save([(timing.table, self.complete(task, timing.table, row | times))], task.key)
+            self.cells.save([(timing.table, self.complete(task, timing.table, row | times))], task.key)
 
         if timetable is not None:
             timetable.ahead.discard(task.key)
@@ -208,14 +185,11 @@ class Run:
         return dict(next(iter(rows))[1])
 
     def timetable(self, tasks: Iterable[Task]) -> Timetable:
-        return Timetable({task.key: task.engine for task in tasks}, self.profile.visits)
+        engines = {task.key: next((part for part in task.cell if part in ENGINES), "") for task in tasks}
+        return Timetable(engines, self.profile.visits)
 
 
 # -- processes ---------------------------------------------------------------------------------------
-#: one thread for every engine; read when the libraries are first imported
-THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-
 @cache
 def known(run: Run) -> dict[journal.Cell, Task]:
     return {task.key: task for task in run.tasks()}
@@ -227,7 +201,7 @@ def attempt(run: Run, cells: Iterable[journal.Cell], timetable: Timetable | None
     for cell in cells:
         try:
             run.measure(known(run)[cell], timetable)
-        except DiskFull:
+        except journal.DiskFull:
             raise
         except Exception as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
@@ -246,8 +220,7 @@ def time(run: Run, cells: list[journal.Cell]) -> list[str]:
 
 def work(run: Run, keyword: str = "", resume: bool = False) -> int:
     """Do a run in processes of its own; return how many cells failed, each with a line on stderr."""
-    os.environ.update(THREADS | os.environ)
-    keep_programs()
+    settle()
     run.begin()
     tasks = run.remaining([task for task in run.tasks() if task.matches(keyword)], resume)
     timed = [task for task in tasks if task.experiment.timed and run.timed]

@@ -20,7 +20,7 @@ import numpy as np
 import contactbench as cb
 from contactbench.errors import UserError
 from contactbench.measure import stability as linear
-from contactbench.measure.clock import seconds
+from contactbench.measure.clock import Call, least
 from contactbench.measure.isolation import Died, TimedOut, Worker
 from contactbench.measure.ladder import SAVES, save_times
 from contactbench.measure.law import MEANINGFUL
@@ -153,9 +153,8 @@ def solve(scene: Scene, method: str, **options: Any) -> Solution:
         return cb.solve(scene, method, **options)
 
 
-#: seconds: of a call shorter than QUICK the fastest of several is taken; to one longer than LONG what only the first
-#: call does adds nothing
-QUICK, LONG, CALLS = 0.01, 0.3, 5
+#: seconds: to a call longer than this what only the first call does adds nothing
+LONG = 0.3
 
 
 def stability_row(name: str, method: str, engine: str, kind: str, value: float, max_steps: int | None) -> Row:
@@ -172,10 +171,8 @@ def stability_row(name: str, method: str, engine: str, kind: str, value: float, 
     row |= {"condition_number": condition_number(scene) or math.nan}
     if not solution.ok:
         return row
-    # the first call imports and allocates
-    again = () if first > LONG else range(CALLS if first < QUICK else 1)
-    with blamed_on_solver():
-        row["time_s"] = min((seconds(run, 1) for _ in again), default=first)
+    with blamed_on_solver():  # the first call imports and allocates
+        row["time_s"] = first if first > LONG else least([Call(run).visit()])
     row["end_error"] = end_error(solution)
     by_runs = cb.METHODS[method].adaptive and cb.METHODS[method].family != "contact"
     without = "on the standard scenes only" if by_runs else ""
