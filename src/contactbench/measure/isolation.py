@@ -67,12 +67,6 @@ class Worker(AbstractContextManager):
                 raise TimedOut(f"no result after {limit:g} s") from None
             raise
 
-    def end(self) -> None:
-        """Let the process do what it was asked for and end by itself, with what it has started."""
-        if self.running is not None:
-            self.running[0].shutdown()
-            self.running = None
-
     def close(self) -> str:
         if self.running is None:
             return ""
@@ -82,7 +76,11 @@ class Worker(AbstractContextManager):
         code = process.exitcode or 0
         return f"signal {-code}" if code < 0 else f"exit status {code}"
 
-    def __exit__(self, *_: Any) -> None:
+    def __exit__(self, kind: object, *_: Any) -> None:
+        """Let it do what it was asked for and end by itself, with what it has started; after an error kill it."""
+        if kind is None and self.running is not None:
+            self.running[0].shutdown()
+            self.running = None
         self.close()
 
 

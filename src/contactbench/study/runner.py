@@ -223,8 +223,10 @@ def work(run: Run, keyword: str = "", resume: bool = False) -> int:
     settle()
     run.begin()
     tasks = run.remaining([task for task in run.tasks() if task.matches(keyword)], resume)
-    timed = [task for task in tasks if task.experiment.timed and run.timed]
-    others = sorted(set(tasks).difference(timed), key=lambda task: str(task.cell))
+    timed, others = (
+        [task for task in tasks if (task.experiment.timed and run.timed) is which] for which in (True, False)
+    )
+    others.sort(key=lambda task: str(task.cell))
     # what shares its compiled programs, one method on one scene, stays together
     queue = deque([task.key for task in part] for _, part in groupby(others, lambda task: task.cell[:2]))
     allowed = getattr(os, "sched_getaffinity", lambda _: ())(0)
@@ -244,19 +246,17 @@ def work(run: Run, keyword: str = "", resume: bool = False) -> int:
             failed.extend(wrong)
             bar.update(len(cells))
 
-        idle = [ends.enter_context(Worker(each)) for each in cores]
-        while queue or calls:
-            while queue and idle:
-                worker, cells = idle.pop(), queue.popleft()
-                calls[worker.submit(attempt, run, cells)] = worker, cells
-            for call in wait(calls, return_when=FIRST_COMPLETED).done:
-                worker, cells = calls.pop(call)
-                tell(worker, call, cells)
-                idle.append(worker)
-        for worker in idle:
-            worker.end()
+        with ExitStack() as shared:
+            idle = [shared.enter_context(Worker(each)) for each in cores]
+            while queue or calls:
+                while queue and idle:
+                    worker, cells = idle.pop(), queue.popleft()
+                    calls[worker.submit(attempt, run, cells)] = worker, cells
+                for call in wait(calls, return_when=FIRST_COMPLETED).done:
+                    worker, cells = calls.pop(call)
+                    tell(worker, call, cells)
+                    idle.append(worker)
         with Worker(cores[-1]) as alone:
             for _, part in groupby(timed, lambda task: task.experiment.question):
                 tell(alone, alone.submit(time, run, cells := [task.key for task in part]), cells)
-            alone.end()
     return len(failed)
