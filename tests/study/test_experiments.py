@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import REPOSITORY, bench, few_slow, finished
+from cases import REPOSITORY, bench, few_slow, finished, own_processes
 from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES
 from contactbench.measure.clock import Part, Visit
@@ -181,19 +181,20 @@ METHODS["rk4"] = METHODS["rk4"].__class__(**vars(METHODS["rk4"]))  # a plug-in r
 
 def full(once):
     calls = []
-    def write(*arguments):
+    def write(*arguments, **more):
         calls.append(1)
         if len(calls) > {after}:
             raise OSError(errno.ENOSPC, "No space left on device", "a-file")
-        return once(*arguments)
+        return once(*arguments, **more)
     return write
 
 cells.{name} = full(cells.{name})
 """
 
 
+@pytest.mark.parametrize("bench", few_slow([bench, own_processes], own_processes))
 @pytest.mark.parametrize(("name", "after"), few_slow([("replacing", 2), ("merge", 0)], ("merge", 0)))
-def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, tmp_path):
+def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, bench, tmp_path):
     fault, results = tmp_path / "full.py", tmp_path / "results"
     fault.write_text(FULL.format(name=name, after=after))
     process = bench(results, "definition and contact", "--plugin", str(fault))
