@@ -14,7 +14,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
 
-from contactbench.errors import BadInput
+from contactbench.errors import Registry
 from contactbench.measure.clock import MOST_VISITS, VISITS
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.schema import Table
@@ -101,7 +101,7 @@ def cells_of(experiment: Experiment, profile: Profile) -> frozenset[Cell]:
     return frozenset(experiment.cells(profile))
 
 
-EXPERIMENTS: dict[str, Experiment] = {}
+EXPERIMENTS = Registry("experiment", Experiment)
 
 
 def experiment(
@@ -110,13 +110,8 @@ def experiment(
     """Make an experiment, of its name, of the function that gives the rows of a cell."""
 
     def add(rows: Callable[[Cell, Profile], Any]) -> Experiment:
-        question, name = rows.__module__.rpartition(".")[2], rows.__name__
-        if name in EXPERIMENTS:
-            raise BadInput(
-                f"experiment {name!r} of {question}: {EXPERIMENTS[name].question} has one of its name"
-            )
-        EXPERIMENTS[name] = Experiment(question, name, cells, rows, timed, errors)
-        return EXPERIMENTS[name]
+        question = rows.__module__.rpartition(".")[2]
+        return EXPERIMENTS.add(Experiment(question, rows.__name__, cells, rows, timed, errors))
 
     return add
 
