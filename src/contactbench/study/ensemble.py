@@ -175,9 +175,7 @@ def heyoka(scene: Scene, method: str, shape: str, value: float, y0: np.ndarray) 
     from contactbench.peers.heyoka import taylor_system
 
     width = heyoka.recommended_simd_size()
-    ta = heyoka.taylor_adaptive_batch(
-        taylor_system(scene, (), heyoka, [1.0] * len(y0)), np.zeros((len(y0), width)), tol=value
-    )
+    ta = heyoka.taylor_adaptive_batch(taylor_system(scene, (), heyoka), np.zeros((len(y0), width)), tol=value)
     filled = np.pad(y0, ((0, 0), (0, -y0.shape[1] % width)), mode="edge")
     most = [0]
 

@@ -86,7 +86,7 @@ def truth(name: str) -> Reference:
 @cache
 def found(name: str, method: str) -> float:
     """The value of the cheapest setting that reaches the error on the short ring, else of the finest that ends well."""
-    scout = Scout(Question(truth(name).scene, truth(name), (ERROR,), 60.0, math.inf), method)
+    scout = Scout(Question(truth(name).scene, truth(name), (ERROR,), 60.0), method)
     for _ in scout.turns():
         pass
     return (scout.best(ERROR) or min((a for a in scout.attempts if a.ok), key=lambda a: a.value)).value
