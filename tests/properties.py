@@ -12,9 +12,12 @@ from mpmath import mp
 import contactbench as cb
 from cases import TILTED, in_mp, random_state
 from contactbench.measure.order import local_order, order_at
+from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import Numbers, abilities
-from contactbench.scene import cross, dot, free_body, quaternion_product
+from contactbench.scene import cross, dot, free_body, general_damping, quaternion_product
+from contactbench.scene import flow as flow_module
 from contactbench.splitting.composition import merge
+from contactbench.xla import jax, jnp
 from decimals import contact_defect, momentum_defect
 
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))
@@ -266,6 +269,17 @@ GENERAL = cb.GeneralDamping(
 )
 
 
+BENT = cb.GeneralDamping(
+    name="bent",
+    potential=lambda q: q[0] ** 2 / 2,
+    damping=lambda s: s / 2 + 0.3 * s * s,
+    damping_slope=lambda s: 0.5 + 0.6 * s,
+    q=(1.0,),
+    p=(0.0,),
+    t_end=1.0,
+)
+
+
 def general_damping_is_right():
     """By quadrature on doubles, against the closed form and its slope ∂s(h)/∂s, which p decays by; at rest too."""
 
@@ -279,6 +293,23 @@ def general_damping_is_right():
         return close(mine, [true, *(factor * p for p in x.p), mp.log(factor)], 10)
 
     return all(is_right(s, h) for s, h in ((0.7, 0.3), (-0.4, 0.8), (2.0, 0.8), (0.6, -0.2), (0.0, 0.5)))
+
+
+def flows_are_smooth_where_they_choose():
+    """Derivatives of φ(h) by γ at γ = 0, and of log ∂s(h)/∂s by s at Γ = s/2 + 0.3 s² = 0."""
+    h = 0.7
+
+    def clock(gamma):
+        return flow_module.damped_time(gamma, h, XlaNumbers())
+
+    def spent(s):
+        after = general_damping.decay(BENT, s, h, XlaNumbers())
+        return jnp.log(general_damping.survival(BENT, s, after, h, XlaNumbers()))
+
+    with jax.enable_x64(True):
+        mine = jax.grad(clock)(0.0), jax.grad(jax.grad(clock))(0.0), jax.grad(spent)(0.0)
+    true = -(h**2) / 2, h**3 / 3, -0.6 * -math.expm1(-h / 2) / 0.5
+    return close(map(float, mine), true, 10)
 
 
 def flows_agree_on_arrays():
