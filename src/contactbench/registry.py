@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Any, ClassVar
 
 from contactbench.errors import BadInput, excerpt, unknown_name
@@ -10,6 +13,13 @@ from contactbench.notebook import html_table
 
 #: a name is also a key in tables, a part of file names and a word on the command line
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
+
+
+def import_modules(package: str, path: Iterable[str], first: Sequence[str] = ()) -> None:
+    """Import the modules of a package, which register what they bring: `first` in this order, then all others by name."""
+    others = sorted(module.name for module in iter_modules(path) if not module.ispkg)
+    for name in dict.fromkeys((*first, *others)):
+        import_module(f"{package}.{name}")
 
 
 class Registry(dict):
