@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Sequence
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any, ClassVar
@@ -15,11 +16,13 @@ from contactbench.notebook import html_table
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 
 
-def import_modules(package: str, path: Iterable[str], first: Sequence[str] = ()) -> None:
-    """Import the modules of a package, which register what they bring: `first` in this order, then all others by name."""
-    others = sorted(module.name for module in iter_modules(path) if not module.ispkg)
+def import_modules(package: str, first: Sequence[str] = (), without: Sequence[str] = ()) -> None:
+    """Import the modules of a package, which register what they bring: `first` in this order, the others by name."""
+    there = iter_modules(sys.modules[package].__path__)
+    others = sorted(module.name for module in there if not module.ispkg)
     for name in dict.fromkeys((*first, *others)):
-        import_module(f"{package}.{name}")
+        if name not in without:
+            import_module(f"{package}.{name}")
 
 
 class Registry(dict):

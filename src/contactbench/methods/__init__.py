@@ -10,4 +10,4 @@ from contactbench.registry import import_modules
 #: in table order; what other modules register comes after them
 FIRST = ("contact", "contact_exact", "rk4", "herglotz", "multistep", "implicit")
 
-import_modules(__name__, __path__, FIRST)
+import_modules(__name__, FIRST)

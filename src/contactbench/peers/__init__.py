@@ -5,4 +5,4 @@ from contactbench.registry import import_modules
 #: in table order; what other modules register comes after them
 FIRST = ("scipy", "sundials", "cyrk", "diffrax", "heyoka")
 
-import_modules(__name__, __path__, FIRST)
+import_modules(__name__, FIRST)
