@@ -117,7 +117,8 @@ HARD = tuple(
             name="tumbling",
             about="a body spinning about its middle axis, off by 10⁻⁸: it flips over and back, time and again. Every "
             "flip magnifies by 10⁸ what a step rounds off, so that no method that takes steps in double precision has "
-            "many digits of the attitude. The closed form takes none and has them all; the decay laws can hold in any case.",
+            "many digits of the attitude. The closed form takes none and has them all; the decay laws can hold in "
+            "any case.",
             gamma=1e-3,
             M=(1e-8, 1.0, 1e-8),
             t_end=200.0,
