@@ -254,17 +254,27 @@ def differences(stored: str, fresh: str, digits: int) -> list[str]:
     return found
 
 
-def check(scene: Scene, folder: Path = FOLDER) -> list[str]:
-    """What is wrong with a stored scene, one line each; empty when all is well."""
+def missing(scene: Scene, folder: Path = FOLDER) -> str | None:
+    """Why a scene has no stored reference, and the command that makes it; None where it has one."""
     entry = stored_manifest(folder)["scenes"].get(scene.name)
     if entry is None or not (folder / entry["file"]).is_file():
-        return ["nothing is stored"]
+        why = "nothing is stored"
+    elif entry["scene_digest"] != truth.digest(scene):
+        why = "the scene's definition has changed since"
+    else:
+        return None
+    return f"{why}; run python references/generate.py {scene.name}"
+
+
+def check(scene: Scene, folder: Path = FOLDER) -> list[str]:
+    """What is wrong with a stored scene, one line each; empty when all is well."""
+    if why := missing(scene, folder):
+        return [why]
+    entry = stored_manifest(folder)["scenes"][scene.name]
     stored = (folder / entry["file"]).read_bytes()
     found = []
     if hashlib.sha256(stored).hexdigest() != entry["sha256"]:
         found.append(f"{entry['file']} does not match its SHA-256 in the manifest")
-    if entry["scene_digest"] != truth.digest(scene):
-        found.append("the scene's definition has changed since")
     text, fresh = compute(scene)
     if fresh["digits"] < entry["digits"]:
         found.append(f"only {fresh['digits']} of {entry['digits']} stored digits confirmed")

@@ -50,7 +50,7 @@ def load_file(path: Path | str) -> None:
     """Run a Python file that registers methods and scenes; a file given twice is run once.
 
     What it registers is evaluated once.  Raises `BadInput`, with the file's own line, when it cannot be read,
-    fails, ends the program, takes longer than `errors.limit` or registers nothing.
+    fails, ends the program, takes longer than `limits.limit` or registers nothing.
     """
     path = Path(path)
     if not path.is_file():

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import re
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Any, ClassVar
 
 from contactbench.errors import BadInput, excerpt, unknown_name
@@ -10,6 +14,15 @@ from contactbench.notebook import html_table
 
 #: a name is also a key in tables, a part of file names and a word on the command line
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
+
+
+def import_modules(package: str, first: Sequence[str] = (), without: Sequence[str] = ()) -> None:
+    """Import the modules of a package, which register what they bring: `first` in this order, the others by name."""
+    there = iter_modules(sys.modules[package].__path__)
+    others = sorted(module.name for module in there if not module.ispkg)
+    for name in dict.fromkeys((*first, *others)):
+        if name not in without:
+            import_module(f"{package}.{name}")
 
 
 class Registry(dict):

@@ -10,11 +10,12 @@ import pytest
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.text import Text
 
+import contactbench as cb
 from contactbench import METHODS
 from contactbench.report import convergence, draw, laws, work_precision
 from contactbench.report.curves import MOST, best_of_each, cheapest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.look import FAMILIES, LOOKS, MUTED, SHADES
+from contactbench.report.look import FAMILIES, LOOKS, MUTED, SHADES, look
 from frames import row, table
 
 ERRORS = tuple(10.0**-k for k in range(1, 12))
@@ -200,4 +201,14 @@ def test_nobody_shares_a_look():
     """A method without one has a spare marker in the colour of its family."""
     own = [(item.family, item.marker) for item in LOOKS.values()]
     assert len(set(own)) == len(own)
-    assert all(look.order == METHODS[method].order for method, look in LOOKS.items())
+    assert all(own.order == METHODS[method].order for method, own in LOOKS.items())
+
+
+@pytest.mark.usefixtures("registries")
+def test_a_method_of_ones_own_has_the_dash_of_its_order_and_a_marker_free_in_its_family():
+    for k in range(20):
+        cb.fixed_step(f"own{k}", 4, family="contact")(lambda scene, x, h, xp: x)
+        own = look(f"own{k}", "contact")
+        assert (own.family, own.order) == ("contact", 4)
+        assert own.marker not in {other.marker for other in LOOKS.values() if other.family == "contact"}
+    assert look("nowhere").order is None

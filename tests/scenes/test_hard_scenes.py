@@ -26,7 +26,7 @@ def test_every_hard_scene_has_a_truth(scene):
         assert run.end_time == pytest.approx(float(time), abs=1e-9)  # another solver
         times = times[times < float(time)]
     truth = cb.reference(scene, times)
-    assert truth.source in ("closed form", "frozen")
+    assert truth.source in ("closed form", "frozen"), f"run python references/generate.py {scene.name}"
     assert truth.digits >= 30
 
 

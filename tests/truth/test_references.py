@@ -20,17 +20,12 @@ from contactbench import truth
 from contactbench.errors import BadInput
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
-from contactbench.scenes.hard import HARD
-from contactbench.scenes.standard import STANDARD, damped_oscillator
 from contactbench.truth import digest, reference
 from contactbench.truth.engines import heyoka_reads_rhs
 from contactbench.truth.reference import closed_form, confirmed
 
 FOLDER = Path(__file__).parents[2] / "references"
 ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
-NAMES = [scene.name for scene in STANDARD]
-HARD_NAMES = [scene.name for scene in HARD if scene.exact is not damped_oscillator]
-each_frozen = pytest.mark.parametrize("name", [*NAMES, *HARD_NAMES])
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +68,19 @@ def test_every_stored_number_is_computed_again(name):
     assert truth.matching_digits(worst, 60) >= 30
 
 
-@each_frozen
+def test_every_scene_to_be_frozen_is(generate):
+    assert not [f"{scene.name}: {why}" for scene in generate.FROZEN if (why := generate.missing(scene))]
+
+
+@pytest.mark.parametrize(("changes", "why"), [({"name": "mine"}, "nothing"), ({"gamma": 0.3}, "definition")])
+def test_a_scene_without_its_reference_is_told_the_command(generate, changes, why):
+    scene = SCENES["particle"].with_(**changes)
+    (told,) = generate.check(scene)
+    assert why in told
+    assert told.endswith(f"run python references/generate.py {scene.name}")
+
+
+@pytest.mark.parametrize("name", ENTRIES)
 def test_frozen_files_match_manifest_and_scene_and_give_the_rounded_decimals(name):
     """Their SHA-256 is compared wherever they are read."""
     scene, entry = SCENES[name], ENTRIES[name]

@@ -1,10 +1,13 @@
 """Our methods; those of other libraries are in `peers`.
 
-Each module registers its own; to add one, write a module and import it here.
+A module here registers its own and is imported without being listed anywhere.
 """
 
-# ruff: noqa: I001 (imported to be registered, in table order)
-
-from contactbench.methods import contact, contact_exact, rk4, herglotz, multistep, implicit
 from contactbench.methods.base import METHODS, prepare, solve
 from contactbench.methods.fixed_step import fixed_step
+from contactbench.registry import import_modules
+
+#: in table order; what other modules register comes after them
+FIRST = ("contact", "contact_exact", "rk4", "herglotz", "multistep", "implicit")
+
+import_modules(__name__, FIRST)

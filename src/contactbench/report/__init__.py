@@ -1,9 +1,10 @@
 """Reports: documents, figures and one page, from the tables alone.
 
 A chapter answers one question with views and figures as data (chapters.py, views.py, drawing.py; its prose is in
-chapters.toml);
+chapters.toml); a module here that adds one is imported without being listed anywhere.
 markdown.py, draw.py and page/ render them.
 """
 
-# headline imports the others
-from contactbench.report import damping, ensemble, gradients, headline, long_time, scaling, stability
+from contactbench.registry import import_modules
+
+import_modules(__name__, without=("draw", "write"))  # these need matplotlib, which takes long to load

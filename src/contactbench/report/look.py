@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 from typing import Any, NamedTuple
 
+from contactbench.registry import Registry
+
 #: a curve that is not the best of its family
 MUTED = "#c4c8cc"
 
@@ -65,7 +67,6 @@ LOOKS = {
     "contact-yoshida6": Look("contact", "<", 6),
     "contact-rkn6a": Look("contact", ">", 6),
     "contact-rkn8b": Look("contact", "d", 8),
-    "contact-adaptive": Look("contact", "8", 6),
     "contact-exact": Look("contact", "h"),
     "rk4": Look("rk4", "x", 4),
     "quinlan-tremaine8": Look("rk4", "o", 8),
@@ -90,14 +91,20 @@ LOOKS = {
     "diffrax-kvaerno5": Look("diffrax", "h", 5),
     "heyoka-taylor": Look("heyoka", "*"),
 }
-#: markers for methods that are not ours to know
-SPARE = ("p", "8", "s", "D", "^", "v")
+#: markers of methods that are not listed
+SPARE = ("p", "8", "s", "D", "^", "v", "H")
 
 
 def look(method: str, family: str = "") -> Look:
-    known = LOOKS.get(method)
-    spare = SPARE[hashlib.sha256(method.encode()).digest()[0] % len(SPARE)]
-    return known or Look(family if family in FAMILIES else "other", spare)
+    """Return the look of a listed method; of any other its order, and a marker free in its family."""
+    if (known := LOOKS.get(method)) is not None:
+        return known
+    family = family if family in FAMILIES else "other"
+    taken = {own.marker for own in LOOKS.values() if own.family == family}
+    spare = [marker for marker in SPARE if marker not in taken]
+    methods = next(registry for registry in Registry.every if registry.kind == "method")
+    order = getattr(methods.get(method), "order", None)
+    return Look(family, spare[hashlib.sha256(method.encode()).digest()[0] % len(spare)], order)
 
 
 BLACK, BLUE, ORANGE = "#000000", "#0077BB", "#CC3311"

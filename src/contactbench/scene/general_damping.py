@@ -105,7 +105,7 @@ def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
 class GeneralDamping(Mechanical):
     """H = ‖p‖²/2m + V(q) + Γ(s) for any smooth Γ, on the three-part splitting: kick, drift and damping.
 
-    Nyström tables, Herglotz's recursion and `contact-adaptive` refuse it: their flows need a Γ at most quadratic.
+    Nyström tables and Herglotz's recursion refuse it: their flows need a Γ at most quadratic.
 
         GeneralDamping(name="cubic", potential=V, gradient=dV, q=(1.0,), p=(0.0,), s=0.5, t_end=10.0,
                        damping=lambda s: 0.1 * s + s**3, damping_slope=lambda s: 0.1 + 3 * s * s)

@@ -1,7 +1,7 @@
 """The hard scenes: where integrators break, and how.
 
 They are registered beside the standard ones and marked `hard`, so that only the stability experiment runs them.
-`WHY` says what is hard about each.
+`about` says what is hard about each.
 """
 
 from __future__ import annotations
@@ -51,6 +51,9 @@ def kepler_hessian(q, strength):
 
 STIFF_SPRING = Mechanical(
     name="stiff_spring",
+    about="two oscillations, one a hundred times faster and as energetic as the other, coupled: explicit "
+    "methods follow the fast one whether or not it matters, implicit ones must resolve it too, because it "
+    "does not die out.",
     potential=two_scales,
     gradient=two_scales_gradient,
     hessian=two_scales_hessian,
@@ -63,6 +66,8 @@ STIFF_SPRING = Mechanical(
 
 KEPLER_DRAG = Mechanical(
     name="kepler_drag",
+    about="an orbit of eccentricity 0.9 about a centre of attraction, with drag: at every return the time "
+    "scale shrinks by eighty. A fixed step must be as small as the pericentre needs, all the way round.",
     potential=kepler,
     gradient=kepler_gradient,
     hessian=kepler_hessian,
@@ -75,60 +80,115 @@ KEPLER_DRAG = Mechanical(
 )
 
 _KERNEL = "the other rotations die out and a steady rotation about it remains, not rest"
-WHY = {
-    "overdamped": "γ = 50: what is left after a moment creeps back at the slow rate 0.02. A method that treats "
-    "force and friction one after the other gets that rate wrong, by a factor of about (γh/2)coth(γh/2), and "
-    "an explicit one is unstable unless γh is of order one although nothing fast happens.",
-    "critical": "γ = 2ω: both eigenvalues are −1 and there is one eigenvector, so that the motion is (a + bt)e^{-t}. "
-    "Eigenvalues of the step map react to its errors like their square root, and a method may oscillate "
-    "where the motion does not.",
-    "weak_damping": "γ = 10⁻⁵ over 1600 periods: a tenth of the energy is lost in all. The dissipation of a method "
-    "adds to that of the scene, and at coarse steps exceeds it.",
-    "weak_damping_particle": "the same for the particle, whose motion is not linear: the rate at which the energy "
-    "falls has to come out of 10⁴ time units of oscillation a hundred thousand times faster.",
-    "stiff_spring": "two oscillations, one a hundred times faster and as energetic as the other, coupled: explicit "
-    "methods follow the fast one whether or not it matters, implicit ones must resolve it too, because it "
-    "does not die out.",
-    "tumbling": "a body spinning about its middle axis, off by 10⁻⁸: it flips over and back, time and again. Every "
-    "flip magnifies by 10⁸ what a step rounds off, so that no method that takes steps in double precision has many "
-    "digits of the attitude. The closed form takes none and has them all; the decay laws can hold in any case.",
-    "needle": "moments of inertia 10⁻³, 1 and 1.001: a small momentum about the thin axis is a fast spin, the two "
-    "others are nearly equal, and the energy is nearly all in the spin.",
-    "singular_damping_1": f"damping with the axis of smallest inertia in its kernel: {_KERNEL}.",
-    "singular_damping_2": "damping with the middle axis in its kernel, unstable without damping and stable "
-    f"with so much of it: {_KERNEL}.",
-    "singular_damping_3": "damping about one axis only: which of the two rotations without friction remains, "
-    "and how much of it, is decided along the way.",
-    "saddle_edge": "the particle with 99.9 % of the energy of the saddles at (±√50, −5), heading for one: it "
-    "hesitates there and turns back. An energy error of 0.1 % lets it escape to infinity.",
-    "escape": "the particle beyond the saddle and heading out: it reaches infinity in finite time, before the end "
-    "time asked for. The right answer is `diverged`, with that time; a number would be wrong whatever it is.",
-    "kepler_drag": "an orbit of eccentricity 0.9 about a centre of attraction, with drag: at every return the time "
-    "scale shrinks by eighty. A fixed step must be as small as the pericentre needs, all the way round.",
-    "antidamping": "γ = −0.1: energy is fed in and the motion grows by e^{5}. Nothing may assume that things decay.",
-    "underflow": "e^{-γT} = e^{-1000}: momentum and energy fall below the smallest number there is while the "
-    "attitude stays of size one. Laws must stay finite and say something.",
-    "large_step": "the oscillator at steps around the stability limit, ωh = 2 for a splitting without the merged "
-    "flow; the limits themselves are in their own table.",
-}
 HARD = tuple(
-    scene.with_(hard=True, about=WHY[scene.name])
+    scene.with_(hard=True)
     for scene in (
-        OSCILLATOR.with_(name="overdamped", gamma=50.0, t_end=100.0),
-        OSCILLATOR.with_(name="critical", gamma=2.0),
-        OSCILLATOR.with_(name="weak_damping", gamma=1e-5, t_end=1e4),
-        PARTICLE.with_(name="weak_damping_particle", gamma=1e-5, t_end=1e4),
+        OSCILLATOR.with_(
+            name="overdamped",
+            about="γ = 50: what is left after a moment creeps back at the slow rate 0.02. A method that treats "
+            "force and friction one after the other gets that rate wrong, by a factor of about (γh/2)coth(γh/2), and "
+            "an explicit one is unstable unless γh is of order one although nothing fast happens.",
+            gamma=50.0,
+            t_end=100.0,
+        ),
+        OSCILLATOR.with_(
+            name="critical",
+            about="γ = 2ω: both eigenvalues are −1 and there is one eigenvector, so that the motion is (a + bt)e^{-t}. "
+            "Eigenvalues of the step map react to its errors like their square root, and a method may oscillate "
+            "where the motion does not.",
+            gamma=2.0,
+        ),
+        OSCILLATOR.with_(
+            name="weak_damping",
+            about="γ = 10⁻⁵ over 1600 periods: a tenth of the energy is lost in all. The dissipation of a method "
+            "adds to that of the scene, and at coarse steps exceeds it.",
+            gamma=1e-5,
+            t_end=1e4,
+        ),
+        PARTICLE.with_(
+            name="weak_damping_particle",
+            about="the same for the particle, whose motion is not linear: the rate at which the energy "
+            "falls has to come out of 10⁴ time units of oscillation a hundred thousand times faster.",
+            gamma=1e-5,
+            t_end=1e4,
+        ),
         STIFF_SPRING,
-        RIGID_BODY.with_(name="tumbling", gamma=1e-3, M=(1e-8, 1.0, 1e-8), t_end=200.0),
-        RIGID_BODY.with_(name="needle", inertia=(1e-3, 1.0, 1.001), M=(0.02, 1.0, 0.5), t_end=20.0),
-        RIGID_BODY_ANISOTROPIC.with_(name="singular_damping_1", damping=(0.0, 0.5, 0.5), t_end=100.0),
-        RIGID_BODY_ANISOTROPIC.with_(name="singular_damping_2", damping=(0.5, 0.0, 0.5), t_end=100.0),
-        RIGID_BODY_ANISOTROPIC.with_(name="singular_damping_3", damping=(0.0, 0.0, 0.5), t_end=100.0),
-        PARTICLE.with_(name="saddle_edge", gamma=1e-3, q=(0.0, -1.5), p=(4.35, -1.95), t_end=50.0),
-        PARTICLE.with_(name="escape", gamma=1e-3, q=(8.0, -6.0), p=(3.0, -1.0), t_end=10.0),
+        RIGID_BODY.with_(
+            name="tumbling",
+            about="a body spinning about its middle axis, off by 10⁻⁸: it flips over and back, time and again. Every "
+            "flip magnifies by 10⁸ what a step rounds off, so that no method that takes steps in double precision has "
+            "many digits of the attitude. The closed form takes none and has them all; the decay laws can hold in "
+            "any case.",
+            gamma=1e-3,
+            M=(1e-8, 1.0, 1e-8),
+            t_end=200.0,
+        ),
+        RIGID_BODY.with_(
+            name="needle",
+            about="moments of inertia 10⁻³, 1 and 1.001: a small momentum about the thin axis is a fast spin, the two "
+            "others are nearly equal, and the energy is nearly all in the spin.",
+            inertia=(1e-3, 1.0, 1.001),
+            M=(0.02, 1.0, 0.5),
+            t_end=20.0,
+        ),
+        RIGID_BODY_ANISOTROPIC.with_(
+            name="singular_damping_1",
+            about=f"damping with the axis of smallest inertia in its kernel: {_KERNEL}.",
+            damping=(0.0, 0.5, 0.5),
+            t_end=100.0,
+        ),
+        RIGID_BODY_ANISOTROPIC.with_(
+            name="singular_damping_2",
+            about="damping with the middle axis in its kernel, unstable without damping and stable "
+            f"with so much of it: {_KERNEL}.",
+            damping=(0.5, 0.0, 0.5),
+            t_end=100.0,
+        ),
+        RIGID_BODY_ANISOTROPIC.with_(
+            name="singular_damping_3",
+            about="damping about one axis only: which of the two rotations without friction remains, "
+            "and how much of it, is decided along the way.",
+            damping=(0.0, 0.0, 0.5),
+            t_end=100.0,
+        ),
+        PARTICLE.with_(
+            name="saddle_edge",
+            about="the particle with 99.9 % of the energy of the saddles at (±√50, −5), heading for one: it "
+            "hesitates there and turns back. An energy error of 0.1 % lets it escape to infinity.",
+            gamma=1e-3,
+            q=(0.0, -1.5),
+            p=(4.35, -1.95),
+            t_end=50.0,
+        ),
+        PARTICLE.with_(
+            name="escape",
+            about="the particle beyond the saddle and heading out: it reaches infinity in finite time, before the end "
+            "time asked for. The right answer is `diverged`, with that time; a number would be wrong whatever it is.",
+            gamma=1e-3,
+            q=(8.0, -6.0),
+            p=(3.0, -1.0),
+            t_end=10.0,
+        ),
         KEPLER_DRAG,
-        OSCILLATOR.with_(name="antidamping", gamma=-0.1, t_end=100.0),
-        RIGID_BODY.with_(name="underflow", gamma=5.0, t_end=200.0),
-        OSCILLATOR.with_(name="large_step", gamma=1.0, t_end=210.0),
+        OSCILLATOR.with_(
+            name="antidamping",
+            about="γ = −0.1: energy is fed in and the motion grows by e^{5}. Nothing may assume that things decay.",
+            gamma=-0.1,
+            t_end=100.0,
+        ),
+        RIGID_BODY.with_(
+            name="underflow",
+            about="e^{-γT} = e^{-1000}: momentum and energy fall below the smallest number there is while the "
+            "attitude stays of size one. Laws must stay finite and say something.",
+            gamma=5.0,
+            t_end=200.0,
+        ),
+        OSCILLATOR.with_(
+            name="large_step",
+            about="the oscillator at steps around the stability limit, ωh = 2 for a splitting without the merged "
+            "flow; the limits themselves are in their own table.",
+            gamma=1.0,
+            t_end=210.0,
+        ),
     )
 )
