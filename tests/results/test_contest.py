@@ -180,8 +180,10 @@ def test_runs_that_failed_and_plain_loops_have_no_row():
 
 
 def test_what_differences_do_not_resolve_is_unsure():
-    rows = [run(3e-12) | {"contact_drift_uncertainty": bar} for bar in (2e-12, 1e-12)]
-    assert law_rows(frames(laws=rows), "contact_drift")["unsure"].tolist() == [True, False]
+    rows = [
+        run(v) | {"contact_drift_uncertainty": bar} for v, bar in ((3e-12, 2e-12), (3e-12, 1e-12), (0.0, 0.0))
+    ]
+    assert law_rows(frames(laws=rows), "contact_drift")["unsure"].tolist() == [True, False, False]
 
 
 def test_round_off_grows_with_the_map_and_where_that_is_unknown_with_the_motion():
