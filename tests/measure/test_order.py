@@ -175,7 +175,6 @@ def test_the_last_rung_is_the_end_of_the_range(method):
     values = tolerances(method)
     assert values[-1] == method.rtol_range[0] <= 1e-13
     assert values == sorted(set(values), reverse=True)
-    assert all(a < 3.4 * b for a, b in itertools.pairwise(values) if b < 1e-13)
     assert {1e-3, 1e-6, 1e-13} <= {float(f"{v:.3g}") for v in values}
 
 
