@@ -15,7 +15,7 @@ from contactbench import METHODS as SOLVERS
 from contactbench.report import convergence, draw, laws, paper, work_precision
 from contactbench.report.curves import MOST, best_of_each, cheapest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.look import FAMILIES, METHODS, MUTED, SHADES
+from contactbench.report.look import FAMILIES, METHODS, MUTED, SHADES, look
 from frames import row, table
 
 ERRORS = tuple(10.0**-k for k in range(1, 12))
@@ -84,6 +84,12 @@ def real(request):
     made.canvas.draw()
     yield figure, made
     plt.close(made)
+
+
+@pytest.mark.parametrize(("family", "shown"), [("contact", "contact"), ("", "other"), ("mine", "other")])
+def test_a_method_without_a_look_has_that_of_its_family(family, shown):
+    assert look("of-a-plugin", family).family == shown
+    assert look("of-a-plugin", family).marker == look("of-a-plugin").marker
 
 
 def test_curves_of_the_paper_are_in_the_order_of_the_table():
