@@ -30,6 +30,14 @@ def cores(monkeypatch):
     monkeypatch.setattr("contactbench.cli.runs.one_core", lambda: None)
 
 
+def test_an_error_that_nobody_foresaw_is_one_line_with_its_place(monkeypatch, capsys):
+    monkeypatch.setattr("contactbench.plugins.load_file", lambda path: 1 / 0)
+    assert main(["list", "--plugin", "any.py"]) == 2
+    says = capsys.readouterr().err
+    assert says.startswith("contactbench: ZeroDivisionError: division by zero (test_commands.py, line ")
+    assert says.count("\n") == 1
+
+
 def test_it_prints_tables_and_writes_only_what_it_is_told(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main([*RACE, "--csv", "out.csv", "--html", "out.html", "--plot", "out.svg"]) == 0

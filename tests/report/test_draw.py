@@ -6,13 +6,14 @@ from math import dist
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.text import Text
 
 import contactbench as cb
 from contactbench import METHODS
-from contactbench.report import convergence, draw, laws, work_precision
+from contactbench.report import convergence, draw, laws, paper, work_precision
 from contactbench.report.curves import MOST, best_of_each, cheapest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import FAMILIES, LOOKS, MUTED, SHADES, look
@@ -84,6 +85,19 @@ def real(request):
     made.canvas.draw()
     yield figure, made
     plt.close(made)
+
+
+@pytest.mark.parametrize(("family", "shown"), [("contact", "contact"), ("", "other"), ("mine", "other")])
+def test_a_method_without_a_look_has_that_of_its_family(family, shown):
+    assert look("of-a-plugin", family).family == shown
+    assert look("of-a-plugin", family).marker == look("of-a-plugin").marker
+
+
+def test_curves_of_the_paper_are_in_the_order_of_the_table():
+    points = [("b", 1), ("b", 0), ("a", 0), ("a", 1)]
+    rows = [{"panel": "p", "kind": "law", "curve": c, "point": n, "x": float(n), "y": 1.0} for c, n in points]
+    made = [(curve.label, list(curve.x)) for curve in paper.curves(pd.DataFrame(rows), "p")]
+    assert made == [("b", [0.0, 1.0]), ("a", [0.0, 1.0])]
 
 
 def test_words_stay_on_the_canvas_and_names_off_the_curves(real):

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import math
 import re
 
 import numpy as np
@@ -15,7 +16,7 @@ from contactbench.report.ensemble import beside_loops, with_rates
 from contactbench.report.headline import mission_view, most_met_cost
 from contactbench.report.laws import equal_cost_view
 from contactbench.report.numbers import duration
-from contactbench.report.stability import started_runs
+from contactbench.report.stability import ending, started_runs
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.report.write import glossary
 from contactbench.results.contest import COMPILED
@@ -350,3 +351,14 @@ def test_a_curve_says_what_an_error_costs_and_never_turns_back():
     front = race.front(tried)
     assert front.query("method == 'a'")["cost"].tolist() == [1, 3, 5]
     assert len(front) == 4
+
+
+def test_a_run_that_ended_well_shows_its_error_and_another_how_it_ended():
+    runs = [
+        {"status": "ok", "solution_error": 1e-3},
+        {"status": "diverged", "blow_up_time": 2.0},
+        {"status": "budget"},
+    ]
+    found = [ending(pd.Series({"solution_error": math.nan, "blow_up_time": math.nan} | run)) for run in runs]
+    assert [cell.value for cell in found] == [1e-3, None, None]
+    assert [cell.mark for cell in found[1:]] == [Mark.right, Mark.bad]

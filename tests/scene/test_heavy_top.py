@@ -12,6 +12,7 @@ from contactbench.testing import check_scene
 TOP = cb.SCENES["heavy_top"]
 #: three moments, a centre of mass off every axis, an attitude of no symmetry
 GENERAL = TOP.with_(
+    weight=1.7,
     inertia=(1.0, 1.7, 0.6),
     axis=(0.3, -0.4, 0.8),
     M=(0.4, -0.7, 1.1),

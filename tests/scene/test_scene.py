@@ -34,14 +34,16 @@ def test_attitude_may_be_given_as_a_matrix_or_a_quaternion():
     np.testing.assert_allclose(rotation_matrix(body.with_(R=(half, 0, 0, half)).R), quarter_turn, atol=AD)
 
 
-def springs(gradient, size=1):
-    given = {"name": "springs", "q": (1.0,) * size, "p": (0.0,) * size, "t_end": 1.0}
+def springs(gradient, size=1, q=1.0):
+    given = {"name": "springs", "q": (q,) * size, "p": (0.0,) * size, "t_end": 1.0}
     return cb.Mechanical(potential=lambda q: sum(x * x for x in q) / 2, gradient=gradient, **given)
 
 
+@pytest.mark.parametrize("q", [0.0, 1.0])
 @pytest.mark.parametrize(("size", "wrong"), [(n, i) for n in range(1, 5) for i in range(n)])
-def test_a_gradient_wrong_in_any_one_component_is_refused(size, wrong):
-    scene = springs(lambda q: tuple(1.01 * x if i == wrong else x for i, x in enumerate(q)), size)
+def test_a_gradient_wrong_in_any_one_component_is_refused(size, wrong, q):
+    """Also where it is right at the start itself."""
+    scene = springs(lambda q: tuple(1.01 * x if i == wrong else x for i, x in enumerate(q)), size, q)
     with pytest.raises(cb.BadInput, match=f"component {wrong + 1} is"):
         verify(scene)
 
