@@ -170,9 +170,9 @@ class PeerRun(Prepared):
         return super().__call__(**data)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        y, *how = self.call(y0)
+        y, counts, status, message, stopped = self.call(y0)
         reached = np.empty((0, len(y0))) if y is None else self.from_start(y0, y)
-        return self.finish(y0, reached, *how)
+        return self.finish(y0, reached, counts, status, message, stopped)
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         return self.call.sensitivity(y0, self.tangents(y0))
