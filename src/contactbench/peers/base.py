@@ -25,7 +25,6 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from contactbench.errors import BadInput
 from contactbench.methods.base import Adaptive
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
 from contactbench.numbers.dual import Dual, slope
@@ -108,7 +107,6 @@ class Call(ABC):
 
     def __init__(self, method: Peer, request: Request) -> None:
         self.method, self.request, self.scene = method, request, request.scene
-        #: of a packed state, where the time is; times since the start
         self.clock, self.end = self.scene.clock, float(request.save_at[-1])
         self.later = request.save_at[request.save_at > 0]
 
@@ -121,8 +119,8 @@ class Call(ABC):
         """Run from a packed state to the last one, and nothing else."""
 
     def sensitivity(self, y0: np.ndarray, tangents: list[np.ndarray]) -> np.ndarray:
-        """Return the derivative of the saved states along tangents, (k, d, m)."""
-        raise BadInput(f"{self.method.name} ({self.request.engine}): its map cannot be differentiated")
+        """Return the derivative of the saved states along tangents, (k, d, m), where `derivative` says how."""
+        raise NotImplementedError
 
     @property
     def spent(self) -> str:
@@ -174,9 +172,6 @@ class PeerRun(Prepared):
         reached = np.empty((0, len(y0))) if y is None else self.from_start(y0, y)
         return self.finish(y0, reached, counts, status, message, stopped)
 
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return self.call.sensitivity(y0, self.tangents(y0))
-
     def variational(self) -> Self:
         r, base = self.request, self.request.scene
         start = base.initial(r.carry)
@@ -190,7 +185,7 @@ class PeerRun(Prepared):
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.call.derivative:
-            return super().linearised(y0, y)
+            return y, self.call.sensitivity(y0, self.tangents(y0))
         scene, d, run = self.request.scene, len(y0), self.variational()
         x = scene.unpack(tuple(y0.tolist()), self.request.carry)
         start = run.request.scene.pack(Bundle(x, tangents := tuple(scene.tangents(x))))
@@ -220,10 +215,8 @@ class Pieces(Prepared):
             if end > begin:
                 inside = np.maximum(np.minimum(times[own], end) - begin, 0.0)
                 save_at, which = np.unique(np.append(inside, end - begin), return_inverse=True)
-                inner = replace(self.request, save_at=save_at)
-                self.pieces.append(
-                    (PeerRun(self.method, inner, self.method_), begin, skipped, own, which[:-1])
-                )
+                run = PeerRun(self.method, replace(self.request, save_at=save_at), self.method_)
+                self.pieces.append((run, begin, skipped, own, which[:-1]))
             if last:
                 break
             begin, skipped = time + exact, time + exact - max(end, 0.0)
