@@ -1,41 +1,5 @@
 """Who keeps the laws?  One cell: a method on a scene at three steps or four tolerances."""
 
-import numpy as np
 
-import contactbench as cb
-from cells import cells, outcome, pairs, step_budget
-from contactbench.measure.ladder import save_times, steps
-from contactbench.measure.laws import LAWS, energies, row
-from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
-from contactbench.solution import keywords
-
-RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
-
-
-@cells(lambda profile: pairs(profile, "laws", cb.METHODS))
-def test_laws(cell, profile, record):
-    scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
-    values = {"step": steps(scene, 6)[::2], "rtol": RTOLS}.get(method.control, [0.0])
-    shown = values[1:2] or values
-    for value in values:
-        budget = step_budget(profile, scene, method, method.engines[0])
-        options = {"save_at": save_times(scene), "max_steps": budget, **keywords(method.control, value)}
-        solution = cb.solve(scene, method.name, **options)
-        record(LAWS_TABLE, outcome(solution) | {"saved_times": len(solution.t)} | row(solution))
-        if value in shown and solution.ok:
-            record(LAWS_TIME, *along_time(solution))
-
-
-#: of the time table
-DEVIATIONS = {"energy": "energy_law_relative", "hamiltonian": "hamiltonian_law"}
-DEVIATIONS |= {"momentum": "momentum_law", "contact": "contact_drift"}
-
-
-def along_time(solution):
-    columns = {"t": solution.t, "energy": energies(solution)[0]}
-    for name, law in DEVIATIONS.items():
-        found = LAWS[law].along(solution) if LAWS[law].applies(solution.scene) else np.nan
-        columns[f"{name}_deviation"] = getattr(found, "size", np.full(len(solution.t), np.nan))
-    key = {name: value for name, value in outcome(solution).items() if name in LAWS_TIME.columns}
-    for values in zip(*columns.values(), strict=True):
-        yield {**key, **dict(zip(columns, map(float, values), strict=True))}
+def test_laws(measure):
+    measure()

@@ -147,7 +147,16 @@ FOREIGN = [part for name in ("hypothesispytest", "jaxtyping", "anyio") for part 
 def bench(results, keyword, *more):
     """A smoke run of the experiments in a process of its own."""
     command = [sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q"]
-    command += ["-p", "no:cacheprovider", *FOREIGN, "-k", keyword, *more]
+    return start([*command, "-p", "no:cacheprovider", *FOREIGN, "-k", keyword, *more])
+
+
+def own_processes(results, keyword, *more):
+    """The same by the command line, which has processes of its own."""
+    command = [sys.executable, "-m", "contactbench", "bench", "--all", "--profile", "smoke", "-k", keyword]
+    return start([*command, "--results", str(results), *more])
+
+
+def start(command):
     both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     return subprocess.Popen(command, cwd=REPOSITORY, env=environment(JAX_PLATFORMS="cpu"), **both)
 

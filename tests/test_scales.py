@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from contactbench.splitting.flows import decay, survival
 
 import contactbench as cb
 from contactbench.methods.prepared import METHODS
 from contactbench.numbers.control import XlaNumbers
+from contactbench.scene.general_damping import decay, survival
 from contactbench.xla import jax, jnp
 
 T = 12.0

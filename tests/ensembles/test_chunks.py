@@ -12,7 +12,7 @@ import contactbench as cb
 from contactbench.ensembles import chunks
 from contactbench.ensembles.chunks import AHEAD, ATTEMPTS, FEW_LANES, LANES, equal_share, lanes_of, on_cores
 from contactbench.ensembles.members import ENERGY
-from contactbench.methods.fixed_step_run import loop_of
+from contactbench.methods.loops import loop_of
 
 MANY, CHUNK = 10_000, 500
 SCENE = cb.SCENES["particle"]
@@ -136,7 +136,7 @@ def test_no_core_has_more_than_a_tile_a_chunk_above_its_share(n, workers, chunk)
 
 def prepared():
     run = cb.prepare(SCENE, "contact-rkn6", step=1.0, save_at=[SCENE.t_end], carry=(), engine="numba")
-    return run, run.loop
+    return run, run.loop.loop
 
 
 def test_a_few_chunks_are_begun_ahead_and_no_more(monkeypatch):

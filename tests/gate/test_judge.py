@@ -399,10 +399,9 @@ def test_damage_is_one_line_with_file_line_and_column(name, spoil, message, root
     assert message in text
 
 
-def test_without_benchmark_git_or_revision_it_could_not_run(root, capsys, monkeypatch):
+def test_without_tables_git_or_revision_it_could_not_run(root, capsys, monkeypatch):
     accuracy = ("--only", "accuracy")
     calls = {
-        "no benchmark there": accuracy,
         "--base no-such: no such revision": ("--only", "speed", "--base", "no-such"),
         "no tables in elsewhere/": (*accuracy, "--results", "elsewhere"),
         "give --fresh DIR too": ("--baseline", root / "results"),

@@ -10,8 +10,7 @@ import pytest
 import made_up
 from cases import REPOSITORY, environment
 from contactbench.cli import main
-from contactbench.errors import BadInput
-from contactbench.gate import benchmark, revisions
+from contactbench.gate import revisions
 from contactbench.plugins import VARIABLE
 
 MY = """
@@ -75,14 +74,6 @@ def test_a_base_has_its_own_copy_of_a_plug_in(tmp_path, monkeypatch):
     variables = revisions.environment(tree, root)
     assert variables[VARIABLE] == f"{tree / 'a' / 'my.py'}{os.pathsep}{elsewhere}"
     assert variables["PYTHONPATH"] == f"{tree / 'src'}{os.pathsep}/before"
-
-
-def test_an_installation_without_the_benchmark_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        benchmark, "__file__", str(tmp_path / "lib" / "contactbench" / "gate" / "benchmark.py")
-    )
-    with pytest.raises(BadInput, match="has no benchmark"):
-        benchmark.folder()
 
 
 @pytest.mark.slow

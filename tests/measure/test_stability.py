@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from bench_stability import overdamped_row, weak_row
 from contactbench.measure import stability as linear
 from contactbench.scene import State
+from contactbench.study.stability import overdamped_row, weak_row
 from planted import Truth
 
 METHODS = [linear.kernel(method) for method in linear.fixed_step_methods()]

@@ -122,8 +122,8 @@ def test_a_good_run_is_not_looked_at_again(monkeypatch):
 def end_by(run, count):
     """The end of a run by so many threads, and whether one of them was late."""
     scene, y = run.request.scene, run.start[None]
-    out = np.full(y.size + run.loop.seen, np.nan)
-    late = run.loop.call(scene, run.loop.arrays(scene, run.numbers, run.h, run.n), y, out, count)
+    out = np.full(y.size + run.loop.loop.seen, np.nan)
+    late = run.loop.loop.call(scene, run.loop.loop.arrays(scene, run.numbers, run.h, run.n), y, out, count)
     return out[: y.size], late
 
 
@@ -169,17 +169,17 @@ def test_threads_are_used_where_they_were_faster_and_none_was_late(monkeypatch):
     run = cb.prepare(scene, "contact-strang", step=0.1, save_at=[0.5, 1.0])
     monkeypatch.setattr(many, "REST", rest)
     monkeypatch.setattr(many, "threads_for", lambda sites: 2)
-    monkeypatch.setattr(run.loop, "call", lambda *given: used.append(given[4]) or late)
+    monkeypatch.setattr(run.loop.loop, "call", lambda *given: used.append(given[4]) or late)
     late = True
     run.bare(run.start)  # not even measured
-    assert (used[-2:], run.loop.shares) == ([1, 1], {})
+    assert (used[-2:], run.loop.loop.shares) == ([1, 1], {})
     assert rest.until > 0
     rest.until, late = 0.0, False
     for faster, count in ((True, 2), (False, 1)):
-        run.loop.shares[scene.sites, 2] = faster
+        run.loop.loop.shares[scene.sites, 2] = faster
         run.bare(run.start)
         assert used[-2:] == [count] * 2
-    run.loop.shares[scene.sites, 2], late = True, True
+    run.loop.loop.shares[scene.sites, 2], late = True, True
     run.bare(run.start)
     run.bare(run.start)
     assert used[-4:] == [2, 1, 1, 1]

@@ -169,7 +169,7 @@ def test_one_program_serves_all_compositions_parameters_and_steps():
 @pytest.mark.quick(scene="rigid_body")
 @pytest.mark.quick(scene="particle", method=("contact-rkn6", "herglotz2"))
 def test_what_is_computed_ahead_has_the_same_bits_in_python_and_compiled(method, scene):
-    loop = cb.prepare(scene, method.name, engine="numba", step=0.1).loop
+    loop = cb.prepare(scene, method.name, engine="numba", step=0.1).loop.loop
     spans = np.array([[h, n] for n in (1, 2, 7) for h in (1e-9, 0.03, 2.0 / 3, 4.1, 40.0)])
     numbers = np.array(scene.numbers())
     vars(loop).pop("setup", None)
@@ -193,7 +193,7 @@ def test_what_python_cannot_compute_ahead_is_compiled():
 def test_very_many_different_steps_are_taken_in_parts(monkeypatch):
     options = {"step": 0.03, "save_at": np.cumsum(np.random.default_rng(1).uniform(0.01, 0.1, 100))}
     whole = cb.solve(PARTICLE, "contact-bm6", **options).y
-    monkeypatch.setattr("contactbench.methods.fixed_step_run.AHEAD", 2000)
+    monkeypatch.setattr("contactbench.methods.loops.AHEAD", 2000)
     np.testing.assert_array_equal(cb.solve(PARTICLE, "contact-bm6", **options).y, whole)
 
 

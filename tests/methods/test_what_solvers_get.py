@@ -13,10 +13,10 @@ import scipy.integrate
 import sksundae.cvode
 from CyRK import pysolve_ivp
 
-import bench_ensemble
 import contactbench as cb
 from cases import c_functions
 from contactbench.solution import Status
+from contactbench.study import ensemble
 from contactbench.xla import jnp
 
 #: asked for; numbers that nothing has by default, and tolerances that both act
@@ -191,7 +191,7 @@ def test_diffrax(name, engine, times, monkeypatch):
 
 
 @pytest.mark.parametrize("shape", ["vmap", "shared"])
-@pytest.mark.parametrize("name", bench_ensemble.SOLVERS)
+@pytest.mark.parametrize("name", ensemble.SOLVERS)
 def test_diffrax_in_ensembles(name, shape, monkeypatch):
     """The same where the benchmark calls diffrax itself."""
     scene, seen = cb.SCENES["particle"], set()
@@ -205,8 +205,8 @@ def test_diffrax_in_ensembles(name, shape, monkeypatch):
         return SimpleNamespace(stats={"num_steps": jnp.array(1)}, ys=ys)
 
     monkeypatch.setattr(diffrax, "diffeqsolve", returns_what_it_gets)
-    monkeypatch.setattr(bench_ensemble, "diffrax_program", bench_ensemble.diffrax_program.__wrapped__)
-    run, _ = bench_ensemble.prepared(scene, name, "jax", shape, RTOL, np.ones((4, 3)))
+    monkeypatch.setattr(ensemble, "diffrax_program", ensemble.diffrax_program.__wrapped__)
+    run, _ = ensemble.prepared(scene, name, "jax", shape, RTOL, np.ones((4, 3)))
     np.testing.assert_array_equal(run().T, [[RTOL, RTOL, scene.t_end, 0.0]] * 3)
     assert seen == {(KINDS[name, "jax"], diffrax.PIDController, None)}
 

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from cases import bench, finished
+from cases import bench, finished, own_processes
 from contactbench.results.cells import FOLDER, Cells
 from contactbench.results.provenance import runs
 from contactbench.results.schema import TABLES
@@ -152,17 +152,20 @@ def wait_for(condition, seconds=120):
         time.sleep(0.02)
 
 
+@pytest.mark.parametrize("bench", [bench, own_processes], ids=["pytest", "contactbench bench"])
 @pytest.mark.parametrize("moment", [0, 1, 4, CELLS - 1], ids="killed after {} cells".format)
-@pytest.mark.quick(moment=1)
-def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
+@pytest.mark.quick(moment=1, bench=bench)
+def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment, bench):
     process = bench(tmp_path, SMALL)
     wait_for(lambda: list(tmp_path.glob(f"{FOLDER}/*.json")))
     wait_for(lambda: process.poll() is not None or len(finished_cells(tmp_path)) >= moment)
     process.kill()
     process.communicate()
     kept = finished_cells(tmp_path)
-    output = finished(bench(tmp_path, SMALL, "--resume"))
-    assert f"{CELLS - len(kept)} passed" in output
+    finished(bench(tmp_path, SMALL, "--resume"))
+    again = [entry["cell"] for entry in finished_cells(tmp_path) if entry not in kept]
+    assert len(again) == CELLS - len(kept)
+    assert not [entry for entry in kept if entry["cell"] in again]
     for name, one in [pair for entry in kept for pair in entry["rows"]]:
         frame = read(TABLES[name], tmp_path)
         key = [column for column in TABLES[name].key if column in one]

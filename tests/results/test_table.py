@@ -10,12 +10,12 @@ import pytest
 
 import contactbench as cb
 from cases import REPOSITORY
-from cells import controlled
 from contactbench.measure.law import STRUCTURE
 from contactbench.results import provenance, tables
 from contactbench.results.schema import TABLES, Rule
 from contactbench.results.store import OldTable, keys, merge, read, replacing
 from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
+from contactbench.study.choice import controlled
 from made_up import ROWS, folder
 
 
@@ -159,7 +159,7 @@ def test_a_column_more_or_less_is_no_other_version(tmp_path, caplog):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"colour": "red"}, r"no columns \['colour'\]"),
+        ({"colour": "red"}, "no column 'colour'"),
         ({"steps": 2.5}, "column 'steps'"),
         ({"in_fit": "perhaps"}, "column 'in_fit'"),
     ],

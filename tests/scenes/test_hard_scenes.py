@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-import bench_stability
 import contactbench as cb
-from bench_stability import TOLERANCES, rows_of, settings
 from cases import saved
 from contactbench.measure.laws import laws_of
 from contactbench.scenes import scenes_of
+from contactbench.study import stability
+from contactbench.study.stability import TOLERANCES, rows_of, settings
 from contactbench.truth import blow_up_time, condition_number
 
 HARD = scenes_of("stability")
@@ -81,10 +81,10 @@ def test_the_clock_decides_nothing(monkeypatch):
     """A clock that says every call took minutes changes the time in the row and nothing else."""
     method = cb.METHODS["heyoka-taylor"]  # its derivative is taken here, at the cost of many runs
     asked = ("critical", method.name, method.engines[0], "rtol", 1e-6, 10_000)
-    row = bench_stability.stability_row(*asked)
+    row = stability.stability_row(*asked)
     ticks = iter(range(0, 10**6, 300))
-    monkeypatch.setattr(bench_stability, "perf_counter", lambda: float(next(ticks)))
-    slow = bench_stability.stability_row(*asked)
+    monkeypatch.setattr(stability, "perf_counter", lambda: float(next(ticks)))
+    slow = stability.stability_row(*asked)
     assert slow.pop("time_s") == 300.0
     assert row.pop("time_s") < 300.0
     assert slow == row

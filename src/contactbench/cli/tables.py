@@ -55,18 +55,20 @@ def report(arguments: argparse.Namespace) -> int:
 
 
 def bench(arguments: argparse.Namespace) -> int:
-    from contactbench.gate import benchmark
+    import contactbench as cb
     from contactbench.plugins import brought
+    from contactbench.report import write
+    from contactbench.study import runner
+    from contactbench.study.experiment import PROFILES
 
-    options = ["--profile", arguments.profile]
-    if brought():
-        options.append("--own")
-    if arguments.k:
-        options += ["-k", arguments.k]
-    root, results = benchmark.folder(), arguments.results
-    timed = (*benchmark.TIMED, "--report")
-    parts = (benchmark.UNTIMED,) if arguments.untimed else (benchmark.UNTIMED, timed)
-    return max(benchmark.start(root, results, [*options, *part]) for part in parts)
+    own = bool(brought()) and not arguments.all
+    selection = " ".join(["--own"] * own + [arguments.k] * bool(arguments.k))
+    profile, results = PROFILES[arguments.profile], arguments.results.resolve()
+    run = runner.Run(results, profile, selection, not arguments.untimed, own)
+    failed = runner.work(run, arguments.k or "", arguments.resume)
+    if not arguments.untimed:
+        write.report(results, {"methods": cb.METHODS, "scenes": cb.SCENES})
+    return 1 if failed else 0
 
 
 def gate(arguments: argparse.Namespace) -> int:
@@ -128,6 +130,8 @@ def add(command: Command) -> None:
     one.add_argument("--profile", choices=("smoke", "standard", "full"), default="standard", help="how much")
     one.add_argument("-k", metavar="EXPRESSION", help="only cells whose names match, as in pytest")
     one.add_argument("--untimed", action="store_true", help="errors, counts and laws alone: no times")
+    one.add_argument("--resume", action="store_true", help="keep the rows of a run that was killed")
+    one.add_argument("--all", action="store_true", help="the package's own methods and scenes too")
 
     one = command("gate", gate)
     one.add_argument("--only", choices=("accuracy", "speed"), help="one part; both by default")

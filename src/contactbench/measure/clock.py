@@ -48,8 +48,12 @@ class Part:
 
 
 class Call:
-    def __init__(self, run: Callable[[], Any], part: Part | None = None) -> None:
-        self.part = part
+    """A call, and the same over a part of its length, timed in turns; round_seconds : of a round at least."""
+
+    def __init__(
+        self, run: Callable[[], Any], part: Part | None = None, round_seconds: float = ROUND_SECONDS
+    ) -> None:
+        self.part, self.round_seconds = part, round_seconds
         self.runs = [run] if part is None else [run, part.run]
         self.once: list[float] = []
 
@@ -58,17 +62,24 @@ class Call:
         if not self.once:
             for run in self.runs:
                 once = seconds(run, 1)
-                self.once.append(once if once > LONG else min(once, seconds(run, calls_a_round(once))))
-        return sum(max(ROUND_SECONDS, once) for once in self.once)
+                self.once.append(once if once > LONG else min(once, seconds(run, self.calls_a_round(once))))
+        return sum(max(self.round_seconds, once) for once in self.once)
+
+    def calls_a_round(self, once: float) -> int:
+        return math.ceil(self.round_seconds / once)
+
+    def rounds(self, most: int = ROUNDS) -> int:
+        return 1 if self.once[0] > LONG else most
 
     def visit(self, rounds: int = ROUNDS) -> Visit:
-        calls = [calls_a_round(once) for once in self.once]
+        self.warm_up()
+        calls = [self.calls_a_round(once) for once in self.once]
         collects = gc.isenabled()
         gc.disable()
         try:
             turns = [
                 [seconds(*each) for each in zip(self.runs, calls, strict=True)]
-                for _ in range(1 if self.once[0] > LONG else rounds)
+                for _ in range(self.rounds(rounds))
             ]
         finally:
             if collects:
@@ -76,10 +87,6 @@ class Call:
         self.once = [min(times) for times in zip(self.once, *turns, strict=True)]
         whole, *part = zip(*turns, strict=True)
         return Visit(whole, part[0] if part else (), calls[0])
-
-
-def calls_a_round(once: float) -> int:
-    return math.ceil(ROUND_SECONDS / once)
 
 
 def seconds(run: Callable[[], Any], iterations: int) -> float:

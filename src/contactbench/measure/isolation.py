@@ -6,6 +6,7 @@ started, when a call exceeds its time or takes the process down.
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 import os
 import signal
@@ -16,6 +17,10 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from multiprocessing.process import BaseProcess
 from typing import Any
+
+from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+
+from contactbench.trace.compiled import folder
 
 #: seconds a process may take to come up and import what it needs
 STARTUP = 120.0
@@ -46,8 +51,10 @@ class Worker(AbstractContextManager):
         return self.running[0].submit(function, *arguments)
 
     def call(self, limit: float, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a function returns, and raise what it raises; `TimedOut` after so many seconds, and `Died`."""
-        call = self.submit(function, *arguments)
+        return self.result(self.submit(function, *arguments), limit)
+
+    def result(self, call: Future, limit: float | None = None) -> Any:
+        """Return what a call returns, and raise what it raises; `TimedOut` after so many seconds, and `Died`."""
         try:
             return call.result(limit)
         except BrokenProcessPool:
@@ -69,16 +76,55 @@ class Worker(AbstractContextManager):
         code = process.exitcode or 0
         return f"signal {-code}" if code < 0 else f"exit status {code}"
 
-    def __exit__(self, *_: Any) -> None:
+    def __exit__(self, kind: object, *_: Any) -> None:
+        """Let it do what it was asked for and end by itself, with what it has started; after an error kill it."""
+        if kind is None and self.running is not None:
+            self.running[0].shutdown()
+            self.running = None
         self.close()
+
+
+def settle() -> None:
+    """Set one thread for every engine and where JAX keeps its programs, beside numba's, unless that is chosen already.
+
+    Both are read when the libraries are first imported, here and in processes started from here.  JAX itself does not
+    tell processors apart, as numba does: the folder's name does.
+    """
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    processor = f"{get_host_cpu_name()} {get_host_cpu_features().flatten()}"
+    programs = folder().with_name("xla") / hashlib.sha256(processor.encode()).hexdigest()[:16]
+    jax = {"JAX_COMPILATION_CACHE_DIR": str(programs), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    jax |= {"JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
+    os.environ.update(dict.fromkeys(names, "1") | jax | os.environ)
+
+
+def bind(cores: Iterable[int]) -> None:
+    """Stay on some cores, where there are any.
+
+    XLA sizes its thread pool by the cores it may use, and handing parts of a small program to another thread costs
+    more than running them (up to 70 µs a call, measured).
+    """
+    if cores := set(cores):
+        os.sched_setaffinity(0, cores)
+
+
+def usable_cores() -> list[int]:
+    """The cores the machine lets us use, though this process may be bound to fewer; none where that is not known."""
+    if not hasattr(os, "sched_getaffinity"):
+        return []
+    bound = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    try:
+        return sorted(os.sched_getaffinity(0))
+    finally:
+        os.sched_setaffinity(0, bound)
 
 
 def begin(cores: list[int]) -> None:
     """Prepare the process: it leaves Ctrl-C to the one that asks, and ends with it, however that ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=follow_parent, daemon=True).start()
-    if cores:
-        os.sched_setaffinity(0, cores)
+    bind(cores)
 
 
 def follow_parent() -> None:

@@ -12,6 +12,7 @@ tolerance and every set of numbers is a program of its own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from threading import Lock
 from typing import Any
@@ -28,12 +29,13 @@ from contactbench.solution import Counts, Status
 
 
 def taylor_system(
-    scene: Scene, carry: tuple[str, ...], heyoka: Any, units: list[float]
+    scene: Scene, carry: tuple[str, ...], heyoka: Any, units: Sequence[float] | None = None
 ) -> list[tuple[Any, Any]]:
     """Return the equations, each component in a unit of its own: heyoka knows one scale for all, one or the largest."""
     names = scene.without_clock(scene.labels(carry))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
     variables = variables if isinstance(variables, list) else [variables]
+    units = [1.0] * len(names) if units is None else units
     series: list[Any] = [Series(v) for v in variables]
     given = [y if unit == 1 else y * unit for y, unit in zip(series, units, strict=True)]
     slopes = map(bare, scene.slopes(Series(heyoka.time), given, carry))

@@ -194,7 +194,7 @@ class Question:
     truth: Reference
     errors: tuple[float, ...]
     longest: float
-    deadline: float  #: a turn of a method that goes on then is given up
+    deadline: float = math.inf  #: a turn of a method that goes on then is given up
 
     def error(self, solutions: Sequence[Solution]) -> float:
         scene, carry = self.scene, carry_of(self.scene)

@@ -25,8 +25,8 @@ from contactbench.results.tables import LAWS_TABLE
 SOURCE = "laws.csv"
 DAGGER, DOUBLE_DAGGER = "†", "‡"
 LEGEND = (
-    f"Bold: at round-off. ≤ and ±: by differences of the solver, with their error bar. {DAGGER}: the quantity has all "
-    f"but vanished. {DOUBLE_DAGGER}: too ill-conditioned to tell. [How to read it](../docs/reading.md#laws)."
+    f"Bold: kept to round-off. ≤ and ±: by differences of the solver, with their error bar. {DAGGER}: the quantity has "
+    f"all but vanished. {DOUBLE_DAGGER}: too ill-conditioned to tell. [How to read it](../docs/reading.md#laws)."
 )
 
 

@@ -15,7 +15,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,11 @@ from typing import Any
 import numpy as np
 from filelock import FileLock
 
+from contactbench.errors import BadInput
 from contactbench.files import replacing
 from contactbench.results.provenance import save_run
 from contactbench.results.schema import PROFILES, TABLES, Table
-from contactbench.results.store import keys, merge, read
+from contactbench.results.store import check, keys, merge, note, read
 
 FOLDER = ".cells"
 #: of a file that is not merged yet, of one that is, and of the time at which a selection was last begun
@@ -46,6 +47,20 @@ class Entry:
     rows: Rows
 
 
+class DiskFull(BadInput):
+    """The disk takes no more; what was finished before is there."""
+
+
+@contextlib.contextmanager
+def disk() -> Iterator[None]:
+    """Say in one line where a disk takes no more."""
+    try:
+        yield
+    except OSError as error:
+        where = f"{error.strerror} ({error.filename})" if error.filename else error.strerror
+        raise DiskFull(f"{where}: finished cells are kept; make room, then --resume") from None
+
+
 class Cells:
     """The cells of one run, which one or several processes finish, and those of the runs before it.
 
@@ -58,6 +73,7 @@ class Cells:
         self.mark = self.folder / f"{_digest(selection)}{BEGUN}"
 
     # -- one cell ----------------------------------------------------------------------------------
+    @disk()
     def save(
         self, rows: Iterable[tuple[Table, Mapping[str, Any]]], cell: Cell, finished: bool = True
     ) -> None:
@@ -81,6 +97,7 @@ class Cells:
             json.dump(record, file)
         self.merge()
 
+    @disk()
     def begin_anew(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         self.mark.touch()
@@ -89,12 +106,13 @@ class Cells:
         files = (path for path in self.folder.glob(f"*{DONE}") if path.stat().st_mtime >= self._begun())
         return {entry.cell: entry.rows for entry in map(_read, files) if entry and entry.cell}
 
+    @disk()
     def merge(self, expected: Iterable[Cell] = ()) -> None:
         """Put all new cells into the tables, whichever run finished them; expected : all cells of a whole run."""
         (self.results / FOLDER).mkdir(parents=True, exist_ok=True)
         with FileLock(self.results / FOLDER / "lock"):
             paths = sorted((self.results / FOLDER).glob(f"*/*{NEW}"), key=lambda path: path.stat().st_mtime)
-            entries = [entry for entry in map(_read, paths) if entry]
+            entries = [entry for entry in map(_read, paths) if entry and _fits(entry)]
             rows = _by_table(entry.rows for entry in entries)
             whole = self._whole(set(expected), entries)
             profiles = PROFILES[: PROFILES.index(self.profile) + 1]
@@ -132,6 +150,17 @@ def _by_table(cells: Iterable[Rows]) -> dict[str, list[dict[str, Any]]]:
     for name, row in (each for rows in cells for each in rows):
         found.setdefault(name, []).append(row)
     return found
+
+
+def _fits(entry: Entry) -> bool:
+    """Whether the tables can take the rows; what another version, or a plug-in that is not here, made stays aside."""
+    try:
+        for name, row in entry.rows:
+            check(TABLES[name], row)
+    except BadInput as error:
+        note(f"{entry.path}: {error}; left out")
+        return False
+    return True
 
 
 def _digest(*names: str) -> str:

@@ -11,6 +11,7 @@ import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -98,10 +99,6 @@ def set_types(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     for name, values in frame.items():
         column = table.every_column[str(name)]
         typed = parse(values, column)
-        wrong = lost(values, typed) & ~values.isin([math.inf, -math.inf])
-        if wrong.any():
-            value = repr(values[wrong].iloc[0])
-            raise BadInput(f"table {table.name!r}, column {name!r}: {value} is no {WORDS[column.type]}")
         found[name] = typed.fillna(False).astype(bool) if column.type == "flag" else typed
     return pd.DataFrame(found)
 
@@ -122,6 +119,23 @@ def parse(values: pd.Series, column: Column) -> pd.Series:
 def lost(values: pd.Series, typed: pd.Series) -> pd.Series:
     missing = typed.isna()
     return missing & values.notna() & (values.astype(object) != "") if missing.any() else missing
+
+
+def check(table: Table, row: Mapping[str, Any]) -> None:
+    """Raise `BadInput` for a row with a column or a value that the table cannot take."""
+    for name, value in row.items():
+        if name not in table.every_column:
+            raise BadInput(
+                f"table {table.name!r} has no column {name!r}; columns: {', '.join(table.columns)}"
+            )
+        kind = table.every_column[name].type
+        if value is None or kind == "text":
+            continue
+        number, flag = isinstance(value, Real), isinstance(value, bool | np.bool_)
+        if kind == "whole" and number and math.isfinite(value):
+            number = value == round(value) and abs(value) <= 2**53
+        if not (flag if kind in ("flag", "answer") else number):
+            raise BadInput(f"table {table.name!r}, column {name!r}: {value!r} is no {WORDS[kind]}")
 
 
 # -- writing ---------------------------------------------------------------------------------------
@@ -155,10 +169,10 @@ def merge(
 
 
 def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    frame = pd.DataFrame(list(rows))
-    unknown = set(frame.columns) - set(table.every_column)
-    if unknown:
-        raise BadInput(f"table {table.name!r} has no columns {sorted(unknown)}")
+    rows = list(rows)
+    for row in rows:
+        check(table, row)
+    frame = pd.DataFrame(rows)
     frame["schema"] = table.version
     frame = set_types(frame.reindex(columns=[*table.every_column]), table)
     return round_digits(frame, table).drop_duplicates(list(table.key), keep="last")

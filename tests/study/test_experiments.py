@@ -1,22 +1,14 @@
 """The benchmark: its profiles, timed cells, rows of averages over long runs, and a disk that is full."""
 
 import math
+import re
 from collections import Counter
-from importlib import import_module
 
 import numpy as np
 import pytest
 
-import bench_long_time as long_time
 import contactbench as cb
-from bench_claims import LONG
-from bench_decay import COSTS, SAVES, evaluations, value_at
-from bench_ensemble import prepared_row, truth
-from bench_work_precision import error, errors, evaluations_spread, ladder, passes_through
-from cases import REPOSITORY, bench, few_slow, finished
-from cells import DEAR, SMOKE, step_at, tolerance_at
-from clock import SAMPLE, Entry, Timetable
-from conftest import PROFILES
+from cases import REPOSITORY, bench, few_slow, finished, own_processes
 from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES
 from contactbench.measure.clock import Part, Visit
@@ -25,6 +17,15 @@ from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.store import read
 from contactbench.results.tables import DEFINITIONS, DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
 from contactbench.scenes import scenes_of
+from contactbench.study import long_time
+from contactbench.study.choice import DEAR, SMOKE
+from contactbench.study.claims import LONG
+from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
+from contactbench.study.ensemble import prepared_row, truth
+from contactbench.study.experiment import PROFILES, experiments
+from contactbench.study.search import step_at, tolerance_at
+from contactbench.study.timetable import SAMPLE, Entry, Timetable
+from contactbench.study.work_precision import error, errors, evaluations_spread, ladder, passes_through
 
 
 class Scripted:
@@ -32,6 +33,7 @@ class Scripted:
 
     def __init__(self, name, order, *times):
         self.name, self.order, self.times = name, order, iter(times)
+        self.part = Part(lambda: None, share=0.25, span=1.0)
 
     def warm_up(self):
         return 1.0
@@ -55,9 +57,8 @@ def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_l
 
     def entry(name):
         again = Scripted(f"{name} again", order, *[3.0] * 8) if name == "a" else None
-        part = Part(lambda: None, share=0.25, span=1.0)
         record = lambda columns: recorded.update({name: (columns, len(order))})  # noqa: E731
-        return Entry(Scripted(name, order, *[4.0, 2.0] * 4), part, again, record)
+        return Entry(Scripted(name, order, *[4.0, 2.0] * 4), again, record)
 
     table.entries += map(entry, cells)
     table.go()
@@ -82,8 +83,7 @@ def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
 
 def test_another_process_prepares_and_times_what_it_is_told():
     cell = ("arithmetic", "particle", "limit-c", "c", "contact-strang plain", "step", 0.1, 64, 1)
-    table = Timetable({}, 8)
-    try:
+    with Timetable({}, 8) as table:
         call = table.remote([], [], prepared_row, cell, truth("particle").tolist())
         row = call.prepared.result()[1]
         assert row["status"] == "ok"
@@ -92,54 +92,50 @@ def test_another_process_prepares_and_times_what_it_is_told():
         visit = call.visit(2)
         assert len(visit.whole) == 2
         assert min(visit.whole) * visit.iterations > 1e-5
-    finally:
-        table.end()
 
 
 # -- The profiles of the benchmark, and which cells they visit -------------------------------------
-def visited(experiment, test, profile="smoke"):
-    return getattr(import_module(experiment), test).cells(PROFILES[profile])
+def visited(name, profile="smoke"):
+    return experiments()[name].cells(PROFILES[profile])
 
 
 def test_the_smoke_profile_visits_every_scene_method_figure_and_soon_measured_claim():
     everything = {("scene", name) for name in cb.SCENES} | {("method", name) for name in cb.METHODS}
-    assert set(visited("bench_definitions", "test_definition")) == everything
-    timed = {cell[:2] for cell in visited("bench_work_precision", "test_work_precision_errors")}
+    assert set(visited("definition")) == everything
+    timed = {cell[:2] for cell in visited("work_precision_errors")}
     assert {name for scene, name in timed if scene == "particle"} == set(cb.METHODS)
     soon = {name for name, method in cb.METHODS.items() if method.engines[0] not in DEAR}
-    assert {cell[1] for cell in visited("bench_laws", "test_laws")} == soon
-    hard = {cell[0] for cell in visited("bench_stability", "test_stability")}
+    assert {cell[1] for cell in visited("laws")} == soon
+    hard = {cell[0] for cell in visited("stability")}
     assert hard == {scene.name for scene in scenes_of("stability")}
     assert set(LONG) < set(CLAIMS)
-    assert {cell[0] for cell in visited("bench_claims", "test_claim")} == set(CLAIMS) - set(LONG)
-    assert {cell[0] for cell in visited("bench_claims", "test_paper_figure")} == set(FIGURES)
+    assert {cell[0] for cell in visited("claim")} == set(CLAIMS) - set(LONG)
+    assert {cell[0] for cell in visited("paper_figure")} == set(FIGURES)
 
 
-EXPERIMENTS = {
-    "laws": ("bench_laws", "test_laws"),
-    "convergence": ("bench_convergence", "test_convergence"),
-    "decay_laws": ("bench_decay", "test_decay_laws"),
-    "work_precision": ("bench_work_precision", "test_work_precision_errors"),
-}
-
-
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("experiment", ["laws", "convergence", "decay_laws", "work_precision"])
 def test_a_scene_that_names_its_experiments_is_run_by_these_and_no_others(experiment):
     few = {name: scene.experiments for name, scene in cb.SCENES.items() if scene.experiments}
-    cells = visited(*EXPERIMENTS[experiment], "standard")
+    cells = visited(experiment, "standard")
     assert {cell[0] for cell in cells} & few.keys() == {name for name in few if experiment in few[name]}
 
 
-@pytest.mark.parametrize("experiment", [path.stem for path in sorted(REPOSITORY.glob("bench/bench_*.py"))])
+def test_pytest_has_a_test_of_every_experiment_in_the_file_of_its_question():
+    found = {
+        path.stem.removeprefix("bench_"): re.findall(r"def test_(\w+)", path.read_text())
+        for path in REPOSITORY.glob("bench/bench_*.py")
+    }
+    every = [(each.question, each.name) for each in experiments().values()]
+    assert sorted(every) == sorted((question, name) for question, names in found.items() for name in names)
+
+
+@pytest.mark.parametrize("experiment", experiments().values(), ids=list(experiments()))
 def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
     """What `profile` in a row promises: a larger run has the rows of a smaller one."""
     assert tuple(PROFILES) == NAMES
-    tests = [test for test in vars(import_module(experiment)).values() if hasattr(test, "cells")]
-    assert tests
-    for test in tests:
-        smoke, standard, full = (set(test.cells(profile)) for profile in PROFILES.values())
-        assert standard
-        assert smoke <= standard <= full
+    smoke, standard, full = (set(experiment.cells(profile)) for profile in PROFILES.values())
+    assert standard
+    assert smoke <= standard <= full
 
 
 # -- Rows of averages over long runs ---------------------------------------------------------------
@@ -182,7 +178,7 @@ def test_fixed_steps_are_chosen_for_equal_cost(name):
 
 
 # -- A disk that is full while a benchmark runs ----------------------------------------------------
-#: from its second cell on, or when the tables are written, there is no room
+#: after one file of the run and one of a cell, or when the tables are written, there is no room
 FULL = """
 import errno
 from contactbench.methods import METHODS
@@ -192,19 +188,20 @@ METHODS["rk4"] = METHODS["rk4"].__class__(**vars(METHODS["rk4"]))  # a plug-in r
 
 def full(once):
     calls = []
-    def write(*arguments):
+    def write(*arguments, **more):
         calls.append(1)
         if len(calls) > {after}:
             raise OSError(errno.ENOSPC, "No space left on device", "a-file")
-        return once(*arguments)
+        return once(*arguments, **more)
     return write
 
 cells.{name} = full(cells.{name})
 """
 
 
-@pytest.mark.parametrize(("name", "after"), few_slow([("Cells.save", 1), ("merge", 0)], ("merge", 0)))
-def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, tmp_path):
+@pytest.mark.parametrize("bench", few_slow([bench, own_processes], own_processes))
+@pytest.mark.parametrize(("name", "after"), few_slow([("replacing", 2), ("merge", 0)], ("merge", 0)))
+def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, bench, tmp_path):
     fault, results = tmp_path / "full.py", tmp_path / "results"
     fault.write_text(FULL.format(name=name, after=after))
     process = bench(results, "definition and contact", "--plugin", str(fault))

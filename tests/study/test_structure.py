@@ -3,33 +3,35 @@
 import numpy as np
 import pytest
 
-import bench_structure as bench
 import contactbench as cb
 from contactbench.results.tables import STRUCTURE_BUYS
+from contactbench.study import structure
 
-SHORT = ("chaotic_ring", 1e-3, 200.0, bench.N)
+SHORT = ("chaotic_ring", 1e-3, 200.0, structure.N)
 
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
-    monkeypatch.setattr(bench, "STARTS", 2)
+    monkeypatch.setattr(structure, "STARTS", 2)
 
 
 def row(method, value, case=SHORT):
-    made = bench.errors((case[0], method, cb.METHODS[method].engines[0], *case[1:], value))
+    made = structure.errors((case[0], method, cb.METHODS[method].engines[0], *case[1:], value))
     assert set(made) <= {*STRUCTURE_BUYS.columns}
     return made
 
 
 def test_the_energy_left_is_that_of_the_scene_without_its_centre_of_mass():
-    scene = bench.shaped("rk4", *SHORT)
-    q, p = bench.starts(bench.N)[0]
-    assert bench.energy_left(q, p) == pytest.approx(scene.energy(scene.initial(())) - bench.N * 0.3**2 / 2)
+    scene = structure.shaped("rk4", *SHORT)
+    q, p = structure.starts(structure.N)[0]
+    assert structure.energy_left(q, p) == pytest.approx(
+        scene.energy(scene.initial(())) - structure.N * 0.3**2 / 2
+    )
 
 
 def test_either_shape_has_the_same_motion():
-    lattice = bench.runs("rk4", SHORT, 1, step=0.05)[0][0]
-    flat = cb.solve(bench.shaped("contact-strang", *SHORT), "rk4", step=0.05, save_at=lattice.t, carry=())
+    lattice = structure.runs("rk4", SHORT, 1, step=0.05)[0][0]
+    flat = cb.solve(structure.shaped("contact-strang", *SHORT), "rk4", step=0.05, save_at=lattice.t, carry=())
     assert (lattice.scene.kind, flat.scene.kind) == ("many", "mechanical")
     np.testing.assert_allclose(lattice.y[0], flat.y[0], rtol=0, atol=1e-10)
 
@@ -46,8 +48,8 @@ def test_errors_fall_with_the_step_and_so_does_that_of_the_damping_rate():
 
 
 def test_weaker_damping_costs_a_method_without_structure_its_rate_and_no_contact_method():
-    weak = (SHORT[0], 1e-4, 2000.0, bench.N)
-    weaker = (SHORT[0], 1e-5, 2000.0, bench.N)
+    weak = (SHORT[0], 1e-4, 2000.0, structure.N)
+    weaker = (SHORT[0], 1e-5, 2000.0, structure.N)
     rk4 = [row("rk4", 0.1, case)["rate_error"] for case in (weak, weaker)]
     assert rk4[1] > 5 * rk4[0] > 0.1
     assert row("contact-rkn4", 0.4, weaker)["rate_error"] < 0.02 * rk4[1]

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import os
 import random
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 from typing import Any
 
 from tqdm import tqdm
@@ -18,14 +19,13 @@ from contactbench.measure.clock import (
     ROUNDS,
     SEED,
     Call,
-    Part,
     Race,
     Visit,
     length_columns,
     process_columns,
     time_columns,
 )
-from contactbench.measure.isolation import Worker
+from contactbench.measure.isolation import Worker, usable_cores
 
 #: cells of every engine that a second process times too
 SAMPLE = 20
@@ -49,13 +49,19 @@ def visit(number: int, rounds: int) -> Visit:
     return PREPARED[number].visit(rounds)
 
 
+def last_cores(count: int) -> list[int]:
+    """The cores of a call that takes several, none for one: it stays on that of this process."""
+    return usable_cores()[-count:] if count > 1 else []
+
+
 @dataclass(frozen=True)
 class Remote:
     """A call that another process prepares, without being waited for, and times."""
 
     worker: Worker
     prepared: Future
-    cores: list[int]
+    cores: Sequence[int]
+    part = None
 
     def warm_up(self) -> float:
         return self.worker.submit(warm_up, self.prepared.result()[0], self.cores).result()
@@ -64,34 +70,29 @@ class Remote:
         return self.worker.submit(visit, self.prepared.result()[0], rounds).result()
 
 
-@dataclass(frozen=True)
+@dataclass
 class Entry:
     """A cell to be timed: its call, the same call in a second process, and who takes its time columns.
 
-    part : of the run, with a length of its own.  benchmark : the fixture of pytest-benchmark, which has the rounds.
+    told : takes the least time of all visits.
     """
 
     call: Call | Remote
-    part: Part | None
     again: Remote | None
     record: Callable[[dict[str, Any]], None]
-    benchmark: Any = None
+    told: dict[str, Any] = field(default_factory=dict)
 
     def finish(self, visits: list[Visit], again: list[Visit]) -> None:
-        """Record the times; pytest-benchmark has no public way to be given rounds that it has not timed itself."""
-        if self.benchmark is not None:
-            stats = self.benchmark._make_stats(visits[-1].iterations)
-            for once in (once for visit in visits for once in visit.whole):
-                stats.update(once * stats.iterations)
-        columns = time_columns(visits)
-        if self.part is not None:
-            columns |= length_columns(visits, self.part)
+        columns, part = time_columns(visits), self.call.part
+        if part is not None:
+            columns |= length_columns(visits, part)
         if self.again is not None:
-            columns |= process_columns(visits, again, self.part)
+            columns |= process_columns(visits, again, part)
+        self.told["least_s"] = columns["time_min_s"]
         self.record(columns)
 
 
-class Timetable:
+class Timetable(AbstractContextManager):
     """The timed cells of an experiment, in the order in which they were prepared.
 
     cells : all there will be, and the engine of each; a sample of every engine's is timed in a second process too.
@@ -109,19 +110,19 @@ class Timetable:
         self.entries: list[Entry] = []
         self.workers: dict[tuple[int, ...], Worker] = {}
 
-    def remote(self, cores: list[int], timed_on: list[int], *call: Any) -> Remote:
+    def remote(self, cores: Sequence[int], timed_on: Sequence[int], *call: Any) -> Remote:
         """Let a process on some cores prepare a call that it will time on others."""
         worker = self.workers.setdefault(tuple(cores), Worker(cores))
         return Remote(worker, worker.submit(prepare, *call), timed_on)
 
     def second(self, *call: Any) -> Remote:
         """Let a second process prepare a call on another core than this one's, and time it on the same."""
-        if not hasattr(os, "sched_getaffinity"):
-            return self.remote([], [], *call)
-        mine = sorted(os.sched_getaffinity(0))
-        return self.remote([core for core in usable_cores() if core not in mine][:1] or mine, mine, *call)
+        cores = usable_cores()
+        mine = sorted(os.sched_getaffinity(0)) if cores else []
+        return self.remote([core for core in cores if core not in mine][:1] or mine, mine, *call)
 
     def go(self) -> None:
+        """Visit all of them in turns; each is recorded with its last visit."""
         pairs = [(entry, call) for entry in self.entries for call in (entry.call, entry.again) if call]
         for _, call in pairs:
             call.warm_up()
@@ -135,53 +136,6 @@ class Timetable:
                 if min(len(own), len(again)) == self.visits:
                     entry.finish(own, again)
 
-    def end(self) -> None:
+    def __exit__(self, *_: Any) -> None:
         for worker in self.workers.values():
             worker.close()
-
-
-def usable_cores() -> list[int]:
-    """The cores the machine lets us use; this process is bound to one of them."""
-    bound = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, range(os.cpu_count() or 1))
-    try:
-        return sorted(os.sched_getaffinity(0))
-    finally:
-        os.sched_setaffinity(0, bound)
-
-
-@dataclass(frozen=True)
-class Clock:
-    """The clock of one cell.
-
-    timetable : None in a run without times.  record : a row of a table, now; later : the same with the time columns.
-    """
-
-    timetable: Timetable | None
-    cell: Any
-    record: Callable[..., None]
-    later: Callable[..., Callable[[dict[str, Any]], None]]
-    benchmark: Any = None
-
-    def time(self, table: Any, row: dict[str, Any], function: Callable[..., Any], *arguments: Any) -> None:
-        """Time a cell, unless its row is that of a bad end.
-
-        The function gives what the row says beside `row`, and the call, None where it cannot be run.
-        """
-        more, call = function(*arguments) if row.get("status", "ok") == "ok" else ({}, None)
-        if call is None or self.timetable is None:
-            self.record(table, row | more)
-            return
-        call.warm_up()
-        sampled = self.cell in self.timetable.sample
-        again = self.timetable.second(function, *arguments) if sampled else None
-        record = self.later(table, row | more)
-        self.timetable.entries.append(Entry(call, call.part, again, record, self.benchmark))
-
-    def time_on(self, cores: list[int], table: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        if self.timetable is None:
-            self.record(table, function(*arguments)[0])
-            return
-        call = self.timetable.remote(cores, cores, function, *arguments)
-        record = self.later(table, call.prepared.result()[1])
-        self.timetable.entries.append(Entry(call, None, None, record, self.benchmark))

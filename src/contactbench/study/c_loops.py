@@ -1,4 +1,4 @@
-"""The C loops of c_loops.c, compiled when the benchmark runs, with the coefficients of our compositions."""
+"""The C loops of c_loops.c, compiled when they are first asked for, with the coefficients of our compositions."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,14 +29,14 @@ def library() -> ctypes.CDLL | str:
     source = Path(__file__).with_name("c_loops.c")
     with tempfile.TemporaryDirectory(prefix="contactbench-", ignore_cleanup_errors=True) as folder:
         target = Path(folder) / "c_loops.so"  # needed no longer than until it is loaded
-        command = [compiler, "-O3", "-march=native", "-shared", "-fPIC", "-o", target, source]
+        command = [compiler, "-O3", "-march=native", "-shared", "-fPIC", "-o", str(target), str(source)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120)
         if done.returncode != 0:
             return f"{compiler} failed: {done.stderr.strip()[:200]}"
         return ctypes.CDLL(str(target))
 
 
-def constants(method: str, scene, step: float) -> tuple[str, int, list[np.ndarray]]:
+def constants(method: str, scene: Any, step: float) -> tuple[str, int, list[np.ndarray]]:
     """The loop's name, the steps to the end of the scene, and kicks, φ/m, keep and lose of every stage."""
     name, composition = KERNELS[method]
     n = round(scene.t_end / step)
@@ -51,7 +52,7 @@ def pointer(array: np.ndarray) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-def ring_kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
+def ring_kernel(method: str, scene: Any, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
     """A function that runs a ring with the bonds of the β-chain and returns the final (q, p), and its evaluations."""
     loops = library()
     if isinstance(loops, str):
@@ -88,7 +89,7 @@ SHAPES = ("passes", "plain", "tiled")
 
 
 def ensemble_kernel(
-    method: str, shape: str, scene, step: float, start: np.ndarray
+    method: str, shape: str, scene: Any, step: float, start: np.ndarray
 ) -> tuple[Callable[[], np.ndarray], int, int] | str:
     """As `ring_kernel`, of the particle from start (4, m), an array per component; the steps before the evaluations."""
     loops = library()

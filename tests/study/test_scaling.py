@@ -5,18 +5,18 @@ import math
 import numpy as np
 import pytest
 
-import bench_scaling as bench
 import contactbench as cb
-from c_loops import ring_kernel
 from contactbench.measure.memory import peak_memory
 from contactbench.results.tables import SCALING
+from contactbench.study import scaling
+from contactbench.study.c_loops import ring_kernel
 
 pytestmark = pytest.mark.usefixtures("threads")  # a cell says how many it takes
 
 
 def row(n, method="contact-strang", engine="numba"):
-    made, call = bench.prepared(
-        ("fput", method, engine, n, 1), bench.value("fput", method, n), bench.truth("fput").y
+    made, call = scaling.prepared(
+        ("fput", method, engine, n, 1), scaling.value("fput", method, n), scaling.truth("fput").y
     )
     assert set(made) <= {*SCALING.columns}
     return made, call
@@ -32,7 +32,7 @@ def test_a_method_has_the_same_steps_and_the_same_error_at_every_size():
 
 @pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6"])
 def test_the_loop_in_c_computes_what_the_method_does(method):
-    scene = bench.sized("fput", 48)
+    scene = scaling.sized("fput", 48)
     made = ring_kernel(method, scene, 0.1)
     if isinstance(made, str):
         pytest.skip(made)

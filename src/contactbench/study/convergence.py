@@ -1,0 +1,63 @@
+"""How fast does the error fall with the step?  One cell: a fixed-step method on a scene.
+
+Up to order 4 in double precision over the whole scene; above it at 50 digits over its first part,
+because round-off would hide the slope.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import contactbench as cb
+from contactbench.measure.ladder import save_times, steps
+from contactbench.measure.order import error_at, fit_order
+from contactbench.methods.base import Method
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.results.tables import CONVERGENCE
+from contactbench.scene import Scene
+from contactbench.solution import keywords
+from contactbench.study.choice import key, outcome, pairs
+from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
+
+POINTS = 9
+#: below this, relative to the solution, an error is round-off
+FLOOR = 1e-12
+EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
+
+
+def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, float, float]]:
+    for h in steps(scene, POINTS):
+        solution = cb.solve(
+            scene, method.name, save_at=save_times(scene), carry=(), **keywords(method.control, h)
+        )
+        yield outcome(solution), h, cb.LAWS["solution_error"](solution)
+
+
+def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, float, float]]:
+    """The same on mpmath numbers: the error at t = 4, relative to the size of the initial state, if it is not 0."""
+    size = math.hypot(*scene.pack(scene.initial(scene.optional))) or 1.0
+    for n in EXTENDED_STEPS:
+        h = EXTENDED_TIME / n
+        row = key(scene.name, method.name, "mpmath", "step", h)
+        row |= {"status": "ok", "message": "", "steps": n, "jacobians": 0}
+        evaluations = None if method.iterates else method.counts(scene, n)
+        row |= {"evaluations": evaluations, "evaluation_kind": method.kind_on(scene)}
+        yield row, h, float(error_at(method, scene, EXTENDED_TIME, n)) / size
+
+
+@experiment(
+    lambda profile: pairs(profile, "convergence", [n for n, m in cb.METHODS.items() if m.control == "step"])
+)
+def convergence(cell: Cell, profile: Profile) -> Recorded:
+    scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
+    extended = method.order > 4 and method.refuses(scene) is None
+    measured = at_fifty_digits(scene, method) if extended else in_double_precision(scene, method)
+    rows, hs, errors = zip(*measured, strict=True)
+    fit = fit_order(hs, errors, EXTENDED_FLOOR if extended else FLOOR)
+    order = {"order": fit.order, "order_uncertainty": fit.uncertainty, "order_nominal": method.order}
+    for i, row in enumerate(rows):
+        point = {"step": hs[i], "solution_error": errors[i], "pairwise_order": fit.pairwise[i]}
+        point |= {"in_fit": bool(fit.used[i]), "last_slope": fit.last_slope}
+        yield CONVERGENCE, row | point | order
+    assert math.isnan(fit.order) or fit.order > 0

@@ -1,0 +1,89 @@
+"""What is kept at equal cost?  One cell: a method on a scene, its errors and decay laws at equal evaluations.
+
+Thirty evaluations per unit of time are about what the motions of these scenes take to be followed to three
+digits by the better methods; a hundred, where high orders show.  Fixed steps follow from the evaluations of
+a step, tolerances from a bisection.  The cost is that of a run to the end; the errors and laws are the
+largest at five times, which are step boundaries of every step taken.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+import contactbench as cb
+from contactbench.measure.laws import row as law_columns
+from contactbench.methods.base import Method
+from contactbench.results.tables import DECAY_LAWS
+from contactbench.scene import Scene
+from contactbench.scenes import scenes_of
+from contactbench.solution import EXACT, Solution, keywords
+from contactbench.study.choice import contestants, outcome, small, step_budget
+from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
+from contactbench.study.search import right_hand_sides, step_at, tolerance_at
+
+#: of the scenes of every experiment
+FEW = ("oscillator", "particle", "central", "rigid_body")
+#: evaluations per unit of time, on the scale of one right-hand side
+COSTS = (30.0, 100.0)
+SAVES = 5
+#: where the momentum is not kept but for its decay, it is compared with the truth's
+IN_PLACE_OF = {"momentum_law": "momentum_balance"}
+
+
+def ladder(profile: Profile) -> list[Cell]:
+    return [
+        (scene.name, method, cost)
+        for scene in scenes_of("decay_laws")
+        if scene.name in FEW or scene.experiments
+        for method in contestants("decay_laws", scene, cb.METHODS)
+        for cost in (COSTS[:1] if profile.brief else COSTS)
+        if not profile.brief or small(scene.name, method)
+    ]
+
+
+def save_times(scene: Scene) -> np.ndarray:
+    return scene.t_end * np.arange(1, SAVES + 1) / SAVES
+
+
+def to_the_end(scene: Scene, method: Method, value: float, budget: int | None) -> Solution:
+    """Return a run to the end, saved there alone; of diffrax, where that changes nothing, as the laws' program does."""
+    saves = save_times(scene) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
+    return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **keywords(method.control, value))
+
+
+def evaluations(scene: Scene, method: Method, value: float, budget: int | None = None) -> float:
+    return right_hand_sides(to_the_end(scene, method, value, budget))
+
+
+def value_at(scene: Scene, method: Method, target: float, budget: int | None = None) -> float:
+    if method.refuses(scene) is not None:
+        return method.rtol_range[1] if method.adaptive else scene.t_end / SAVES
+    if method.control == EXACT:
+        return 0.0
+    if method.adaptive:
+        return tolerance_at(lambda rtol: evaluations(scene, method, rtol, budget), target, method.rtol_range)
+    return step_at(method, scene, target, SAVES)
+
+
+def laws_row(scene: Scene, method: Method, value: float, budget: int | None) -> Row:
+    setting = keywords(method.control, value)
+    solution = cb.solve(scene, method.name, save_at=save_times(scene), max_steps=budget, **setting)
+    if not solution.ok:
+        return {"status": str(solution.status), "message": solution.message}
+    columns = law_columns(solution)
+    for law, instead in IN_PLACE_OF.items():
+        columns.setdefault(law, columns.get(instead))
+    return {name: value for name, value in columns.items() if name in DECAY_LAWS.columns}
+
+
+@experiment(ladder)
+def decay_laws(cell: Cell, profile: Profile) -> Recorded:
+    scene, method, cost = cb.SCENES[cell[0]], cb.METHODS[cell[1]], cell[2]
+    # that of the laws at all tolerances, many times what is asked for: their programs serve here too
+    budget = step_budget(profile, scene, method, method.engines[0])
+    value = value_at(scene, method, cost * scene.t_end, budget)
+    solution = to_the_end(scene, method, value, budget)
+    row = outcome(solution, solution.counts) | {"cost": cost, "control": method.control, "value": value}
+    if solution.ok:
+        row |= laws_row(scene, method, value, budget)
+    yield DECAY_LAWS, row

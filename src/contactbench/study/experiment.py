@@ -1,0 +1,125 @@
+"""What an experiment is: the cells that a profile runs, and the rows of a cell.
+
+A question is a module of this package.  It declares its experiments by decorating the function that gives their rows,
+and is found without being listed anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import Any
+
+from contactbench.measure.clock import MOST_VISITS, VISITS
+from contactbench.registry import Registry
+from contactbench.results.schema import PROFILES as NAMES
+from contactbench.results.schema import Table
+
+type Cell = tuple[Any, ...]
+type Row = dict[str, Any]
+type Recorded = Iterator[tuple[Table, Row]]
+
+
+@dataclass(frozen=True)
+class Profile:
+    """How much is run: settings of a method, visits to a cell, the budget of a solver that calls back into Python."""
+
+    name: str
+    points: int
+    visits: int
+    callback_evaluations: int
+
+    @property
+    def brief(self) -> bool:
+        return self.points == 1
+
+    def reaches(self, name: str) -> bool:
+        """Whether it runs what another profile does."""
+        return NAMES.index(name) <= NAMES.index(self.name)
+
+    def choose(self, ladder: list[float]) -> list[float]:
+        """`points` of a ladder, spread over it; a single one is among those of the standard profile."""
+        if self.points >= len(ladder):
+            return ladder
+        if self.brief:
+            spread = PROFILES["standard"].choose(ladder)
+            return [spread[len(spread) // 3]]
+        last = len(ladder) - 1
+        return [ladder[round(i * last / (self.points - 1))] for i in range(self.points)]
+
+
+PROFILES = {
+    "smoke": Profile("smoke", 1, VISITS, 40_000),  # the budget of standard: the same rows, the same ends
+    "standard": Profile("standard", 6, VISITS, 40_000),
+    "full": Profile("full", 99, MOST_VISITS, 1_000_000),
+}
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What is timed of a cell, and the table its row goes to.
+
+    prepare : gives, of the arguments, what the row says beside its times, and the call, None where it cannot be run;
+    another process may be asked for both.  cores : where the call runs, if not on the one of this process.
+    derived : columns that follow from the row with its times.
+    """
+
+    table: Table
+    prepare: Callable[..., tuple[Row, Any]]
+    arguments: tuple[Any, ...]
+    cores: Sequence[int] = ()
+    derived: Callable[[Row], Row] = lambda row: {}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Cells of one kind, and how each is measured.
+
+    question : its module; when all cells of a question are done, other rows of its tables go.  rows : of a cell in a
+    profile, each with its table; of a timed experiment a `Timing`.  errors : the experiment of the same cells that
+    makes their rows without times; a run without a clock leaves this one out.
+    """
+
+    question: str
+    name: str
+    cells: Callable[[Profile], list[Cell]]
+    rows: Callable[[Cell, Profile], Any]
+    timed: bool = False
+    errors: Experiment | None = None
+
+    def profile_of(self, cell: Cell) -> str:
+        """Return the smallest profile that has a cell."""
+        return next(name for name, profile in PROFILES.items() if cell in cells_of(self, profile))
+
+
+@cache  # asked for once a cell, of thousands, it would cost as much as what is measured
+def cells_of(experiment: Experiment, profile: Profile) -> frozenset[Cell]:
+    return frozenset(experiment.cells(profile))
+
+
+EXPERIMENTS = Registry("experiment", Experiment)
+
+
+def experiment(
+    cells: Callable[[Profile], list[Cell]], timed: bool = False, errors: Experiment | None = None
+) -> Callable[[Callable[[Cell, Profile], Any]], Experiment]:
+    """Make an experiment, of its name, of the function that gives the rows of a cell."""
+
+    def add(rows: Callable[[Cell, Profile], Any]) -> Experiment:
+        question = rows.__module__.rpartition(".")[2]
+        return EXPERIMENTS.add(Experiment(question, rows.__name__, cells, rows, timed, errors))
+
+    return add
+
+
+@cache
+def experiments() -> dict[str, Experiment]:
+    """Return all experiments by their names, question by question."""
+    for module in iter_modules([str(Path(__file__).parent)]):
+        import_module(f"{__package__}.{module.name}")
+    every = sorted(EXPERIMENTS.values(), key=lambda each: each.question)
+    return {each.name: each for each in every}

@@ -1,0 +1,262 @@
+"""Runs experiments: on all cores what is measured without a clock, then what is timed, alone on one of them.
+
+A cell that is finished is a file (`results.cells`): a run that is killed loses what it had not finished, and no row.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import traceback
+from collections import deque
+from collections.abc import Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from contactbench.errors import BadInput, one_line
+from contactbench.measure.isolation import Died, Worker, settle
+from contactbench.methods import METHODS
+from contactbench.methods.base import ENGINES
+from contactbench.plugins import brought
+from contactbench.results import cells as journal
+from contactbench.results import provenance
+from contactbench.results.schema import TABLES, Table
+from contactbench.results.store import OldTable, check, read
+from contactbench.study.experiment import Cell, Experiment, Profile, Row, Timing, experiments
+from contactbench.study.timetable import Entry, Timetable
+
+
+@dataclass(frozen=True)
+class Task:
+    """A cell of an experiment; name : of the cell among those of the experiment."""
+
+    experiment: Experiment
+    cell: Cell
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.experiment.name}[{self.name}]"
+
+    @property
+    def key(self) -> journal.Cell:
+        return self.experiment.question, str(self)
+
+    def matches(self, expression: str) -> bool:
+        """Whether an expression of parts of names, ``and``, ``or``, ``not`` and parentheses holds, as pytest's -k."""
+        timed = " timed" * self.experiment.timed
+        known = f"bench/bench_{self.experiment.question}.py test_{self}{timed}".lower()
+
+        def truth(word: re.Match[str]) -> str:
+            return word[0] if word[0] in ("and", "or", "not") else str(word[0].lower() in known)
+
+        try:
+            return not expression or bool(eval(re.sub(r"[^\s()]+", truth, expression)))
+        except (SyntaxError, TypeError):
+            raise BadInput(f"-k {expression!r}: must be parts of names, joined by and, or, not") from None
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of the benchmark, by one process or several.
+
+    selection : which part of the experiments was asked for, empty for all of them: the rows of the rest are kept.
+    timed : with a clock.  own : only what plug-ins and installed packages bring.
+    """
+
+    results: Path
+    profile: Profile
+    selection: str = ""
+    timed: bool = True
+    own: bool = False
+    name: str = field(default_factory=provenance.new_run_id)
+
+    @cached_property
+    def cells(self) -> journal.Cells:
+        return journal.Cells(self.results, self.profile.name, self.name, self.selection)
+
+    # -- which cells -------------------------------------------------------------------------------
+    def tasks(self) -> list[Task]:
+        return [task for each in experiments().values() for task in self.tasks_of(each)]
+
+    def tasks_of(self, experiment: Experiment) -> list[Task]:
+        """Return the cells of an experiment; none of what adds times alone in a run without times."""
+        cells = [] if experiment.errors and not self.timed else experiment.cells(self.profile)
+        if self.own:
+            own = brought()
+            cells = [cell for cell in cells if not own.isdisjoint(cell)]
+        named = {
+            "-".join(f"{p:.6g}" if isinstance(p, float) else str(p) for p in cell): cell for cell in cells
+        }
+        return [Task(experiment, cell, name) for name, cell in named.items()]
+
+    # -- its beginning and its end -----------------------------------------------------------------
+    def begin(self) -> None:
+        """Merge what killed runs have left; raises `BadInput` for a table that could not be merged into."""
+        try:
+            for table in TABLES.values():  # refused now rather than after ten minutes
+                with suppress(*([] if self.selection else [OldTable])):  # a whole run replaces those
+                    read(table, self.results)
+            self.cells.begin(provenance.environment(self.profile.name))
+        except (BadInput, OSError) as error:
+            raise BadInput(f"--results {self.results}: {error}") from None
+
+    def remaining(self, tasks: Iterable[Task], resume: bool) -> list[Task]:
+        """Return what is not done; unless it resumes, the run begins anew."""
+        if not resume:
+            self.cells.begin_anew()
+        done = self.cells.done() if resume else ()
+        return [task for task in tasks if task.key not in done]
+
+    def end(self) -> None:
+        self.cells.merge(() if self.selection else [task.key for task in self.tasks()])
+
+    # -- one cell ----------------------------------------------------------------------------------
+    def measure(self, task: Task, timetable: Timetable | None = None) -> Entry | None:
+        """Measure a cell and keep its rows, those before a failure too; one that is to be timed joins a timetable.
+
+        Where there is none its row has no times.
+        """
+        if task.experiment.timed:
+            return self.prepare(task, timetable)
+        rows: list[tuple[Table, Row]] = []
+        finished = False
+        try:
+            for table, row in task.experiment.rows(task.cell, self.profile):
+                rows.append((table, self.complete(task, table, row)))
+            finished = True
+        finally:
+            if rows or finished:
+                self.cells.save(rows, task.key, finished)
+        return None
+
+    def complete(self, task: Task, table: Table, row: Row) -> Row:
+        """Add the family of the method, and the smallest profile that has the cell; raise `BadInput` for a bad row."""
+        known = "family" in table.columns and row["method"] in METHODS
+        family = {"family": METHODS[row["method"]].family} if known else {}
+        row = {**family, **row, "profile": task.experiment.profile_of(task.cell)}
+        check(table, row)
+        if row.get("status", "ok") != "ok" and not row["message"]:
+            raise BadInput(f"table {table.name!r}: status {row['status']} without a message")
+        return row
+
+    def prepare(self, task: Task, timetable: Timetable | None) -> Entry | None:
+        timing: Timing = task.experiment.rows(task.cell, self.profile)
+        row, call, again = self.untimed(task), None, None
+        if timing.cores and timetable is not None:
+            call = timetable.remote(timing.cores, timing.cores, timing.prepare, *timing.arguments)
+            row |= call.prepared.result()[1]
+        elif row.get("status", "ok") == "ok":
+            more, call = timing.prepare(*timing.arguments)
+            row |= more
+        row = self.complete(task, timing.table, row)
+
+        def keep(columns: Row) -> None:
+            times = columns | (timing.derived(row | columns) if columns else {})
+            self.cells.save([(timing.table, self.complete(task, timing.table, row | times))], task.key)
+
+        if timetable is not None:
+            timetable.ahead.discard(task.key)
+        if call is None or timetable is None:
+            keep({})
+            return None
+        if not timing.cores:
+            call.warm_up()
+            if task.key in timetable.sample:
+                again = timetable.second(timing.prepare, *timing.arguments)
+        timetable.entries.append(Entry(call, again, keep))
+        return timetable.entries[-1]
+
+    def untimed(self, task: Task) -> Row:
+        """Return the row that a timed cell adds its times to, as measured in this run or now; empty for none."""
+        errors = task.experiment.errors
+        if errors is None:
+            return {}
+        rows: Any = self.cells.rows(Task(errors, task.cell, task.name).key) or errors.rows(
+            task.cell, self.profile
+        )
+        return dict(next(iter(rows))[1])
+
+    def timetable(self, tasks: Iterable[Task]) -> Timetable:
+        engines = {task.key: next((part for part in task.cell if part in ENGINES), "") for task in tasks}
+        return Timetable(engines, self.profile.visits)
+
+
+# -- processes ---------------------------------------------------------------------------------------
+@cache
+def known(run: Run) -> dict[journal.Cell, Task]:
+    return {task.key: task for task in run.tasks()}
+
+
+def attempt(run: Run, cells: Iterable[journal.Cell], timetable: Timetable | None = None) -> list[str]:
+    """Measure cells, in a process of its own; return what went wrong.  A full disk raises."""
+    wrong = []
+    for cell in cells:
+        try:
+            run.measure(known(run)[cell], timetable)
+        except journal.DiskFull:
+            raise
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{os.path.basename(last.filename)}, line {last.lineno}"
+            wrong.append(f"{' '.join(cell)}: {type(error).__name__} in {where}: {one_line(error)}")
+    return wrong
+
+
+def time(run: Run, cells: list[journal.Cell]) -> list[str]:
+    """As `attempt`, cells of one question that are timed."""
+    with run.timetable(known(run)[cell] for cell in cells) as timetable:
+        wrong = attempt(run, tqdm(cells, "preparing", disable=None), timetable)
+        timetable.go()
+    return wrong
+
+
+def work(run: Run, keyword: str = "", resume: bool = False) -> int:
+    """Do a run in processes of its own; return how many cells failed, each with a line on stderr."""
+    settle()
+    run.begin()
+    tasks = run.remaining([task for task in run.tasks() if task.matches(keyword)], resume)
+    timed, others = (
+        [task for task in tasks if (task.experiment.timed and run.timed) is which] for which in (True, False)
+    )
+    others.sort(key=lambda task: str(task.cell))
+    # what shares its compiled programs, one method on one scene, stays together
+    queue = deque([task.key for task in part] for _, part in groupby(others, lambda task: task.cell[:2]))
+    allowed = getattr(os, "sched_getaffinity", lambda _: ())(0)
+    cores = [[core] for core in sorted(allowed)] or [[]] * (os.cpu_count() or 1)
+    failed: list[str] = []
+    calls: dict[Future, tuple[Worker, list[journal.Cell]]] = {}
+    with ExitStack() as ends, tqdm(total=len(tasks), unit="cell", disable=None) as bar:
+        ends.callback(run.end)
+
+        def tell(worker: Worker, call: Future, cells: list[journal.Cell]) -> None:
+            try:
+                wrong = worker.result(call)
+            except Died as error:
+                wrong = [f"{' '.join(cell)}: {error}" for cell in cells]
+            for why in wrong:
+                bar.write(f"failed: {why}", file=sys.stderr)
+            failed.extend(wrong)
+            bar.update(len(cells))
+
+        with ExitStack() as shared:
+            idle = [shared.enter_context(Worker(each)) for each in cores]
+            while queue or calls:
+                while queue and idle:
+                    worker, cells = idle.pop(), queue.popleft()
+                    calls[worker.submit(attempt, run, cells)] = worker, cells
+                for call in wait(calls, return_when=FIRST_COMPLETED).done:
+                    worker, cells = calls.pop(call)
+                    tell(worker, call, cells)
+                    idle.append(worker)
+        with Worker(cores[-1]) as alone:
+            for _, part in groupby(timed, lambda task: task.experiment.question):
+                tell(alone, alone.submit(time, run, cells := [task.key for task in part]), cells)
+    return len(failed)

@@ -1,0 +1,152 @@
+"""How does cost grow with the size of the problem?  One cell: a method on so many degrees of freedom and cores.
+
+A ring has the data of `PERIOD` sites again and again, and so their motion: truth, steps and errors are the same at any
+length, and what grows is the cost.  Every method has the setting that reaches the error on the short ring at the least
+cost, found as `compare` finds it.  Where so many fixed steps would take long on the ring of a cell they are coarser.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numba
+import numpy as np
+
+import contactbench as cb
+from contactbench.measure.clock import Call
+from contactbench.measure.isolation import usable_cores
+from contactbench.measure.memory import peak_memory
+from contactbench.race.comparison import Question, Scout, ends
+from contactbench.results.tables import SCALING
+from contactbench.solution import keywords
+from contactbench.study.c_loops import ring_kernel
+from contactbench.study.choice import EVERYWHERE, key, outcome
+from contactbench.study.experiment import Cell, Profile, Row, Timing, experiment
+from contactbench.study.search import step_at
+from contactbench.study.timetable import last_cores
+from contactbench.truth import Reference
+
+MAIN, RINGS, PERIOD, ERROR = "fput", ("fput", "linear_ring"), 16, 1e-6
+#: lengths of rings, by the profile from which on they are run
+SIZES = {"smoke": (PERIOD,), "standard": (128, 1024, 10_000), "full": (100_000, 1_000_000)}
+#: the methods on other scenes than the main one; the one that is run by all of its engines
+FEW = ("contact-strang", "contact-rkn6", "rk4", "scipy-dop853", "cvode-adams", "cyrk-dop853")
+CROSS_CHECKED = "contact-rkn6"
+#: sites from which on compiled sweeps are run by two cores too
+SHARED = 100_000
+#: the C loop, and whose steps it takes
+LOOP, STEPS_OF = "limit-c", "contact-strang"
+#: evaluations of a run at most, times sites, and evaluations that are always allowed
+WORK, ALLOWED = 3e8, 1000
+#: methods that compile for seconds at every size
+DEAR = ("diffrax-kvaerno5",)
+
+
+def ladder(profile: Profile) -> list[Cell]:
+    """(scene, method, engine, degrees of freedom, cores)."""
+    if profile.brief:
+        return [(MAIN, method, cb.METHODS[method].engines[0], PERIOD, 1) for method in EVERYWHERE]
+    sizes = [n for name, each in SIZES.items() if profile.reaches(name) for n in each]
+    rows: list[Cell] = []
+    for scene in (s for s in cb.SCENES.values() if "scaling" in s.experiments):
+        main = scene.name == MAIN
+        names = [
+            name for name in (cb.METHODS if main else FEW) if profile.reaches("full") or name not in DEAR
+        ]
+        methods = [
+            m for m in map(cb.METHODS.__getitem__, names) if m.refuses(sized(scene.name, PERIOD)) is None
+        ]
+        for n in sizes if scene.name in RINGS else [scene.motion // 2]:
+            for method in methods:
+                engines = method.engines if main and method.name == CROSS_CHECKED else method.engines[:1]
+                rows += [(scene.name, method.name, engine, n, 1) for engine in engines]
+            shared = methods if main and n >= SHARED and len(usable_cores()) > 1 else []
+            rows += [(scene.name, m.name, "numba", n, 2) for m in shared if m.engines[0] == "numba"]
+            rows += [(scene.name, LOOP, "c", n, 1)] if main else []
+    return rows
+
+
+def sized(name: str, n: int) -> Any:
+    """A scene with so many degrees of freedom: a ring of copies; another one is as it is."""
+    if name not in RINGS:
+        return cb.SCENES[name]
+    short = cb.SCENES[name].with_(n=PERIOD)
+    return short.with_(n=n, **{field: np.tile(getattr(short, field), n // PERIOD) for field in "qp"})
+
+
+@cache
+def truth(name: str) -> Reference:
+    short = sized(name, PERIOD)
+    return cb.reference(short, ends(short), ())
+
+
+@cache
+def found(name: str, method: str) -> float:
+    """The value of the cheapest setting that reaches the error on the short ring, else of the finest that ends well."""
+    scout = Scout(Question(truth(name).scene, truth(name), (ERROR,), 60.0), method)
+    for _ in scout.turns():
+        pass
+    return (scout.best(ERROR) or min((a for a in scout.attempts if a.ok), key=lambda a: a.value)).value
+
+
+def value(name: str, method: str, n: int) -> float:
+    chosen = cb.METHODS[STEPS_OF if method == LOOP else method]
+    reached, most = found(name, chosen.name), max(ALLOWED, WORK / n)
+    return reached if chosen.adaptive else max(reached, step_at(chosen, sized(name, n), most))
+
+
+def loop(
+    scene: Any, cores: int, chosen: float
+) -> tuple[Row, Callable[[], np.ndarray] | None, np.ndarray | None]:
+    """The row of the C loop, its run and its end; None for these where there is no compiler."""
+    row = key(scene.name, LOOP, "c", "step", chosen, STEPS_OF) | {"n": scene.n, "cores": cores}
+    made = ring_kernel(STEPS_OF, scene, chosen)
+    if isinstance(made, str):
+        return row | {"status": "unsupported", "message": made, "evaluations": None}, None, None
+    run, evaluations = made
+    counts = {"steps": round(scene.t_end / chosen), "evaluations": evaluations, "evaluation_kind": "gradient"}
+    return row | counts | {"status": "ok", "message": "", "memory_MB": peak_memory(run) / 1e6}, run, run()
+
+
+def prepared(cell: Cell, chosen: float, exact: np.ndarray) -> tuple[Row, Call | None]:
+    """The row of a cell without its times, and what is to be timed, if it ends well."""
+    name, method, engine, n, cores = cell
+    numba.set_num_threads(cores)  # it saw all of them if it was loaded before this process was bound to one
+    scene = sized(name, n)
+    if method == LOOP:
+        row, run, y = loop(scene, cores, chosen)
+    else:
+        options = {"save_at": [scene.t_end], "carry": (), "engine": engine}
+        options |= keywords(cb.METHODS[method].control, chosen)
+        made = cb.prepare(scene, method, **options)
+        solution = made()
+        row = outcome(solution) | {"n": n, "cores": cores, "compile_s": made.compile_s}
+        run, y = None, solution.y[-1]
+        if solution.ok:
+            peak = peak_memory(lambda: cb.prepare(scene, method, **options)())
+            row["memory_MB"] = max(peak - y.nbytes, 0.0) / 1e6
+            start = made.start
+            run = lambda: made.bare(start)  # noqa: E731
+    if run is None:
+        return row, None
+    copies = 2 * n // exact.shape[1]
+    true = np.tile(exact[-1].reshape(2, -1), copies).ravel()
+    size = math.sqrt(copies) * np.linalg.norm(exact, axis=1).max()
+    return row | {"solution_error": float(np.linalg.norm(y - true) / size)}, Call(run)
+
+
+def shares(row: Row) -> Row:
+    """The columns that follow from the time of a run."""
+    time, evaluations = row["time_min_s"], row["n"] * (row["evaluations"] or 0)
+    found = {"site_ns": 1e9 * time / evaluations} if evaluations else {}
+    return found | ({"reach_s": time} if row["solution_error"] <= ERROR else {})
+
+
+@experiment(ladder, timed=True)
+def scaling(cell: Cell, profile: Profile) -> Timing:
+    name, method, _, n, cores = cell
+    arguments = cell, value(name, method, n), truth(name).y
+    return Timing(SCALING, prepared, arguments, last_cores(cores), shares)

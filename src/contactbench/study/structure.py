@@ -1,0 +1,174 @@
+"""What does keeping the structure buy?  One cell: a method at one setting, on a chaotic ring with weak damping.
+
+Nobody follows such a trajectory for long.  What can be asked for is the energy that is left, total less the centre of
+mass's, and the rate at which it goes.  The truth is a run of a contact method at a fine step, and that of a Taylor
+method beside it: as far as the two differ, chaos decides, and no method can be told from another.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+import contactbench as cb
+from contactbench.measure.clock import Call
+from contactbench.results.tables import STRUCTURE_BUYS
+from contactbench.scenes.many import long_wave, quartic_bond, two_waves
+from contactbench.solution import Solution, keywords
+from contactbench.study.choice import EVERYWHERE, key
+from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment
+
+RING, QUADRATIC = "chaotic_ring", "chaotic_ring_quadratic"
+#: of the scene whose damping has a quadratic term
+KAPPA = 1e-7
+LOW, MIDDLE, HIGH = (0.8, 0.56, 0.4, 0.28, 0.2, 0.14, 0.1, 0.07), (1.6, 1.1, 0.8, 0.56, 0.4, 0.28), (2.2, 1.6)
+#: steps from where a run is lost
+STEPS = {
+    "contact-strang": LOW,
+    "herglotz2": LOW,
+    "contact-bm4": MIDDLE,
+    "contact-rkn4": MIDDLE,
+    "contact-rkn6": MIDDLE,
+    "contact-rkn8": (*HIGH, *MIDDLE[1:]),
+    "rk4": (0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025),
+}
+#: tolerances from the loosest that a method holds, as powers of ten
+POWERS = {"cyrk-dop853": (4, 8), "cyrk-vern8": (3, 8), "cvode-adams": (4, 8), "heyoka-taylor": (4, 9)}
+LADDERS = STEPS | {name: tuple(10.0**-k for k in range(a, b + 1)) for name, (a, b) in POWERS.items()}
+#: methods that are faster on the arrays of a lattice than component by component at n = 16; beyond, all of them are
+LATTICE = ("rk4", "cvode-adams")
+N, GAMMA, SPAN, SAVES = 16, 1e-5, 1e4, 20
+#: other dampings, lengths of a run and numbers of sites, by the profile from which on they are run
+MORE = {
+    "standard": [(GAMMA, 1e5, N), (1e-4, SPAN, N), (1e-3, SPAN, N)],
+    "full": [(1e-4, 1e5, N), (GAMMA, 1e6, N), (GAMMA, SPAN, 256), (GAMMA, SPAN, 1024)],
+}
+FEW = ("contact-strang", "contact-rkn4", "rk4", "cyrk-vern8")
+#: starts of a run; of longer ones fewer, of adaptive solvers two
+STARTS, FEWER, AMPLITUDE, SEED = 8, 2, 1e-2, 1
+TRUTH, BESIDE = ("contact-rkn8", {"step": 0.2}), ("cyrk-vern8", {"rtol": 1e-10})
+#: methods without long runs
+BRIEF = {"contact-bm4", "contact-rkn8"}
+MOST_STEPS = 10**8
+#: what is timed is so much of a run
+TIMED = 500.0
+
+
+def ladder(profile: Profile) -> list[Cell]:
+    """(scene, method, engine, γ, end, sites, value)."""
+    if profile.brief:
+        return [cell for name in EVERYWHERE for cell in rungs(RING, name, GAMMA, SPAN, N)[3:5]]
+    rows = [cell for name in LADDERS for cell in rungs(RING, name, GAMMA, SPAN, N)]
+    rows += [cell for name in FEW for cell in rungs(QUADRATIC, name, GAMMA, SPAN, N)]
+    for case in MORE["standard"] + (MORE["full"] if profile.reaches("full") else []):
+        chosen = set(LADDERS) - BRIEF if case[0] == GAMMA else FEW
+        rows += [cell for name in LADDERS if name in chosen for cell in rungs(RING, name, *case)]
+    return rows
+
+
+def rungs(scene: str, name: str, gamma: float, span: float, n: int) -> list[Cell]:
+    """The cells of a method; in long runs without the first, which is lost there, and the last, which is dear."""
+    values = LADDERS[name] if span <= SPAN else LADDERS[name][1:-1]
+    return [(scene, name, cb.METHODS[name].engines[0], gamma, span, n, value) for value in values]
+
+
+@cache
+def shaped(method: str, name: str, gamma: float, span: float, n: int) -> Any:
+    """The ring in the shape that a method is faster on: as a lattice, or component by component."""
+    waves: dict[str, Any] = {
+        "bond": quartic_bond,
+        "parameters": {"beta": 1.0},
+        "q": long_wave,
+        "p": two_waves,
+    }
+    ring = cb.Lattice(name=name, n=n, gamma=gamma, t_end=span, **waves)
+    if name == QUADRATIC:
+        return ring.unrolled().with_(kappa=KAPPA)
+    return ring if n > N or method in LATTICE else ring.unrolled()
+
+
+def starts(n: int) -> np.ndarray:
+    """Initial data: those of the scene, and others near them."""
+    off = AMPLITUDE * np.random.default_rng(SEED).normal(size=(STARTS, 2, n))
+    off[0] = 0
+    sites = np.arange(n)
+    return np.array([long_wave(sites, n), two_waves(sites, n)]) + off
+
+
+def energy_left(q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """H0 less that of the centre of mass; sites along the first axis."""
+    total = (p * p).sum(axis=0) / 2 + quartic_bond(np.roll(q, -1, axis=0) - q, 1.0).sum(axis=0)
+    return total - p.sum(axis=0) ** 2 / (2 * len(q))
+
+
+def prepared(method: str, case: Cell, end: float, saves: int, **setting: float) -> Any:
+    times = end * np.arange(1, saves + 1) / saves
+    given: dict[str, Any] = {"save_at": times, "carry": (), "max_steps": MOST_STEPS, **setting}
+    return cb.prepare(shaped(method, *case), method, **given)
+
+
+def runs(method: str, case: Cell, count: int, **setting: float) -> tuple[list[Solution], np.ndarray]:
+    """The solutions from so many starts, until one ends badly, and the energies left along them."""
+    run, n = prepared(method, case, case[2], SAVES, **setting), case[-1]
+    found: list[Solution] = []
+    for q, p in starts(n)[:count]:
+        found.append(run(q=q, p=p))
+        if not found[-1].ok:
+            break
+    return found, np.array([energy_left(each.y.T[:n], each.y.T[n : 2 * n]) for each in found])
+
+
+@cache
+def truth(*case: Any) -> tuple[np.ndarray, float]:
+    """The energy left from every start, and by how much it differs at most from that of another accurate method."""
+    (method, setting), (other, tolerance) = TRUTH, BESIDE
+    left = runs(method, case, STARTS, **setting)[1]
+    beside = runs(other, case, FEWER, **tolerance)[1]
+    return left, float(np.abs(beside / left[:FEWER] - 1).max())
+
+
+def errors(cell: Cell) -> Row:
+    """The row of a cell but for what is timed."""
+    name, method, engine, gamma, span, n, value = cell
+    case, control = (name, gamma, span, n), cb.METHODS[method].control
+    count = STARTS if span <= SPAN or method in STEPS else FEWER
+    found, left = runs(method, case, count, **keywords(control, value))
+    last, (true, floor) = found[-1], truth(*case)
+    row = key(name, method, engine, control, value) | {"gamma": gamma, "t_end": span, "n": n}
+    row |= {"shape": shaped(method, *case).kind, "starts": count, "floor": floor}
+    row |= {"status": str(last.status), "message": last.message, "evaluation_kind": last.counts.kind}
+    if not last.ok:
+        return row
+    error = np.abs(left / true[:count] - 1).max(axis=1)
+    start = energy_left(*starts(n)[:count].transpose(1, 2, 0))
+    loss = np.log(left[:, -1] / start) / np.log(true[:count, -1] / start)
+    numbers = {"energy_left": np.median(true[:count, -1] / start), "energy_error": np.median(error)}
+    numbers |= {"energy_error_least": error.min(), "energy_error_most": error.max()}
+    numbers |= {"rate_error": np.median(np.abs(loss - 1))}
+    numbers |= {"evaluations_per_time": np.mean([each.counts.evaluations for each in found]) / span}
+    return row | {name: float(value) for name, value in numbers.items()}
+
+
+def part(cell: Cell) -> tuple[Row, Call]:
+    """What is timed of a run: its beginning."""
+    name, method, _, gamma, span, n, value = cell
+    case, control = (name, gamma, span, n), cb.METHODS[method].control
+    run = prepared(method, case, TIMED, 1, **keywords(control, value))
+    start = run.start
+    return {"timed_evaluations": run().counts.evaluations}, Call(lambda: run.bare(start))
+
+
+@experiment(ladder)
+def structure_errors(cell: Cell, profile: Profile) -> Recorded:
+    yield STRUCTURE_BUYS, errors(cell)
+
+
+@experiment(
+    lambda profile: [c for c in ladder(profile) if c[0] == RING and c[3] == GAMMA and c[4] == SPAN],
+    timed=True,
+    errors=structure_errors,
+)
+def structure(cell: Cell, profile: Profile) -> Timing:
+    return Timing(STRUCTURE_BUYS, part, (cell,))
