@@ -83,8 +83,8 @@ def test_steps_do_not_depend_on_what_is_saved(method, engine):
 def test_a_compiled_loop_gives_the_single_calls(method, scene):
     run = cb.prepare(scene, method, rtol=1e-7, carry=(), save_at=[3.0])
     starts = run.start + 0.1 * np.random.default_rng(5).normal(size=(6, len(run.start)))
-    together = run.many(starts)
-    np.testing.assert_array_equal(run.many(np.asfortranarray(starts)), together)
+    together = run.call.many(starts)
+    np.testing.assert_array_equal(run.call.many(np.asfortranarray(starts)), together)
     for start, row in zip(starts, together, strict=True):
         out = run.integrate(start)
         np.testing.assert_array_equal(row[-len(start) :], out.y[-1])
@@ -99,7 +99,7 @@ def test_cvode_counts_as_many_calls_as_the_c_functions(method):
     lib, number = sys.modules["contactbench.peers.abi.cvode"].library, ctypes.c_long()
     told = {"RhsEvals": counts.evaluations, "JacEvals": counts.jacobians, "Steps": counts.steps}
     for name, found in told.items():
-        getattr(lib, f"CVodeGetNum{name}")(ctypes.c_void_p(run.memory.memory), ctypes.byref(number))
+        getattr(lib, f"CVodeGetNum{name}")(ctypes.c_void_p(run.call.memory.memory), ctypes.byref(number))
         assert number.value == found > 0
 
 

@@ -101,7 +101,7 @@ def test_scipy(name, engine, times, monkeypatch):
 def test_heyoka(times, monkeypatch):
     seen = []
     # at another tolerance before: every one has a program of its own
-    kind = type(cb.prepare(SCENE, "heyoka-taylor", rtol=1e-9, save_at=times).integrator)
+    kind = type(cb.prepare(SCENE, "heyoka-taylor", rtol=1e-9, save_at=times).call.integrator)
 
     def recorded(propagate):
         def noted(self, t, **options):
@@ -128,7 +128,7 @@ def test_cyrk_by_its_call_from_python(name, engine, times):
         out = each.integrate(each.start)
         np.testing.assert_array_equal(out.y[-1], found.y[:, -1])
         np.testing.assert_array_equal(each.bare(each.start), found.y[:, -1])
-        np.testing.assert_array_equal(each.many(each.start[None])[0, -len(each.start) :], found.y[:, -1])
+        np.testing.assert_array_equal(each.call.many(each.start[None])[0, -len(each.start) :], found.y[:, -1])
         assert out.counts.steps == found.steps_taken
 
 
@@ -137,7 +137,9 @@ def test_cyrk_by_its_call_from_python(name, engine, times):
 def test_cvode_by_scikit_sundae(name, engine, times):
     run = prepared(name, engine, times)
     compiled = engine == "c"
-    rhs, jacobian, *_ = c_functions(SCENE, run.request.carry) if compiled else (run.rhs, run.jacobian)
+    rhs, jacobian, *_ = (
+        c_functions(SCENE, run.request.carry) if compiled else (run.call.rhs, run.call.jacobian)
+    )
 
     def f(t, y, yp):
         yp[:] = rhs(t, y)

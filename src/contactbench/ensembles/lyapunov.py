@@ -27,8 +27,9 @@ from contactbench.methods.loops import loop_of
 from contactbench.methods.many import loop_of as many_loop
 from contactbench.methods.prepared import Refused
 from contactbench.numbers.protocol import CannotRecord
+from contactbench.peers.base import PeerRun
 from contactbench.peers.compiled import FACTS, KNOWN, SUCCESS
-from contactbench.peers.cyrk import CyrkRun
+from contactbench.peers.cyrk import Cyrk
 from contactbench.scene import Scene
 from contactbench.trace.compiled import compile_function
 
@@ -154,7 +155,7 @@ def lyapunov(
         raise BadInput(run.why)
     if isinstance(run, FixedStepRun):
         advance = side_by_side(run)
-    elif isinstance(run, CyrkRun):
+    elif isinstance(run, PeerRun) and isinstance(run.call, Cyrk):
         advance = one_by_one(run)
     else:
         raise BadInput(f"method = {run.method!r}: takes methods with a given step, and those of CyRK")
@@ -240,9 +241,9 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
     return advance
 
 
-def one_by_one(run: CyrkRun) -> TangentMap:
-    larger = run.variational()
-    clock = larger.request.scene.clock
+def one_by_one(run: PeerRun) -> TangentMap:
+    larger: Any = run.variational().call
+    clock = larger.scene.clock
 
     def advance(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
         m, d, n = v.shape

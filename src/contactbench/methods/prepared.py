@@ -216,25 +216,6 @@ class Prepared(ABC):
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.concatenate([y0[None], y]) if self.saves_start else y
 
-    # -- the time, which some solvers have of their own ------------------------------------------------
-    def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the time at which a packed state begins, 0 where it has none, and the components less the time."""
-        clock = self._clock
-        if clock is None:
-            return 0.0, y0
-        y = y0[:clock] if clock == len(y0) - 1 else np.concatenate((y0[:clock], y0[clock + 1 :]))
-        return float(y0[clock]), y
-
-    def insert_clock(self, y: np.ndarray, start: float, times: Any) -> np.ndarray:
-        """Return packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
-        clock = self._clock
-        if clock is None:
-            return y
-        packed = np.empty((*y.shape[:-1], y.shape[-1] + 1))  # a tenth of the time of np.insert
-        packed[..., :clock], packed[..., clock + 1 :] = y[..., :clock], y[..., clock:]
-        packed[..., clock] = start + times
-        return packed
-
     def _dated(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return saved states whose time is the saved one, not the sum of many steps; NaN where not reached."""
         if (clock := self._clock) is None:

@@ -1,4 +1,4 @@
-"""What the solvers of other libraries have in common: their method, and their derivative.
+"""What the solvers of other libraries have in common: their method, their run and its call, and their derivative.
 
 The derivative is that of the variational equations, a scene and its tangent vectors as one larger scene,
 
@@ -17,7 +17,7 @@ Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
 from __future__ import annotations
 
 import importlib.util
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -38,14 +38,14 @@ from contactbench.trace.recording import Recorded, Tape, attempt
 
 @dataclass(frozen=True)
 class Peer(Adaptive):
-    """A solver of another library; run : makes its prepared run, or raises `ImportError`; solver : its name there.
+    """A solver of another library; call : makes the `Call` of its run; solver : its name there.
 
     package : what must be installed.  stages : of an attempted step, where fixed.  costs : see `step_cost`, by engine.
     """
 
     name: str
     about: str
-    run: Callable[[str, Request, Peer], Prepared]
+    call: Callable[[Peer, Request], Call]
     engines: tuple[str, ...]
     rtol_range: tuple[float, float]
     solver: str = ""
@@ -76,14 +76,87 @@ class Peer(Adaptive):
         try:
             if request.scene.breaks_until(float(request.save_at[-1])):
                 return Pieces(self.name, request, self)
-            return self.run(self.name, request, self)
+            return PeerRun(self.name, request, self)
         except ImportError as why:
             return Refused(self.name, request, str(why))
 
 
+class Ending(NamedTuple):
+    """How a call ended, as `Prepared.finish` takes it."""
+
+    y: np.ndarray | None
+    counts: Counts
+    status: Status = Status.ok
+    message: str = ""
+    stopped: tuple[float, np.ndarray] | None = None
+
+
+class Call(ABC):
+    """A library at work on one request: all that a `PeerRun` does not do.
+
+    1. Making it compiles, allocates and connects; it raises `ImportError` where the library cannot be used.
+    2. ``call(y0)`` runs from a packed state: saved states reached, after the start (None: not even the start), counts,
+       and unless it went well status, message, and time and state at which the solver stopped.
+    3. ``last(y0)`` is the library's own call, by its fastest way: packed state to packed final state, unchecked.
+    """
+
+    #: how the library differentiates its map, in `sensitivity(y0, tangents)`; empty: variational equations do
+    derivative = ""
+    #: spent on recording and compiling
+    seconds = 0.0
+
+    def __init__(self, method: Peer, request: Request) -> None:
+        self.method, self.request, self.scene = method, request, request.scene
+        self.clock, self.end = self.scene.clock, float(request.save_at[-1])
+        self.later = request.save_at[request.save_at > 0]
+
+    @abstractmethod
+    def __call__(self, y0: np.ndarray) -> Ending:
+        """Run from a packed state to all saved times."""
+
+    @abstractmethod
+    def last(self, y0: np.ndarray) -> np.ndarray:
+        """Run from a packed state to the last one, and nothing else."""
+
+    def sensitivity(self, y0: np.ndarray, tangents: list[np.ndarray]) -> np.ndarray:
+        """Return the derivative of the saved states along tangents, (k, d, m), where `derivative` says how."""
+        raise NotImplementedError
+
+    @property
+    def spent(self) -> str:
+        return f"max_steps = {self.request.max_steps} spent"
+
+    def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the time at which a packed state begins, 0 where it has none, and the components less the time."""
+        clock = self.clock
+        if clock is None:
+            return 0.0, y0
+        y = y0[:clock] if clock == len(y0) - 1 else np.concatenate((y0[:clock], y0[clock + 1 :]))
+        return float(y0[clock]), y
+
+    def insert_clock(self, y: np.ndarray, start: float, times: Any) -> np.ndarray:
+        """Return packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
+        clock = self.clock
+        if clock is None:
+            return y
+        packed = np.empty((*y.shape[:-1], y.shape[-1] + 1))  # a tenth of the time of np.insert
+        packed[..., :clock], packed[..., clock + 1 :] = y[..., :clock], y[..., clock:]
+        packed[..., clock] = start + times
+        return packed
+
+
 @dataclass
-class Scaled(Prepared):
+class PeerRun(Prepared):
+    """A run of another library, by its call."""
+
     method_: Peer
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.call = self.method_.call(self.method_, self.request)
+        self.compile_s, self.bare = self.call.seconds, self.call.last  # type: ignore[method-assign]
+        equations = "" if self.request.scene.by_sites else "variational equations, a run of its own"
+        self.sensitivity_source = self.call.derivative or equations
 
     def __call__(self, **data: Any) -> Solution:
         """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
@@ -94,15 +167,10 @@ class Scaled(Prepared):
                 return self.method_.prepare(given)(**data)
         return super().__call__(**data)
 
-
-@dataclass
-class PeerRun(Scaled):
-    sensitivity_source = "variational equations, a run of its own"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.request.scene.by_sites:  # by differences
-            self.sensitivity_source = ""
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        y, counts, status, message, stopped = self.call(y0)
+        reached = np.empty((0, len(y0))) if y is None else self.from_start(y0, y)
+        return self.finish(y0, reached, counts, status, message, stopped)
 
     def variational(self) -> Self:
         r, base = self.request, self.request.scene
@@ -116,6 +184,8 @@ class PeerRun(Scaled):
         return replace(self, request=request)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if self.call.derivative:
+            return y, self.call.sensitivity(y0, self.tangents(y0))
         scene, d, run = self.request.scene, len(y0), self.variational()
         x = scene.unpack(tuple(y0.tolist()), self.request.carry)
         start = run.request.scene.pack(Bundle(x, tangents := tuple(scene.tangents(x))))
@@ -145,8 +215,7 @@ class Pieces(Prepared):
             if end > begin:
                 inside = np.maximum(np.minimum(times[own], end) - begin, 0.0)
                 save_at, which = np.unique(np.append(inside, end - begin), return_inverse=True)
-                inner = replace(self.request, save_at=save_at)
-                run = self.method_.run(self.method, inner, self.method_)
+                run = PeerRun(self.method, replace(self.request, save_at=save_at), self.method_)
                 self.pieces.append((run, begin, skipped, own, which[:-1]))
             if last:
                 break
@@ -284,9 +353,8 @@ def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
 INTERPOLANT, BEFORE = 3, 2
 
 
-@dataclass
-class CallbackPeer(PeerRun):
-    """A run of a solver that calls back Python functions of plain floats, recorded with the numbers as constants.
+class Callback(Call):
+    """A solver that calls back Python functions of plain floats, recorded with the numbers as constants.
 
     A function that cannot be recorded is called as it is, at four times the cost.
     """
@@ -294,24 +362,24 @@ class CallbackPeer(PeerRun):
     #: as how many steps the last one counts that failed
     failure = 1
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        scene, carry = self.request.scene, self.request.carry
+    def __init__(self, method: Peer, request: Request) -> None:
+        super().__init__(method, request)
+        scene, carry = self.scene, request.carry
         recorded = None if scene.by_sites else record_function(scene, "rhs", carry)
         self.rhs = recorded or (lambda t, y: scene.slopes(t, y, carry))
         self.jacobian: Callable[[float, Any], Any] | None = None
-        if self.method_.implicit and scene.has_jacobian:
+        if method.implicit and scene.has_jacobian:
             recorded = record_function(scene, "jacobian", carry)
             self.jacobian = recorded or (lambda t, y: motion_jacobian(scene, t, y, carry))
 
     @abstractmethod
     def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Any:
-        """A solver, with the interface of SciPy's, for the motion from a time on."""
+        """Return a solver, with the interface of SciPy's, for the motion from a time on."""
 
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        r, times, calls = self.request, self.request.save_at, [0]
+    def __call__(self, y0: np.ndarray) -> Ending:
+        times, most, calls, rows = self.later, self.request.max_steps, [0], list[np.ndarray]()
         start, y = self.split_clock(y0)
-        rows, steps, interpolated, status, message = ([y] if self.saves_start else []), 0, 0, Status.ok, ""
+        steps, interpolated, status, message = 0, 0, Status.ok, ""
 
         def counting(t: float, y: Any) -> Any:  # libraries leave out the calls that difference the Jacobian
             calls[0] += 1
@@ -320,12 +388,12 @@ class CallbackPeer(PeerRun):
         try:
             solver = self.begin(start, y, counting)
         except NO_NUMBER as error:  # the right-hand side failed at the initial state
-            message, counts = f"{type(error).__name__}: {error} (t = 0)", Counts(0, calls[0], 0, None)
-            return self.finish(y0, np.empty((0, len(y0))), counts, Status.failed, message)
+            message = f"{type(error).__name__}: {error} (t = 0)"
+            return Ending(None, Counts(0, calls[0], 0, None), Status.failed, message)
         try:
             while len(rows) < len(times):
-                if steps == r.max_steps:
-                    status, message = Status.budget, f"max_steps = {r.max_steps} spent at t = {solver.t:.6g}"
+                if steps == most:
+                    status, message = Status.budget, f"{self.spent} at t = {solver.t:.6g}"
                     break
                 note = solver.step()
                 steps += self.failure if solver.status == "failed" else 1
@@ -340,11 +408,11 @@ class CallbackPeer(PeerRun):
         except (*NO_NUMBER, np.linalg.LinAlgError) as error:
             status, message = Status.failed, f"{type(error).__name__}: {error} (t = {solver.t:.6g})"
         rejected = None
-        if (stages := self.method_.stages) is not None:
+        if (stages := self.method.stages) is not None:
             rejected = (calls[0] - BEFORE - INTERPOLANT * interpolated) // stages - steps
-        counts, stopped = Counts(steps, calls[0], solver.njev, rejected), (float(solver.t), solver.y)
         found = self.insert_clock(np.reshape(rows, (-1, len(y))), start, times[: len(rows)])
-        return self.finish(y0, found, counts, status, message, stopped)
+        counts = Counts(steps, calls[0], solver.njev, rejected)
+        return Ending(found, counts, status, message, (float(solver.t), solver.y))
 
 
 def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:

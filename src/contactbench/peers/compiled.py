@@ -14,7 +14,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from threading import Lock
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -22,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.methods.many import slopes_of
-from contactbench.methods.prepared import Outcome, stopwatch
+from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.base import PeerRun, derivative
+from contactbench.peers.base import Call, Ending, Peer, derivative
 from contactbench.scene import Cache, Scene, key
 from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
@@ -141,23 +140,20 @@ def _body(
     return block.statements + [Store(Element("out", (i,)), operand_of(v)) for i, v in stored]
 
 
-@dataclass
-class CompiledPeer(PeerRun):
-    """A run of a compiled solver; a library's own class connects it and reads how it ended."""
+class Compiled(Call):
+    """A compiled solver; a library's own class connects it and reads how it ended."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        scene = self.request.scene
-        self.functions = c_functions(scene, self.request.carry)
-        self.compile_s = self.functions.compile_s
-        self.data = self.functions.data(scene.numbers())
-        self.clock, self.end = -1 if scene.clock is None else scene.clock, float(self.request.save_at[-1])
+    def __init__(self, method: Peer, request: Request) -> None:
+        super().__init__(method, request)
+        self.functions = c_functions(self.scene, request.carry)
+        self.seconds = self.functions.compile_s
+        self.data = self.functions.data(self.scene.numbers())
         self.final_only = len(self.later) == 1
         self.alone = Lock()  # memory may be shared by the calls: those from several threads take turns
-        self.calls, self.arguments = self.connect()
+        self.library, self.arguments = self.connect(-1 if self.clock is None else self.clock)
 
     @abstractmethod
-    def connect(self) -> tuple[ModuleType, tuple[Any, ...]]:
+    def connect(self, clock: int) -> tuple[ModuleType, tuple[Any, ...]]:
         """The library's compiled `to_end`, `at_times` and `in_a_loop`, and their arguments but states and times."""
 
     @abstractmethod
@@ -167,29 +163,28 @@ class CompiledPeer(PeerRun):
     def counts(self, steps: int, evaluations: int, jacobians: int, rejected: float) -> Counts:
         return Counts(steps, evaluations, jacobians, int(rejected))
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        return self.calls.to_end(y0, *self.arguments)[KNOWN:]
+    def last(self, y0: np.ndarray) -> np.ndarray:
+        return self.library.to_end(y0, *self.arguments)[KNOWN:]
 
     def many(self, starts: np.ndarray) -> np.ndarray:
         """`FACTS` and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
-        return self.calls.in_a_loop(np.ascontiguousarray(starts), *self.arguments)
+        return self.library.in_a_loop(np.ascontiguousarray(starts), *self.arguments)
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """`FACTS` and the state reached, and the saved states, of which those reached are filled."""
         if self.final_only:
-            facts = self.calls.to_end(y0, *self.arguments)
+            facts = self.library.to_end(y0, *self.arguments)
             return facts, facts[None, KNOWN:]
         rows = np.empty((len(self.later), len(y0)))
-        return self.calls.at_times(y0, self.later, rows, *self.arguments), rows
+        return self.library.at_times(y0, self.later, rows, *self.arguments), rows
 
-    def integrate(self, y0: np.ndarray) -> Outcome:
+    def __call__(self, y0: np.ndarray) -> Ending:
         with self.alone:
             facts, rows = self.run(y0)
         flag, reached, saved, steps, evaluations, jacobians, rejected = facts[:KNOWN].tolist()
         counts = self.counts(int(steps), int(evaluations), int(jacobians), rejected)
         status, message = self.ending(int(flag))
-        rows = self.from_start(y0, rows[: int(saved)])
+        rows = rows[: int(saved)]
         if status is Status.ok:
-            return self.finish(y0, rows, counts)
-        stopped = reached, facts[KNOWN:]
-        return self.finish(y0, rows, counts, status, f"{message} (t = {reached:.6g})", stopped)
+            return Ending(rows, counts)
+        return Ending(rows, counts, status, f"{message} (t = {reached:.6g})", (reached, facts[KNOWN:]))

@@ -20,7 +20,7 @@ import numpy as np
 
 from contactbench.methods.base import CLAMPED, METHODS
 from contactbench.peers.base import Peer
-from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, CompiledPeer
+from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, Compiled
 from contactbench.solution import Counts, Status
 
 #: steps of a short run, about a hundredth of a second; seconds between two looks at signals
@@ -29,12 +29,12 @@ PIECE, LOOK = 10**4, 0.1
 BEFORE = 2
 
 
-class CyrkRun(CompiledPeer):
-    def connect(self) -> tuple[ModuleType, tuple[Any, ...]]:
+class Cyrk(Compiled):
+    def connect(self, clock: int) -> tuple[ModuleType, tuple[Any, ...]]:
         from contactbench.peers.abi import cyrk
 
-        r, method = self.request, int(cyrk.find_ode_method_int(self.method_.solver))
-        where = self.functions.rhs, method, self.data, self.clock, self.end
+        r, method = self.request, int(cyrk.find_ode_method_int(self.method.solver))
+        where = self.functions.rhs, method, self.data, clock, self.end
         return cyrk, (*where, np.array([r.rtol]), np.array(r.atol, ndmin=1), r.max_steps)
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -48,7 +48,7 @@ class CyrkRun(CompiledPeer):
         if most <= PIECE or found[0][0] not in (TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR):
             return found
         again: list[Any] = []
-        worker = Thread(target=lambda: again.append(CompiledPeer.run(self, y0)), daemon=True)
+        worker = Thread(target=lambda: again.append(Compiled.run(self, y0)), daemon=True)
         worker.start()
         while worker.is_alive():
             worker.join(LOOK)
@@ -58,12 +58,12 @@ class CyrkRun(CompiledPeer):
         if flag == SUCCESS:
             return Status.ok, ""
         if flag in (TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR):
-            return Status.budget, f"max_steps = {self.request.max_steps} spent"
-        return Status.failed, str(self.calls.get_error_message(flag)).rstrip(".")
+            return Status.budget, self.spent
+        return Status.failed, str(self.library.get_error_message(flag)).rstrip(".")
 
     def counts(self, steps: int, evaluations: int, jacobians: int, rejected: float) -> Counts:
         """Rejected steps follow from the evaluations, unless an interpolation asks for some of its own."""
-        if (stages := self.method_.stages) is None or not self.final_only:
+        if (stages := self.method.stages) is None or not self.final_only:
             return Counts(steps, evaluations, 0, None)
         return Counts(steps, evaluations, 0, (evaluations - BEFORE) // stages - steps)
 
@@ -77,4 +77,4 @@ for _solver, _order, _stages, _about in (
 ):
     _name, _range = f"cyrk-{_solver.lower()}", (CLAMPED, 1e-1)
     _most = 0 if _stages else 1024
-    METHODS.add(Peer(_name, _about, CyrkRun, ("c++",), _range, _solver, "CyRK", _order, _stages, most=_most))
+    METHODS.add(Peer(_name, _about, Cyrk, ("c++",), _range, _solver, "CyRK", _order, _stages, most=_most))

@@ -6,33 +6,31 @@ and parameters are traced (one program for all of them), `throw=False` with the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
 from contactbench.methods.jax_engine import Xla
-from contactbench.methods.prepared import Outcome
-from contactbench.peers.base import Peer, Scaled
+from contactbench.methods.prepared import Request
+from contactbench.peers.base import Call, Ending, Peer
 from contactbench.solution import Counts, Status
 
 
-@dataclass
-class DiffraxRun(Scaled):
-    sensitivity_source = "forward-mode AD, accepted steps frozen"
+class Diffrax(Call):
+    derivative = "forward-mode AD, accepted steps frozen"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        r = self.request
-        self.final_only = self._saves == 1
-        key = self.method_, r.max_steps, np.size(r.atol)
+    def __init__(self, method: Peer, request: Request) -> None:
+        super().__init__(method, request)
+        r, self.saves = request, len(request.save_at)
+        self.final_only = self.saves == 1
+        key = method, r.max_steps, np.size(r.atol)
         # one program for two saved times and for 1024: it takes up to 50 µs longer than one for 64 (measured), and
         # a program takes seconds to compile
         self.xla = xla = Xla(r, r.scene.identity, key, capacities=(1, 1024))
         fixed = xla.together(r.scene.numbers(), [r.rtol], np.array(r.atol, ndmin=1), xla.times())
-        xla.compile(self._flat, xla.place(fixed), xla.room(self._saves))
-        self.compile_s = xla.seconds
+        xla.compile(self._flat, xla.place(fixed), xla.room(self.saves))
+        self.seconds = xla.seconds
 
     def _flat(self, y0: Any, fixed: Any) -> Any:
         """Return saved states, facts about the run, and its last state, all in one vector."""
@@ -40,10 +38,10 @@ class DiffraxRun(Scaled):
 
         return jnp.concatenate([jnp.ravel(part) for part in self._solve(y0, fixed)])
 
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+    def sensitivity(self, y0: np.ndarray, tangents: list[np.ndarray]) -> np.ndarray:
         states = lambda y0, fixed: self._solve(y0, fixed)[0]  # noqa: E731
-        columns = [self.xla.derivative(states, y0, v, self.xla.fixed) for v in self.tangents(y0)]
-        return np.stack(columns, axis=-1)[: self._saves]
+        columns = [self.xla.derivative(states, y0, v, self.xla.fixed) for v in tangents]
+        return np.stack(columns, axis=-1)[: self.saves]
 
     def _solve(self, y0: Any, fixed: Any) -> Any:
         import diffrax
@@ -52,7 +50,7 @@ class DiffraxRun(Scaled):
         from contactbench.xla import jax, jnp
 
         numbers, (rtol,), atol, times = self.xla.apart(fixed)
-        r, implicit = self.request, self.method_.implicit
+        r, implicit = self.request, self.method.implicit
         scene = r.scene.with_numbers(list(numbers))
 
         # Measured: one array through the linear algebra of the implicit methods (and it compiles in half the
@@ -76,7 +74,7 @@ class DiffraxRun(Scaled):
         finder: Any = {"root_finder": optimistix.Chord(rtol=rtol, atol=atol)} if implicit else {}
         solution = diffrax.diffeqsolve(
             term,
-            getattr(diffrax, self.method_.solver)(**finder),
+            getattr(diffrax, self.method.solver)(**finder),
             0.0,
             times[-1],
             None,
@@ -112,30 +110,29 @@ class DiffraxRun(Scaled):
             return end, info, end[0]
         return packed(solution.ys[1], times), info, packed(solution.ys[0], times[-1:])[0]
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
+    def last(self, y0: np.ndarray) -> np.ndarray:
         return self.xla.call(y0)[-len(y0) :]
 
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        r = self.request
+    def __call__(self, y0: np.ndarray) -> Ending:
         found, d = self.xla.call(y0), len(y0)
-        facts, last = found[self.xla.capacity * d : -d].tolist(), found[-d:]
-        y, info = found[: self._saves * d].reshape(-1, d), facts
+        info, last = found[self.xla.capacity * d : -d].tolist(), found[-d:]
+        y = found[: self.saves * d].reshape(-1, d)[-len(self.later) :]  # less the start
         accepted, rejected, successful, exhausted, collapsed, time = info
         accepted, rejected = int(accepted), int(rejected)
         # explicit methods are first-same-as-last: stages per attempt, and the very first slope; diffrax does not say
         # how many Newton iterations an implicit one took
-        explicit = (accepted + rejected) * (self.method_.stages or 0) + 1
-        evaluations = None if self.method_.implicit else explicit
+        explicit = (accepted + rejected) * (self.method.stages or 0) + 1
+        evaluations = None if self.method.implicit else explicit
         counts = Counts(accepted, evaluations, 0, rejected)
         if successful:
-            return self.finish(y0, y, counts)
+            return Ending(y, counts)
         # Unsuccessful runs may still hold a finite state at the wrong time: keep only what was
         # saved before the end (saved times not reached are inf or nan).
         reached = 0 if self.final_only else int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
         status = Status.budget if exhausted else Status.failed
         why = "step below the resolution of time" if collapsed else "the nonlinear solve failed"
-        message = f"max_steps = {r.max_steps} spent" if exhausted else f"diffrax: {why} (t = {time:.6g})"
-        return self.finish(y0, y[:reached], counts, status, message, (time, last))
+        message = self.spent if exhausted else f"diffrax: {why} (t = {time:.6g})"
+        return Ending(y[:reached], counts, status, message, (time, last))
 
 
 for _solver, _order, _stages, _implicit, _about in (
@@ -146,7 +143,7 @@ for _solver, _order, _stages, _implicit, _about in (
     METHODS.add(
         Peer(
             f"diffrax-{_solver.lower()}",
-            *(_about, DiffraxRun, ("jax",), (ROUNDING, 1e-1), _solver),
+            *(_about, Diffrax, ("jax",), (ROUNDING, 1e-1), _solver),
             order=_order,
             stages=_stages,
             implicit=_implicit,

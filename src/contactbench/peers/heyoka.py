@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING
-from contactbench.methods.prepared import Outcome, stopwatch
+from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, bare
-from contactbench.peers.base import Peer, PeerRun
+from contactbench.peers.base import Call, Ending, Peer
 from contactbench.scene import Cache, Scene, key
 from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
@@ -55,15 +55,15 @@ PIECE = 10**4
 _integrators: Cache[tuple[Any, float]] = Cache(32)
 
 
-class TaylorRun(PeerRun):
-    def __post_init__(self) -> None:
+class Taylor(Call):
+    def __init__(self, method: Peer, request: Request) -> None:
         import heyoka
 
-        super().__post_init__()
-        r = self.request
+        super().__init__(method, request)
+        r, size = request, len(request.start)
         scene = r.scene.unrolled() if isinstance(r.scene, Many) else r.scene
 
-        _, y0 = self.split_clock(self.start)
+        _, y0 = self.split_clock(r.start)
         scaled = np.ndim(r.scales) > 0
         units = np.exp2(np.round(np.log2(r.scales))) if scaled else np.ones(len(y0))
         #: what the integrator's numbers are multiples of, powers of two; None: all are 1
@@ -72,76 +72,76 @@ class TaylorRun(PeerRun):
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             system = taylor_system(scene, r.carry, heyoka, units.tolist())
-            compact = len(self.start) > UNROLLED
-            return heyoka.taylor_adaptive(system, y0 / units, tol=r.rtol, compact_mode=compact), elapsed()
+            return heyoka.taylor_adaptive(
+                system, y0 / units, tol=r.rtol, compact_mode=size > UNROLLED
+            ), elapsed()
 
         given = (*scene.numbers(), *units), r.carry, r.rtol
-        program, self.compile_s = _integrators.get(key(scene.recorded().identity, *given), make)
+        program, self.seconds = _integrators.get(key(scene.recorded().identity, *given), make)
         self.integrator = copy(program)
         #: where a packed state has what is integrated: all of it, but the time
-        self.motion: Any = slice(self._clock)
-        if self._clock is not None and self._clock < len(self.start) - 1:
-            self.motion = [i for i in range(len(self.start)) if i != self._clock]
+        self.motion: Any = slice(self.clock)
+        if self.clock is not None and self.clock < size - 1:
+            self.motion = [i for i in range(size) if i != self.clock]
         self.alone = Lock()  # one state: calls from several threads take turns
         self.outcomes, self.per_step = heyoka.taylor_outcome, program.order + 1
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        """The time in a packed state is set and read in place: `split_clock` takes a third of a short run."""
-        ta, clock, y = self.integrator, self._clock, y0.copy()
-        ta.time = start = 0.0 if clock is None else y0.item(clock)
-        ta.state[:] = y0[self.motion] if self.units is None else y0[self.motion] / self.units
-        ta.propagate_until(start + self._end, max_steps=self.request.max_steps)
+    def set(self, y0: np.ndarray) -> float:
+        """Put the integrator to a packed state, in place: `split_clock` takes a third of a short run."""
+        start = 0.0 if self.clock is None else y0.item(self.clock)
+        self.integrator.time = start
+        self.integrator.state[:] = y0[self.motion] if self.units is None else y0[self.motion] / self.units
+        return start
+
+    def last(self, y0: np.ndarray) -> np.ndarray:
+        ta, y, start = self.integrator, y0.copy(), self.set(y0)
+        ta.propagate_until(start + self.end, max_steps=self.request.max_steps)
         y[self.motion] = ta.state if self.units is None else ta.state * self.units
-        if clock is not None:
-            y[clock] = start + self._end
+        if self.clock is not None:
+            y[self.clock] = start + self.end
         return y
 
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        r, ta, limit = self.request, self.integrator, self.outcomes
+    def __call__(self, y0: np.ndarray) -> Ending:
+        most, ta, limit = self.request.max_steps, self.integrator, self.outcomes
         with self.alone:
-            origin, start = self.split_clock(y0)
-            ta.time, ta.state[:] = origin, start if self.units is None else start / self.units
-            if len(r.save_at) == 1:
+            origin = self.set(y0)
+            if len(self.request.save_at) == 1:
                 outcome, steps = limit.step_limit, 0
-                while outcome == limit.step_limit and steps < r.max_steps:  # in pieces, of the same steps
-                    most = min(PIECE, r.max_steps - steps)
-                    outcome, _, _, taken, *_ = ta.propagate_until(origin + self._end, max_steps=most)
+                while outcome == limit.step_limit and steps < most:  # in pieces, of the same steps
+                    piece = min(PIECE, most - steps)
+                    outcome, _, _, taken, *_ = ta.propagate_until(origin + self.end, max_steps=piece)
                     steps += taken
                 y = ta.state[None][: outcome == limit.time_limit].copy()
             else:
-                grid = origin + np.append(0.0, self.later)
-                most = min(PIECE, r.max_steps)
-                outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=most)
-                if (
-                    steps == most < r.max_steps
-                ):  # once more, with a callback at every step: Python looks at signals
-                    ta.time, ta.state[:] = self.split_clock(y0)
-                    options = {"max_steps": r.max_steps, "callback": lambda _: True}
+                grid, piece = origin + np.append(0.0, self.later), min(PIECE, most)
+                outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=piece)
+                if steps == piece < most:  # once more, with a callback at every step: Python looks at signals
+                    self.set(y0)
+                    options = {"max_steps": most, "callback": lambda _: True}
                     outcome, _, _, steps, *_, y = ta.propagate_grid(grid, **options)
                 y = y[1:]
             time, state = float(ta.time) - origin, ta.state.copy()
         if self.units is not None:
             y, state = y * self.units, state * self.units
-        y = self.from_start(y0, self.insert_clock(y, origin, self.later[: len(y)]))
+        y = self.insert_clock(y, origin, self.later[: len(y)])
         counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
         # of a grid that takes exactly so many steps heyoka says that they are spent
-        if outcome == limit.time_limit or len(y) == len(r.save_at):
-            return self.finish(y0, y, counts)
+        if outcome == limit.time_limit or len(y) == len(self.later):
+            return Ending(y, counts)
         if outcome == limit.step_limit:
-            message = f"max_steps = {r.max_steps} spent"
-            return self.finish(y0, y, counts, Status.budget, message, (time, state))
+            return Ending(y, counts, Status.budget, self.spent, (time, state))
         message = f"{outcome.name} at t = {time:.6g}"
         if not time > 0:  # a function without a series at the start: no failure of the motion
-            return self.finish(y0, y[:0], counts, Status.failed, f"{message}; {NO_SERIES}")
+            return Ending(None, counts, Status.failed, f"{message}; {NO_SERIES}")
         status = Status.diverged if outcome == limit.err_nf_state else Status.failed
-        return self.finish(y0, y, counts, status, message, (time, state))
+        return Ending(y, counts, status, message, (time, state))
 
 
 METHODS.add(
     Peer(
         "heyoka-taylor",
         "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)",
-        *(TaylorRun, ("llvm",), (ROUNDING, 1e-1)),
+        *(Taylor, ("llvm",), (ROUNDING, 1e-1)),
         package="heyoka",
         takes_atol=False,
         most=1024,

@@ -13,33 +13,33 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import CLAMPED, METHODS
-from contactbench.peers.base import CallbackPeer, Peer
+from contactbench.peers.base import Callback, Peer
 
 
-class ScipyRun(CallbackPeer):
+class Scipy(Callback):
     def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Any:
         import scipy.integrate
 
         r, jacobian = self.request, self.jacobian
 
         def f(t: float, y: np.ndarray) -> Any:
-            return rhs(start + t, self.request.scene.entries(y))
+            return rhs(start + t, self.scene.entries(y))
 
         options: dict[str, Any] = {"rtol": r.rtol, "atol": r.atol}
         if jacobian is not None:
-            options["jac"] = lambda t, y: np.array(jacobian(start + t, self.request.scene.entries(y)))
-        solver = getattr(scipy.integrate, self.method_.solver)(f, 0.0, y, self._end, **options)
+            options["jac"] = lambda t, y: np.array(jacobian(start + t, self.scene.entries(y)))
+        solver = getattr(scipy.integrate, self.method.solver)(f, 0.0, y, self.end, **options)
         if not math.isfinite(solver.h_abs):  # SciPy would never return
             raise OverflowError("the first step is not finite")
         return solver
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
+    def last(self, y0: np.ndarray) -> np.ndarray:
         start, y = self.split_clock(y0)
         with suppress(OverflowError):
             solver = self.begin(start, y, self.rhs)
             while solver.status == "running":
                 solver.step()
-            return self.insert_clock(solver.y, start, self._end)
+            return self.insert_clock(solver.y, start, self.end)
         return np.full_like(y0, math.nan)
 
 
@@ -52,7 +52,7 @@ for _solver, _order, _stages, _cost, _about in (
         Peer(
             f"scipy-{_solver.lower()}",
             _about,
-            ScipyRun,
+            Scipy,
             *_fixed,
             _implicit,
             costs={"python": _cost},

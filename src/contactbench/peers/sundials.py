@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
-from contactbench.methods.prepared import Prepared, Request
-from contactbench.peers.base import CallbackPeer, Peer
-from contactbench.peers.compiled import FACTS, KNOWN, TOO_MUCH_WORK, CompiledPeer
+from contactbench.methods.prepared import Request
+from contactbench.peers.base import Call, Callback, Peer
+from contactbench.peers.compiled import FACTS, KNOWN, TOO_MUCH_WORK, Compiled
 from contactbench.solution import Status
 
 #: components times steps of CVODE that take some hundredths of a second
@@ -45,51 +45,51 @@ class Stepper:
         return lambda t: self.solver.step(float(t), tstop=self.end).y
 
 
-class CvodeRun(CallbackPeer):
+class CvodeCallback(Callback):
     failure = 0
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
+    def last(self, y0: np.ndarray) -> np.ndarray:
         start, y = self.split_clock(y0)
         solver = self.solver(start, self.rhs)
         solver.init_step(0.0, y)
-        return self.insert_clock(solver.step(self._end, tstop=self._end).y, start, self._end)
+        return self.insert_clock(solver.step(self.end, tstop=self.end).y, start, self.end)
 
     def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Stepper:
-        return Stepper(self.solver(start, rhs), y, self._end)
+        return Stepper(self.solver(start, rhs), y, self.end)
 
     def solver(self, start: float, rhs: Callable[[float, Any], Any]) -> Any:
         from sksundae.cvode import CVODE
 
-        r, jacobian = self.request, self.jacobian
+        r, scene, jacobian = self.request, self.scene, self.jacobian
 
         def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
-            yp[:] = rhs(start + t, r.scene.entries(y))
+            yp[:] = rhs(start + t, scene.entries(y))
 
         def jac(t: float, y: np.ndarray, yp: np.ndarray, J: np.ndarray) -> None:
             assert jacobian is not None
-            J[:, :] = jacobian(start + t, r.scene.entries(y))
+            J[:, :] = jacobian(start + t, scene.entries(y))
 
         options = {
-            "method": self.method_.solver,
+            "method": self.method.solver,
             "rtol": r.rtol,
             "atol": r.atol,
             "max_num_steps": r.max_steps,
         }
-        bounds = {"min_step": SHORTEST * self._end, "max_step": self._end}
+        bounds = {"min_step": SHORTEST * self.end, "max_step": self.end}
         return CVODE(f, jacfn=jac if jacobian else None, **options, **bounds)
 
 
-class CompiledCvodeRun(CompiledPeer):
-    def connect(self) -> tuple[ModuleType, tuple[Any, ...]]:
+class Cvode(Compiled):
+    def connect(self, clock: int) -> tuple[ModuleType, tuple[Any, ...]]:
         from contactbench.peers.abi import cvode
 
-        r, size = self.request, len(self.split_clock(self.start)[1])
+        r, size = self.request, len(self.split_clock(self.request.start)[1])
         assert r.rtol is not None
         assert r.atol is not None
         tolerances, bounds = (r.rtol, r.atol), (SHORTEST * self.end, self.end)
-        self.memory = cvode.Memory(self.method_.solver, self.functions, self.data, size, tolerances, bounds)
+        self.memory = cvode.Memory(self.method.solver, self.functions, self.data, size, tolerances, bounds)
         place = self.memory.memory, self.memory.vector, self.memory.y
-        return cvode, (*place, self.data, self.clock, self.end, r.max_steps)
+        return cvode, (*place, self.data, clock, self.end, r.max_steps)
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """In pieces, of the same steps: between two of them Python looks at signals."""
@@ -99,11 +99,13 @@ class CompiledCvodeRun(CompiledPeer):
         while taken < most:
             count, saved = min(piece, most - taken), int(facts[SAVED])
             if self.final_only:
-                facts = self.calls.on_to_end(*place, count) if taken else self.calls.to_end(y0, *place, count)
+                facts = (
+                    self.library.on_to_end(*place, count) if taken else self.library.to_end(y0, *place, count)
+                )
             elif taken:
-                facts = self.calls.on_to_times(saved, self.later, rows, *place, count)
+                facts = self.library.on_to_times(saved, self.later, rows, *place, count)
             else:
-                facts = self.calls.at_times(y0, self.later, rows, *place, count)
+                facts = self.library.at_times(y0, self.later, rows, *place, count)
             if facts[FLAG] != TOO_MUCH_WORK:
                 break
             taken += count
@@ -113,17 +115,17 @@ class CompiledCvodeRun(CompiledPeer):
         if flag >= 0:
             return Status.ok, ""
         if flag == TOO_MUCH_WORK:
-            return Status.budget, f"max_steps = {self.request.max_steps} spent"
+            return Status.budget, self.spent
         from sksundae._cy_cvode import CVMESSAGES
 
         return Status.failed, str(CVMESSAGES.get(flag, f"CVODE returned {flag}"))
 
 
-def cvode(name: str, request: Request, method: Peer) -> Prepared:
+def cvode(method: Peer, request: Request) -> Call:
     if request.engine == "c+python":
-        return CvodeRun(name, request, method)
+        return CvodeCallback(method, request)
     try:
-        return CompiledCvodeRun(name, request, method)
+        return Cvode(method, request)
     except ImportError as why:
         raise ImportError(f"{why}; engine 'c+python' does without") from why
 
