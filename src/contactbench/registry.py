@@ -13,7 +13,22 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 
 
 class Registry(dict):
-    """A dict in table order whose missing keys raise `UnknownName`; kind : its items in messages; of : their class."""
+    """Hold items by name in the order of tables: a dict whose missing keys raise `UnknownName`.
+
+    Parameters
+    ----------
+    kind
+        What its items are called in messages.
+    of
+        The class that an item must have.
+
+    Raises
+    ------
+    UnknownName
+        For a key that it does not have; the message suggests the nearest one.
+    BadInput
+        For an item of another class, or whose name is taken or no name.
+    """
 
     #: all registries there are
     every: ClassVar[list[Registry]] = []

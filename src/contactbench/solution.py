@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Status(StrEnum):
-    """The ways a run can end, words that compare equal to their names.
+    """Name the ways a run can end, by words that compare equal to their names.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Status(StrEnum):
 
 
 class Counts(NamedTuple):
-    """What a run cost; a count is None where the solver does not say.
+    """Count what a run cost; a count is None where the solver does not say.
 
     Attributes
     ----------
@@ -133,14 +133,16 @@ _new = object.__new__
 
 @dataclass(repr=False)
 class Solution:
-    """Saved states of one run.
+    """Hold the saved states of one run.
 
     Attributes
     ----------
+    scene, method, engine, carry
+        What was solved, the names of the method and of the engine, and which of s and R were integrated.
     t
         Saved times, (k,).
     y, y0
-        Packed states, (k, d), NaN where the run did not get, and the initial one.
+        Packed states, (k, d), NaN after the end of a run that did not reach them, and the initial one, (d,).
     q, p, s, M, R
         Their parts, (k, n), (k, n), (k,), (k, 3) and (k, 3, 3); one the run did not carry is None.
     status, message, end_time
@@ -150,6 +152,12 @@ class Solution:
     step_chosen, step
         Of a method with fixed steps, the step that was asked for, or chosen from rtol, and the longest one taken,
         shorter where no whole number of steps leads from one saved time, the end included, to the next.
+    control, value
+        What was set, "step", "rtol" or "exact", and its value.
+    run
+        The `Prepared` that made it, which can be differentiated.
+    truth
+        The `Reference` at its times, where it is known already; else the laws compute it.
     """
 
     scene: Scene

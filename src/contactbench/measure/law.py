@@ -58,7 +58,7 @@ class Gate(Enum):
 
 @dataclass(frozen=True)
 class Measured:
-    """A law's value, its error bar, and at how many saved times it was clamped; the last two None without."""
+    """Hold a law's value, its error bar and at how many saved times it was clamped, the last two None where unknown."""
 
     value: float
     uncertainty: float | None = None
@@ -72,10 +72,20 @@ class Measured:
 
 @dataclass(frozen=True)
 class Law:
-    """A measure, and what those who show or compare it must know.
+    """Define a measure of a solution, and what those who show or compare it must know.
 
-    Attributes
+    Parameters
     ----------
+    name
+        A key in `LAWS` and the name of a column.
+    measure
+        ``measure(solution)``: the deviation at the saved times, or one number.
+    applies
+        ``applies(scene)``: whether the scene has this law.
+    differentiates
+        Whether it takes the derivative of the map, which may cost many runs.
+    claimed
+        ``claimed(solution)``: whether the method of the run promises, on its scene, to keep it at every setting.
     definition, label
         Its meaning, a header or axis label, and a short name in mathtext.
     needs
@@ -84,6 +94,11 @@ class Law:
         How two runs are compared.
     shown
         The documents that list it.
+
+    Raises
+    ------
+    BadInput
+        On a call, where the scene has no such law or the run did not carry what it needs.
     """
 
     name: str
@@ -94,14 +109,12 @@ class Law:
     applies: Callable[[Scene], bool] = lambda scene: True
     gate: Gate = Gate.error
     shown: tuple[str, ...] = ("laws",)
-    #: whether it takes the derivative of the map, which may cost many runs
     differentiates: bool = False
-    #: whether the method of a run promises, on its scene, to keep it at every setting
     claimed: Callable[[Solution], bool] = lambda solution: False
 
     @property
     def about(self) -> str:
-        """Its definition: what registries list."""
+        """Return its definition, which registries list."""
         return self.definition
 
     @property
@@ -110,7 +123,7 @@ class Law:
         return self.gate is Gate.structure and "laws" in self.shown
 
     def __call__(self, solution: Solution) -> float:
-        """The measure; nan unless the run ended `ok` and the law is defined for its method.
+        """Return the measure, nan unless the run ended `ok` and the law is defined for its method.
 
         Raises `BadInput` when the scene has no such law or the run did not carry what it needs.
         """

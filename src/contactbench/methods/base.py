@@ -59,7 +59,7 @@ SHORTEST_RUN = 1e-290
 
 
 class Method(ABC):
-    """What can be compared with the other methods.
+    """Declare a method and prepare its runs, so that it can be compared with the other methods.
 
     To bring a step map ``(scene, x, h, xp) -> x``, use `fixed_step` or subclass `FixedStep`; to bring a solver
     that chooses its own steps, subclass `Adaptive` and write `prepare`.  Everything else here has a default.
@@ -222,10 +222,22 @@ def prepare(
     max_steps
         Budget; a run that needs more ends with status `budget`.
 
+    Returns
+    -------
+    Prepared
+        What takes other initial data by name, ``run(q=…, p=…)``, and returns a `Solution`.
+
     Raises
     ------
     BadInput
-        For anything it cannot work with.
+        For an unknown name, and a value that is not allowed or does not go with the scene or the method.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> run = cb.prepare("oscillator", "contact-strang", step=0.1, save_at=[1.0])
+    >>> run(q=(0.5,)).y0[0]
+    np.float64(0.5)
     """
     scene, chosen = lookup(scene, method)
     request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
@@ -388,10 +400,29 @@ OPTIONS = inspect.signature(prepare).parameters.keys() - {"scene", "method"}
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     """Solve a scene once, by the keywords of `prepare`.
 
+    Parameters
+    ----------
+    scene, method
+        As of `prepare`.
+    **options
+        The other keywords of `prepare`.
+
+    Returns
+    -------
+    Solution
+        The saved states, how the run ended and what it cost; a run that fails does not raise, see its `status`.
+
     Raises
     ------
     BadInput
         As `prepare` does, and where a gradient is not that of the potential at a saved state.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> sol = cb.solve("oscillator", "contact-strang", step=0.1, save_at=[1.0])
+    >>> sol.status.value, sol.counts.steps, sol.q.shape
+    ('ok', 10, (1, 1))
     """
     for name in options.keys() - OPTIONS:
         scene, why = scene_of(scene), f"choose from {', '.join(sorted(OPTIONS))}"

@@ -38,13 +38,20 @@ def total(n: np.ndarray) -> int:
 
 
 class StepLoop(ABC):
-    """What takes the steps of a method on a scene, by one engine.
+    """Take the steps of a method on a scene, by one engine.
 
     1. ``ready(h, n)`` is all that depends on the steps alone, intervals of n[k] of size h[k].
     2. ``take(y0, ready)`` returns the packed states after each interval, (k, d), and the evaluations made, None where
        they are known beforehand.  No call leaves a trace.
     3. ``last(ready)`` is the function that gives the last of these states alone, by the fastest way there is.
     4. ``tangent(y0, v, h, n)`` is the derivative of the states along v.
+
+    Parameters
+    ----------
+    method
+        A `FixedStep`.
+    request
+        The scene, what is carried, the setting and the saved times.
     """
 
     #: how `tangent` differentiates

@@ -91,18 +91,31 @@ class Outcome:
 
 @dataclass
 class Prepared(ABC):
-    """A compiled solver: call it, with other initial data if you like, to get a `Solution`.
+    """Run a compiled solver: call it, with other initial data if you like, to get a `Solution`.
 
     A solver's own class writes `integrate`; `bare` where there is a faster way to the last state; and, where its
     map can be differentiated, `sensitivity` (or `linearised`) together with `sensitivity_source`.
 
     It belongs to what the scene's functions computed when it was prepared.  A function that cannot be recorded is
     called as it is; where that is so, and something has changed since, a call computes with the change.
+
+    Parameters
+    ----------
+    method
+        The name of the method.
+    request
+        The scene, what is carried, the setting and the saved times.
+    compile_s
+        Seconds spent on tracing and compiling; zero where nothing is compiled.
+
+    Raises
+    ------
+    BadInput
+        On a call, for initial data that the scene does not have or cannot start from.
     """
 
     method: str
     request: Request
-    #: seconds spent tracing and compiling; zero where nothing is compiled
     compile_s: float = field(default=0.0, kw_only=True)
 
     #: of fixed steps: the step asked for, and the longest taken

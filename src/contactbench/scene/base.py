@@ -106,7 +106,13 @@ INSTEAD |= {"lagrangian": INSTEAD["hamiltonian"], "drag": INSTEAD["damping"]}
 
 @dataclass(frozen=True, kw_only=True)
 class System(ABC):
-    """What solvers need: a state and its packing, numbers that can be replaced, a right-hand side."""
+    """Give solvers what they need: a state and its packing, numbers that can be replaced, a right-hand side.
+
+    Attributes
+    ----------
+    name, t_end
+        A key in tables, and the time > 0 at which a run ends.
+    """
 
     name: str
     t_end: float
@@ -315,7 +321,7 @@ class System(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Scene(System):
-    """A system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
+    """Describe a system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
 
     A kind of scene of one's own (most need none: `Mechanical` takes any potential) writes what is abstract here
     and in `System`, and keeps these rules, which `contactbench.testing.check_scene` tests:
@@ -336,17 +342,36 @@ class Scene(System):
      8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies, of many sites a few vectors
         at random; ``displaced`` leaves along them.
      9. ``exact``, where given, starts at the initial state and solves the equations.
+
+    Parameters
+    ----------
+    name, about
+        A key in tables and a word on the command line, and one line with the source.
+    t_end
+        The time > 0 at which a run ends; it starts at 0.
+    s
+        The action at the start.
+    exact
+        Closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None.
+    slows_after
+        The time after which the motion slows down as 1/t: steps that grow with the time suit it
+        (`geometric_steps`).
+    hard
+        Whether only the stability experiment runs it.
+    experiments
+        The experiments that run it, where it is not all of them but that of stability.
+
+    Raises
+    ------
+    BadInput
+        For a name that is no argument, and a value that is not allowed.
     """
 
     s: float = 0.0
-    #: closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None
     exact: Callable[[Any, Any, Any], Any] | None = None
     about: str = ""
-    #: the time after which the motion slows down as 1/t: steps that grow with the time suit it (`geometric_steps`)
     slows_after: float | None = None
-    #: only the stability experiment runs it
     hard: bool = False
-    #: the experiments that run it, where it is not all of them but that of stability
     experiments: tuple[str, ...] = ()
 
     #: the NamedTuple of its states

@@ -339,10 +339,12 @@ class Many(Canonical):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Lattice(Many):
-    """A chain or ring of n sites: V = Σ onsite(q_i) + Σ bond(q_{i+1} − q_i).
+    """Describe a chain or ring of n sites: V = Σ onsite(q_i) + Σ bond(q_{i+1} − q_i).
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
     n
         Sites, ≥ 2.
     boundary
@@ -355,7 +357,7 @@ class Lattice(Many):
     gamma
         Linear damping.
     q, p
-        n numbers each, or functions of the index 0 … n − 1, or of the index and n.
+        Coordinates and momenta at the start: n numbers each, or functions of the index 0 … n − 1, or of the index and n.
     parameters
         Numbers by name that the potentials take.
 
@@ -478,10 +480,12 @@ class Chain:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Particles(Many):
-    """N bodies in a plane or in space, each acting on each: V = Σ_{a<b} pair(‖x_a − x_b‖², m_a, m_b).
+    """Describe N bodies in a plane or in space, each acting on each: V = Σ_{a<b} pair(‖x_a − x_b‖², m_a, m_b).
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
     masses
         N numbers > 0, N ≥ 2.
     dimensions

@@ -178,12 +178,14 @@ ISOTROPIC = BODY | {"free_damp": Flow(time_and_damping, free_damp, FREE_COSTS, l
 
 @dataclass(frozen=True, kw_only=True)
 class RigidBody(Scene):
-    """Damped rigid body: M' = M × I⁻¹M − D M, R' = R Ω̂, s' = ½ M·Ω − γ s on T*SO(3) × R.
+    """Describe a damped rigid body: M' = M × I⁻¹M − D M, R' = R Ω̂, s' = ½ M·Ω − γ s on T*SO(3) × R.
 
     The momentum map of the left action is the spatial momentum J = R M.
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
     inertia
         Three principal moments > 0.
     M

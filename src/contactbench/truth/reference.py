@@ -60,10 +60,12 @@ HIGH, SURVEY = 0.5, 0.3
 
 @dataclass(frozen=True, repr=False)
 class Reference:
-    """The true states of a scene at given times.
+    """Hold the true states of a scene at given times.
 
     Attributes
     ----------
+    scene, carry
+        What was solved, and which of s and R the states contain.
     t, y
         Times, (k,), and states, (k, d), correctly rounded, columns as in ``scene.labels(carry)``.
     decimals
@@ -107,14 +109,23 @@ _cache: Cache[Reference] = Cache(1024)
 def reference(
     scene: Scene | str, times: Any, carry: Sequence[str] | None = None, seconds: float = LIVE_SECONDS
 ) -> Reference:
-    """Return the truth of a scene, itself or by name, at `times` (k,), any order, t ≥ 0; `carry` as in `solve`.
+    """Return the true states of a scene at given times.
 
     Parameters
     ----------
+    scene
+        Itself, or the name of a registered one.
     times
-        A time within 4 units in the last place of a frozen grid time means that grid time.
+        Times ≥ 0 in any order, (k,), or one number.  A time within 4 units in the last place of a frozen grid time means that grid time.
+    carry
+        Which of s and R to give; by default all the scene has.
     seconds
         How long a live computation may take; it ends sooner where it is seen to need far more.
+
+    Returns
+    -------
+    Reference
+        The states, (k, d), correctly rounded, with all digits that are known as strings.
 
     Raises
     ------
@@ -123,6 +134,12 @@ def reference(
         before the last time, or too few digits can be had.
     OutOfTime
         A `BadInput`, where it would take too long.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> cb.reference("oscillator", [1.0, 2.0], carry=()).y.shape
+    (2, 2)
     """
     begun, scene = perf_counter(), scene_of(scene)
     if not is_real(seconds) or not hasattr(seconds, "__float__") or seconds != seconds:
