@@ -139,8 +139,8 @@ def lyapunov(
     Raises
     ------
     BadInput
-        For a method whose steps are not fixed, a value that is out of range, and an interval in which tangents grow so far apart that rounding loses
-        the small ones.
+        For a method whose steps are not fixed, a value that is out of range, and an interval in which tangents
+        grow so far apart that rounding loses the small ones.
 
     References
     ----------

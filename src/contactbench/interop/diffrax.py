@@ -374,6 +374,13 @@ def terms_of(scene: Scene | str) -> tuple[Any, Any]:
     BadInput
         For a scene that is not mechanical, or whose damping is not linear, and for args that are none of its
         parameters.
+
+    Examples
+    --------
+    >>> import contactbench as cb, jax
+    >>> velocity, momentum_terms = cb.diffrax.terms_of("oscillator")
+    >>> velocity.vf(0.0, jax.numpy.ones(1), None).shape
+    (1,)
     """
     scene = scene_of(scene)
     if scene.kind not in ("mechanical", "driven"):

@@ -357,7 +357,8 @@ class Lattice(Many):
     gamma
         Linear damping.
     q, p
-        Coordinates and momenta at the start: n numbers each, or functions of the index 0 … n − 1, or of the index and n.
+        Coordinates and momenta at the start: n numbers each, or functions of the index 0 … n − 1, or of the index
+        and n.
     parameters
         Numbers by name that the potentials take.
 

@@ -116,7 +116,8 @@ def reference(
     scene
         Itself, or the name of a registered one.
     times
-        Times ≥ 0 in any order, (k,), or one number.  A time within 4 units in the last place of a frozen grid time means that grid time.
+        Times ≥ 0 in any order, (k,), or one number.  A time within 4 units in the last place of a frozen grid time
+        means that grid time.
     carry
         Which of s and R to give; by default all the scene has.
     seconds
