@@ -12,7 +12,7 @@ from contactbench.notebook import html_table
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 
 
-class Registry(dict):
+class Registry(dict[str, Any]):
     """Hold items by name in the order of tables: a dict whose missing keys raise `UnknownName`.
 
     Parameters

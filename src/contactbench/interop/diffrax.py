@@ -163,14 +163,14 @@ def time_of(stages: Sequence[Stage]) -> float:
     return float(sum(coefficient for flow, coefficient in stages if flow in CLOCKS))
 
 
-class ContactSolver(diffrax.AbstractSolver):
+class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
     """A contact splitting integrator for three terms on y = (q, p); see `Contact`."""
 
     composition: Composition = eqx.field(static=True)
 
     term_structure: ClassVar[Any] = (
         diffrax.AbstractTerm,
-        diffrax.MultiTerm[tuple[diffrax.AbstractTerm, diffrax.AbstractTerm]],
+        diffrax.MultiTerm[tuple[diffrax.AbstractTerm, diffrax.AbstractTerm]],  # type: ignore[type-arg]
     )
     interpolation_cls: ClassVar[Any] = diffrax.ThirdOrderHermitePolynomialInterpolation
 

@@ -29,14 +29,14 @@ class Died(Exception):
     """The call took its process down."""
 
 
-class Worker(AbstractContextManager):
+class Worker(AbstractContextManager["Worker"]):
     """A process that makes calls, on some cores; it starts with the first and ends with `close`, or its block."""
 
     def __init__(self, cores: Iterable[int] = ()) -> None:
         self.cores = list(cores)
         self.running: tuple[ProcessPoolExecutor, BaseProcess] | None = None
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future:
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Begin a call after those before it; function, arguments and what comes of it must be picklable."""
         if self.running is None:
             spawn = multiprocessing.get_context("spawn")
