@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy  # its parts are loaded when first used
@@ -422,7 +422,7 @@ def momenta(scene: Scene) -> np.ndarray:
     return np.array(scene.momentum(reference(scene, times(scene)).states())).T
 
 
-def radius_and_speed(x: State) -> tuple[np.ndarray, np.ndarray]:
+def radius_and_speed(x: Any) -> tuple[np.ndarray, np.ndarray]:
     radius = np.hypot(*x.q)
     return radius, (x.q[0] * x.p[0] + x.q[1] * x.p[1]) / radius
 

@@ -429,7 +429,8 @@ def decay_to_the_origin(
 ) -> Evidence:
     """rates : about axes 2 and 3.  kernel : a direction that is no principal axis."""
     scene = body((0.0, *rates))
-    left = momentum_at(scene.damping, scene.M, 80.0 / min(rates)) / np.linalg.norm(scene.M)
+    start = np.array(scene.M)
+    left = momentum_at(scene.damping, start, 80.0 / min(rates)) / np.linalg.norm(start)
     sizes = np.linalg.norm(along_kernel(kernel)[0], axis=1)
     damped_away = 1e-2, "what decays at the damping rates is gone"
     after = "‖M(t)‖/‖M(0)‖ after 80 damping times, D = diag(0, 1, 1), D M(0) ≠ 0"

@@ -9,8 +9,9 @@ import numpy as np
 
 from contactbench.checks import array
 from contactbench.errors import BadInput, excerpt
+from contactbench.numbers.protocol import Arithmetic
 
-Vector = tuple[Any, ...]
+Vector = tuple[Arithmetic, ...]
 
 
 class State(NamedTuple):

@@ -23,7 +23,7 @@ from contactbench.notebook import html_table
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.registry import Registry
-from contactbench.scene.algebra import Vector, shifted
+from contactbench.scene.algebra import shifted
 from contactbench.scene.flow import Flow
 from contactbench.scene.scales import in_order
 from contactbench.trace.formula import Formula, formula
@@ -566,7 +566,7 @@ class Scene(System):
         """Return the contact Hamiltonian H = H0 + Γ(s); needs s."""
 
     @abstractmethod
-    def momentum(self, x: Any) -> Vector | None:
+    def momentum(self, x: Any) -> tuple[Any, ...] | None:
         """Return the momentum map J of the rotations, None where there is none."""
 
     def tangents(self, x: Any) -> list[Any]:

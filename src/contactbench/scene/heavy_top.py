@@ -150,7 +150,7 @@ class HeavyTop(RigidBody):
     def jacobian(self, x: BodyState) -> Any:
         """Return None."""
 
-    def momentum(self, x: BodyState) -> Vector:
+    def momentum(self, x: BodyState) -> tuple[Any, ...]:
         """Return e₃·RM, the vertical component of the spatial momentum."""
         return (dot(self.vertical(x.R), x.M),)
 

@@ -133,7 +133,7 @@ class Many(Canonical):
         self._check_functions()
         with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
             x = self.initial(())
-            start = np.array([*np.ravel(self.gradient_at(x)), self.potential_at(x)])
+            start = np.array([*np.ravel(np.asarray(self.gradient_at(x))), self.potential_at(x)])
         if not np.isfinite(start).all():
             raise BadInput(f"q: the force or the potential of scene {self.name!r} is not finite at the start")
 
@@ -314,7 +314,7 @@ class Many(Canonical):
     #: derivatives are by differences or dual numbers
     has_jacobian = False
 
-    def momentum(self, x: State) -> Vector:
+    def momentum(self, x: State) -> tuple[Any, ...]:
         """Return the total momentum; of particles in a plane or in space the angular one, one component or three."""
         if self.dimensions == 1:
             return (total(x.p[0]),)

@@ -448,7 +448,7 @@ class Mechanical(Canonical):
             rows.append([-g for g in self.dV(x.q)] + [*scaled(self.inverse_mass, x.p)] + [-rate])
         return rows
 
-    def momentum(self, x: State) -> Vector | None:
+    def momentum(self, x: State) -> tuple[Any, ...] | None:
         """Return the angular momentum q × p (one component in the plane, three in space), else None."""
         q, p = x.q, x.p
         if len(q) == 2:

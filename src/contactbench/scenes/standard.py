@@ -97,7 +97,7 @@ def elliptic_phase(sine: Any, cosine: Any, modulus: Any, mp: Any, precision: int
     return mp.ellipf(mp.atan2(sine, cosine), modulus)
 
 
-def free_top(inertia: Vector, M0: Vector, tau: Any, mp: Any) -> Vector:
+def free_top(inertia: tuple[Any, ...], M0: tuple[Any, ...], tau: Any, mp: Any) -> Vector:
     """Body momentum of the free asymmetric top at time tau, by Jacobi elliptic functions.
 
     With axes ordered so that the motion encircles the last one,

@@ -205,8 +205,8 @@ def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Stored |
     probe = closed_form_columns(scene, t[:1], carry)  # elliptic functions at every time are slow
     if probe is None or None in probe or (columns := closed_form_columns(scene, t, carry)) is None:
         return None
-    digits = min(known for _, known in columns)
-    return [list(row) for row in zip(*(c for c, _ in columns), strict=True)], digits, "closed form"
+    decimals, digits = zip(*(column for column in columns if column), strict=True)
+    return [list(row) for row in zip(*decimals, strict=True)], min(digits), "closed form"
 
 
 def closed_form_columns(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Columns | None:
