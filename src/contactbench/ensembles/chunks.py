@@ -154,7 +154,7 @@ def on_cores(
 
 
 def lanes_of(loop: Any) -> int:
-    """How many trajectories its compiled loop integrates side by side."""
+    """Return how many trajectories its compiled loop integrates side by side."""
     return LANES if sum(1 for _ in lines(loop.program.many.body)) <= LONG else FEW_LANES
 
 

@@ -66,7 +66,7 @@ class Measured:
 
     @property
     def bound(self) -> bool:
-        """Whether the value is an upper bound."""
+        """Return whether the value is an upper bound."""
         return self.uncertainty is not None and self.value <= UNSURE * self.uncertainty
 
 
@@ -119,7 +119,7 @@ class Law:
 
     @property
     def structural(self) -> bool:
-        """Whether it is a law of the map itself, kept or not whatever the error of the solution."""
+        """Return whether it is a law of the map itself, kept or not whatever the error of the solution."""
         return self.gate is Gate.structure and "laws" in self.shown
 
     def __call__(self, solution: Solution) -> float:
@@ -130,7 +130,7 @@ class Law:
         return self.measured(solution).value
 
     def measured(self, solution: Solution) -> Measured:
-        """The measure with its error bar; raises as the call does."""
+        """Return the measure with its error bar; raises as the call does."""
         found = self.along(solution)
         if not isinstance(found, Deviation):
             return Measured(found)
@@ -141,7 +141,7 @@ class Law:
         return Measured(value + (uncertainty or 0.0) if unknown else value, uncertainty, clamped)
 
     def along(self, solution: Solution) -> Deviation | float:
-        """The deviation at every saved time, where the law is a maximum over them; raises as the call does."""
+        """Return the deviation at every saved time, where the law is a maximum over them; raises as the call does."""
         if not self.applies(solution.scene):
             raise BadInput(f"law {self.name!r} is not defined for scene {solution.scene.name!r}")
         missing = [f for f in self.needs_on(solution.scene) if f not in solution.carry]
@@ -245,7 +245,7 @@ def round_off_bound(growth: Any, evaluations: Any) -> Any:
 
 
 def structural_bound(growth: Any, evaluations: Any) -> Any:
-    """Up to what the deviation from a structural law is round-off; the arguments may be columns."""
+    """Return up to what the deviation from a structural law is round-off; the arguments may be columns."""
     return np.maximum(STRUCTURE, round_off_bound(growth, evaluations))
 
 

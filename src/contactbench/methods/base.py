@@ -128,11 +128,11 @@ class Method(ABC):
 
     @property
     def control(self) -> str:
-        """What is set: "step", "rtol" or nothing, "exact"."""
+        """Return what is set: "step", "rtol" or nothing, "exact"."""
         return EXACT if self.exact else "rtol" if self.adaptive else "step"
 
     def refuses(self, scene: Scene) -> str | None:
-        """Why the scene is out of reach, or None."""
+        """Return why the scene is out of reach, or None."""
         return None
 
     def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:  # noqa: B027
@@ -140,11 +140,11 @@ class Method(ABC):
 
     @abstractmethod
     def prepare(self, request: Request) -> Prepared:
-        """A run for the request, compiled."""
+        """Return a run for the request, compiled."""
 
     @abstractmethod
     def step_cost(self, scene: Scene, engine: str) -> float | None:
-        """About the right-hand sides, called back from Python, that a step costs as much as."""
+        """Return about how many right-hand sides, called back from Python, a step costs."""
 
 
 METHODS.of = Method
@@ -161,7 +161,7 @@ class Adaptive(Method):
 
 
 def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
-    """Why a method that takes components one by one refuses a scene, or None."""
+    """Return why a method that takes components one by one refuses a scene, or None."""
     if scene.by_sites:
         return f"{method.name} has no loop over sites; scene {scene.name!r} has many"
     if not fits:
@@ -305,7 +305,7 @@ def make_request(
 
 
 def too_large(chosen: Method, request: Request) -> str | None:
-    """Why a scene has too many components to be compiled one by one, or None."""
+    """Return why a scene has too many components to be compiled one by one, or None."""
     scene, most = request.scene, chosen.largest
     if not isinstance(scene, Mechanical) or request.engine in CALLBACKS or len(scene.q) <= most:
         return None

@@ -108,7 +108,7 @@ class FixedStepRun(Prepared):
 
     @property
     def until(self) -> np.ndarray:
-        """The saved time at which each interval ends, nan where none is."""
+        """Return the saved time at which each interval ends, nan where none is."""
         times = np.full(len(self.n), math.nan)
         times[self.saved] = self.later
         return times

@@ -134,7 +134,7 @@ class OneStep:
 
     @property
     def _numba_type_(self) -> Any:
-        """What numba takes this for where compiled code calls it: a compiled function."""
+        """Return what numba takes this for where compiled code calls it: a compiled function."""
         return self.compiled._numba_type_
 
     @cached_property

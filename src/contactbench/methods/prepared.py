@@ -55,7 +55,7 @@ class Request:
 
     @cached_property
     def start(self) -> np.ndarray:
-        """The scene's own initial state, packed."""
+        """Return the scene's own initial state, packed."""
         return np.array(self.scene.pack(self.scene.initial(self.carry)), dtype=float)
 
     @property
@@ -198,7 +198,7 @@ class Prepared(ABC):
 
     @cached_property
     def places(self) -> dict[str, tuple[int | slice, int | None]]:
-        """Where initial data are in a packed state, and how many numbers; those with no more to be checked."""
+        """Return where initial data are in a packed state, and how many numbers; those with no more to be checked."""
         scene, carry = self.request.scene, self.request.carry
         found: dict[str, tuple[int | slice, int | None]] = {}
         at = 0
@@ -223,7 +223,7 @@ class Prepared(ABC):
         """Run from a packed initial state."""
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        """The solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
+        """Make the solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
         return self.integrate(y0).y[-1]
 
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -341,7 +341,7 @@ class Prepared(ABC):
     # -- the map of the steps taken --------------------------------------------------------------------
     @property
     def steps_follow_state(self) -> bool:
-        """Whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
+        """Return whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
         return self.request.rtol is not None
 
     def tangents(self, y0: np.ndarray) -> list[np.ndarray]:

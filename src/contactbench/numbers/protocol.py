@@ -87,7 +87,7 @@ class Number:
     @property
     @abstractmethod
     def numbers(self) -> Numbers:
-        """The namespace that goes with it."""
+        """Return the namespace that goes with it."""
 
 
 class CannotRecord(TypeError):

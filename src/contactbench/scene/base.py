@@ -61,7 +61,7 @@ def reciprocal(value: Any) -> Any:
 
 
 class Cache[Made]:
-    """The latest `size` things made, by key; None is no key: what has none is made anew every time."""
+    """Keep the latest `size` things made, by key; a thing whose key is None is made at every call."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -149,7 +149,7 @@ class System(ABC):
 
     @cached_property
     def motion(self) -> int:
-        """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
+        """Return how many leading components of a packed state are (q, p) or M: what may not leave its scale."""
         return len(self.without_clock(self.labels(())))
 
     @abstractmethod
@@ -158,7 +158,7 @@ class System(ABC):
 
     @property
     def clock(self) -> int | None:
-        """The component of the packed state that is the time, where there is one."""
+        """Return the component of the packed state that is the time, where there is one."""
         return None
 
     def breaks_until(self, end: float) -> list[tuple[float, float]]:
@@ -208,7 +208,7 @@ class System(ABC):
     @property
     @abstractmethod
     def structure(self) -> tuple[Any, ...]:
-        """Everything but the numbers."""
+        """Return everything but the numbers."""
 
     @cached_property
     def identity(self) -> Hashable | None:
@@ -219,7 +219,7 @@ class System(ABC):
 
     @cached_property
     def has_users_functions(self) -> bool:
-        """Whether any of its functions, or of their derivatives, is not of this package."""
+        """Return whether any of its functions, or of their derivatives, is not of this package."""
         given = (getattr(self, name) for name in self.functions)
         return not all(part is None or is_ours(part) for part in given)
 
@@ -610,17 +610,17 @@ class Scene(System):
 
     @property
     def is_contact(self) -> bool:
-        """The exact flow is a conformal contact map, with a rate that is constant or changes."""
+        """Return whether the exact flow is a conformal contact map, with a rate that is constant or changes."""
         return self.conformal_rate is not None or self.rate_changes
 
     @property
     def has_hamiltonian_law(self) -> bool:
-        """H' = −Γ'(s) H."""
+        """Return whether H' = −Γ'(s) H."""
         return self.is_contact
 
     @property
     def bounds_energy(self) -> bool:
-        """H0 never exceeds what it was at the start."""
+        """Return whether H0 never exceeds what it was at the start."""
         return not self.may_gain_energy
 
 

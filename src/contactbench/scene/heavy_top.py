@@ -95,7 +95,7 @@ class HeavyTop(RigidBody):
 
     @property
     def u(self) -> Vector:
-        """The vertical in the body at the start."""
+        """Return the vertical in the body at the start."""
         return self.vertical(self.R)
 
     def recorded(self) -> Self:

@@ -96,16 +96,16 @@ class Many(Canonical):
     @property
     @abstractmethod
     def sites(self) -> int:
-        """How many there are."""
+        """Return how many there are."""
 
     @property
     def weight(self) -> Any:
-        """The mass: one number, or an array with one for every site."""
+        """Return the mass: one number, or an array with one for every site."""
         return getattr(self, self.weights)
 
     @property
     def constants(self) -> dict[str, np.ndarray]:
-        """The arrays of one number a site that the equations read, by the attribute they are."""
+        """Return the arrays of one number a site that the equations read, by the attribute they are."""
         return {} if self.uniform else {"inverse_mass": self.inverse_mass}
 
     @abstractmethod
@@ -255,12 +255,12 @@ class Many(Canonical):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        """Everything but the numbers; programs for arrays of one length serve no other."""
+        """Return everything but the numbers; programs for arrays of one length serve no other."""
         return (*self.equations, self.sites, *(value.tobytes() for value in self.constants.values()))
 
     @property
     def equations(self) -> tuple[Any, ...]:
-        """What is computed at a site, however many there are."""
+        """Return what is computed at a site, however many there are."""
         functions = tuple(getattr(self, name) for name in self.functions)
         return (type(self), *functions, self.dimensions, tuple(self.parameters), self.uniform)
 

@@ -57,7 +57,7 @@ SPEED, SPACING = 0.5, 0.25
 
 
 def place(i: float, n: int) -> float:
-    """The distance from the kink in its own width."""
+    """Return the distance from the kink in its own width."""
     return (i - n / 3) * SPACING / np.sqrt(1 - SPEED**2)
 
 

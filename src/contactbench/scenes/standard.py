@@ -98,7 +98,7 @@ def elliptic_phase(sine: Any, cosine: Any, modulus: Any, mp: Any, precision: int
 
 
 def free_top(inertia: tuple[Any, ...], M0: tuple[Any, ...], tau: Any, mp: Any) -> Vector:
-    """Body momentum of the free asymmetric top at time tau, by Jacobi elliptic functions.
+    """Return the body momentum of the free asymmetric top at time tau, by Jacobi elliptic functions.
 
     With axes ordered so that the motion encircles the last one,
     M = (A1 cn u, A2 sn u, ±A3 dn u) with u linear in time; Euler's equation for the middle

@@ -143,7 +143,7 @@ def is_timed_by_its_own_call(case: MethodCase) -> None:
 
 
 def truncation(case: MethodCase) -> float:
-    """What the fine step leaves of an error of the method's order, constants of size one."""
+    """Return what the fine step leaves of an error of the method's order, constants of size one."""
     step = case.scene.t_end / STEPS["fine"]
     return float(10 * step ** min(case.method.order or 1, 3))
 

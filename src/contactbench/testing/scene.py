@@ -211,7 +211,7 @@ def has_tangents(case: SceneCase) -> None:
 
 
 def solves_its_equations(case: SceneCase) -> str | None:
-    """The closed form, where there is one: from the initial state, and with the slope of the equations."""
+    """Compare the closed form, where there is one, with the initial state and the slope of the equations."""
     scene, twin, xp = case.scene, case.twin, case.xp
     exact = scene.exact
     if exact is None:
