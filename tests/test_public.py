@@ -1,9 +1,13 @@
 """What a user meets first: what an import loads, public names, and what a run returns, says and draws."""
 
+import doctest
+import importlib
 import math
+import re
 import subprocess
 import sys
 from math import cos, sin
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,6 +20,14 @@ from contactbench.blame import FUNCTIONS, SEVERAL
 from contactbench.cli import main
 from contactbench.measure.laws import LAWS, laws_of
 from contactbench.numbers import functions
+
+SOURCE = Path(cb.__file__).parent
+WITH_EXAMPLES = [
+    ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
+    for path in sorted(SOURCE.rglob("*.py"))
+    if re.search(r"^ *>>> ", path.read_text(encoding="utf-8"), re.MULTILINE)
+]
+
 
 # -- what is loaded --------------------------------------------------------------------------------
 SOLVERS = {"jax", "numba", "mpmath", "diffrax", "heyoka", "sksundae", "CyRK", "scipy.integrate"}
@@ -55,6 +67,13 @@ def test_dir_shows_the_public_names_and_they_exist():
     assert all(getattr(cb, name) is not None for name in dir(cb))
     assert set(functions.__all__) == {*FUNCTIONS, *SEVERAL, "pi"}
     assert all(hasattr(cb.math, name) for name in functions.__all__)
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_the_examples_of_docstrings_run(module, registries):
+    found = doctest.testmod(importlib.import_module(f"contactbench.{module}"))
+    assert found.attempted
+    assert not found.failed
 
 
 # -- functions of plain numbers in a force ---------------------------------------------------------

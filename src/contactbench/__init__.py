@@ -1,4 +1,8 @@
-"""contactbench: contact splitting integrators against the established ones, measured."""
+"""Measure contact splitting integrators against the established ones.
+
+All quantities are without dimension.  Shapes in docstrings: k saved times, n degrees of freedom or trajectories, d
+components of a packed state, m tangent directions.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -10,7 +10,13 @@ LONGEST, SHOWN = 300, 80
 
 
 class BadInput(ValueError):
-    """A value the library cannot work with; the message, one line, names it and what is allowed."""
+    """Refuse a value the library cannot work with.
+
+    Parameters
+    ----------
+    message
+        One line that names the value and what is allowed; longer texts are cut in the middle.
+    """
 
     def __init__(self, message: object) -> None:
         super().__init__(one_line(message))
@@ -20,11 +26,17 @@ class BadInput(ValueError):
 
 
 class UnknownName(BadInput, KeyError):
-    """A name that is in no registry; the message suggests the nearest one."""
+    """Refuse a name that is in no registry.
+
+    Parameters
+    ----------
+    message
+        One line that names the nearest name and all that are allowed.
+    """
 
 
 def one_line(message: object, longest: int = LONGEST) -> str:
-    """Text without line breaks or control characters, its middle left out where it is longer."""
+    """Return the text without line breaks or control characters, its middle left out where it is longer."""
     text = " ".join("".join(c if c.isprintable() else " " for c in str(message)).split())
     end = 2 * longest // 5  # what is allowed stands there
     return text if len(text) <= longest else f"{text[: longest - end - 3]} … {text[-end:]}"
@@ -34,7 +46,7 @@ _SHORT = reprlib.Repr(maxlevel=3, maxtuple=8, maxlist=8, maxdict=4, maxset=4, ma
 
 
 def excerpt(value: object) -> str:
-    """The repr of any value, short and on one line, whatever it is."""
+    """Return the repr of any value, short and on one line."""
     try:
         return one_line(_SHORT.repr(value), SHOWN)
     except Exception:  # an int of thousands of digits, an object whose repr fails
@@ -42,6 +54,7 @@ def excerpt(value: object) -> str:
 
 
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName:
+    """Return the exception for a name that is not among the allowed ones."""
     from difflib import get_close_matches
 
     names = list(allowed)

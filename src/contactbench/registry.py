@@ -25,8 +25,23 @@ def import_modules(package: str, first: Sequence[str] = (), without: Sequence[st
             import_module(f"{package}.{name}")
 
 
-class Registry(dict):
-    """A dict in table order whose missing keys raise `UnknownName`; kind : its items in messages; of : their class."""
+class Registry(dict[str, Any]):
+    """Hold items by name in the order of tables: a dict whose missing keys raise `UnknownName`.
+
+    Parameters
+    ----------
+    kind
+        What its items are called in messages.
+    of
+        The class that an item must have.
+
+    Raises
+    ------
+    UnknownName
+        For a key that it does not have; the message suggests the nearest one.
+    BadInput
+        For an item of another class, or whose name is taken or no name.
+    """
 
     #: all registries there are
     every: ClassVar[list[Registry]] = []

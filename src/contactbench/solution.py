@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Status(StrEnum):
-    """The ways a run can end, words that compare equal to their names.
+    """Name the ways a run can end, by words that compare equal to their names.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Status(StrEnum):
 
 
 class Counts(NamedTuple):
-    """What a run cost; a count is None where the solver does not say.
+    """Count what a run cost; a count is None where the solver does not say.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Counts(NamedTuple):
 
     @property
     def rhs_equivalents(self) -> float | None:
-        """Evaluations on the scale of one right-hand side.
+        """Return the evaluations on the scale of one right-hand side.
 
         A gradient counts as one (it is nearly all of a mechanical right-hand side); two rotations
         of the rigid body, which together apply its whole vector field once, count as one.
@@ -86,7 +86,7 @@ EXACT = "exact"
 
 
 def setting_key(control: str, value: float) -> str:
-    """What is set and to what, as tables say it."""
+    """Return what is set and to what, as tables say it."""
     return control if control == EXACT else f"{control}={value:.6g}"
 
 
@@ -133,14 +133,16 @@ _new = object.__new__
 
 @dataclass(repr=False)
 class Solution:
-    """Saved states of one run.
+    """Hold the saved states of one run.
 
     Attributes
     ----------
+    scene, method, engine, carry
+        What was solved, the names of the method and of the engine, and which of s and R were integrated.
     t
         Saved times, (k,).
     y, y0
-        Packed states, (k, d), NaN where the run did not get, and the initial one.
+        Packed states, (k, d), NaN after the end of a run that did not reach them, and the initial one, (d,).
     q, p, s, M, R
         Their parts, (k, n), (k, n), (k,), (k, 3) and (k, 3, 3); one the run did not carry is None.
     status, message, end_time
@@ -150,6 +152,12 @@ class Solution:
     step_chosen, step
         Of a method with fixed steps, the step that was asked for, or chosen from rtol, and the longest one taken,
         shorter where no whole number of steps leads from one saved time, the end included, to the next.
+    control, value
+        What was set, "step", "rtol" or "exact", and its value.
+    run
+        The `Prepared` that made it, which can be differentiated.
+    truth
+        The `Reference` at its times, where it is known already; else the laws compute it.
     """
 
     scene: Scene
@@ -257,7 +265,7 @@ class Solution:
         return found
 
     def to_frame(self) -> pd.DataFrame:
-        """The saved states, a row for each time: t, then the components by name (q1, …, p1, …, s)."""
+        """Return the saved states, a row for each time: t, then the components by name (q1, …, p1, …, s)."""
         import pandas as pd
 
         return pd.DataFrame({"t": self.t, **dict(zip(self.labels, self.y.T, strict=True))})
@@ -288,7 +296,7 @@ class Solution:
 
     @property
     def sensitivity(self) -> np.ndarray:
-        """Derivative of the saved states along the scene's m tangents at the start, (k, d, m).
+        """Return the derivative of the saved states along the scene's m tangents at the start, (k, d, m).
 
         Raises `BadInput` where there is none.
         """
@@ -320,23 +328,23 @@ class Solution:
 
     @property
     def quaternion(self) -> np.ndarray | None:
-        """The attitude as integrated, (k, 4), w first."""
+        """Return the attitude as integrated, (k, 4), w first."""
         return self._columns("R_")
 
     @property
     def R(self) -> np.ndarray | None:
-        """The attitude as matrices."""
+        """Return the attitude as matrices."""
         quaternion = self.quaternion
         if quaternion is None:
             return None
         return np.moveaxis(np.array(rotation_matrix(tuple(quaternion.T))), -1, 0)
 
     def states(self) -> Any:
-        """All saved states at once: a state whose components are arrays over the saved times."""
+        """Return all saved states at once: a state whose components are arrays over the saved times."""
         return self.scene.unpack(self.y.T, self.carry)
 
     def start(self) -> Any:
-        """The initial state."""
+        """Return the initial state."""
         return self.scene.unpack(self.scene.entries(self.y0), self.carry)
 
 

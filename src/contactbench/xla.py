@@ -13,7 +13,7 @@ import contextlib
 import importlib
 import os
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from contactbench.errors import BadInput
 
@@ -50,6 +50,11 @@ class Deferred:
         return getattr(importlib.import_module(self._name), attribute)
 
 
-jax: Any = Deferred("jax")
-jnp: Any = Deferred("jax.numpy")
-lax: Any = Deferred("jax.lax")
+if TYPE_CHECKING:
+    import jax
+    from jax import lax
+    from jax import numpy as jnp
+else:
+    jax = Deferred("jax")
+    jnp = Deferred("jax.numpy")
+    lax = Deferred("jax.lax")

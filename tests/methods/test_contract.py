@@ -63,7 +63,7 @@ TIMED_ELSEWHERE = changed(
 )
 DERIVES_WRONGLY = changed(FixedStepRun, sensitivity=lambda run, y0: 1.001 * FixedStepRun.sensitivity(run, y0))
 OTHER_STEPS = changed(
-    FixedStepRun, intervals=lambda run, y0, h, n: FixedStepRun.intervals(run, y0, h * (1 + 1e-9), n)
+    FixedStepRun, take=lambda run, y0: (run.intervals(y0, run.h * (1 + 1e-9), run.n), run.totals)
 )
 
 

@@ -123,7 +123,9 @@ def end_by(run, count):
     """The end of a run by so many threads, and whether one of them was late."""
     scene, y = run.request.scene, run.start[None]
     out = np.full(y.size + run.loop.loop.seen, np.nan)
-    late = run.loop.loop.call(scene, run.loop.loop.arrays(scene, run.numbers, run.h, run.n), y, out, count)
+    late = run.loop.loop.call(
+        scene, run.loop.loop.arrays(scene, run.loop.numbers, run.h, run.n), y, out, count
+    )
     return out[: y.size], late
 
 

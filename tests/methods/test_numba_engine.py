@@ -218,7 +218,7 @@ SECOND = """
 import contactbench as cb, sys
 assert "numba" not in sys.modules
 run = cb.prepare("central", "contact-bm4", step=0.1)
-print(sum(run.run.stats.cache_hits.values()), run().y[-1].tolist())
+print(sum(run.loop.loop.run.stats.cache_hits.values()), run().y[-1].tolist())
 """
 
 

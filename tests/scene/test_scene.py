@@ -119,7 +119,7 @@ BROKEN = [
     (3, quartic(broken(number_names=lambda self: cb.Mechanical.number_names(self)[1:]))),
     (4, quartic(gradient=lambda q: (math.sin(q[0]),), potential=lambda q: -math.cos(q[0]), hessian=None)),
     (5, quartic(hessian=lambda q: ((2 * q[0] * q[0],),))),
-    (6, quartic(potential=lambda q: q[0] * q[0] / 2, hessian=None)),
+    (5, quartic(potential=lambda q: q[0] * q[0] / 2, hessian=None)),
     (7, quartic(broken(may_gain_energy=False), gamma=-0.3)),
     (7, cb.SCENES["particle"].with_(rotation_invariant=True)),
     (8, quartic(broken(displaced=lambda self, x, v, a: cb.Mechanical.displaced(self, x, v, 2 * a)))),

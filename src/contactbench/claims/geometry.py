@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy  # its parts are loaded when first used
 
 from contactbench.claims.ledger import CORRECTED, Evidence, at_least, at_most, claim
-from contactbench.scene import Scene, State
+from contactbench.scene import Mechanical, Scene, State
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
 from contactbench.xla import jax, jnp
@@ -118,15 +118,15 @@ TRUE = 1e-13, "the reference rounded to double precision, times e^{γT} = 7.4"
 CUBIC = 100 * ROUND_OFF, "round-off of cubic polynomials with 400 terms of size up to 10"
 
 
-def quadratically_damped(gamma=0.1):
+def quadratically_damped(gamma: float = 0.1) -> Mechanical:
     return SCENES["particle"].with_(name="particle, κ = 0.3", gamma=gamma, kappa=0.3)
 
 
-def points_by_degree(seed):
+def points_by_degree(seed: int) -> list[np.ndarray]:
     return [points(2 * n + 1, seed=seed) for n in (1, 2, 3)]
 
 
-def random_polynomial(dimension, seed):
+def random_polynomial(dimension: int, seed: int) -> Field:
     rng = np.random.default_rng(seed)
     constant, linear, quadratic, cubic = (jnp.asarray(rng.normal(size=(dimension,) * k)) for k in range(4))
     return lambda y: constant + linear @ y + y @ quadratic @ y + jnp.einsum("ijk,i,j,k", cubic, y, y, y)
@@ -134,7 +134,7 @@ def random_polynomial(dimension, seed):
 
 @claim("C01")
 def volume(seed: int = SEED) -> Evidence:
-    def density(y):
+    def density(y: Array) -> Array:
         """Return |η ∧ (dη)ⁿ|/n!: the Pfaffian of dη bordered by η."""
         bordered = jnp.block([[jnp.zeros((1, 1)), eta(y)[None]], [-eta(y)[:, None], exterior(eta, y)]])
         return jnp.sqrt(jnp.abs(jnp.linalg.det(bordered)))
@@ -146,11 +146,11 @@ def volume(seed: int = SEED) -> Evidence:
 
 @claim("C02")
 def reeb_field(seed: int = SEED) -> Evidence:
-    def defect(y):
+    def defect(y: Array) -> Array:
         unit = jnp.zeros(len(y)).at[-1].set(1.0)
         return jnp.append(unit @ exterior(eta, y), eta(y) @ unit - 1)
 
-    def second(y):
+    def second(y: Array) -> Array:
         """Return the second smallest singular value of dη: not 0, so the kernel is a line."""
         return jnp.linalg.svd(exterior(eta, y), compute_uv=False)[-2]
 
@@ -164,19 +164,19 @@ def reeb_field(seed: int = SEED) -> Evidence:
 
 @claim("C03")
 def contact_hamilton_equations(seed: int = SEED) -> Evidence:
-    def defect(field, hamiltonian):
-        def at(y):
+    def defect(field: Field, hamiltonian: Field) -> Field:
+        def at(y: Array) -> Array:
             slope, X = jax.grad(hamiltonian)(y), field(y)
             two = X @ exterior(eta, y) - (slope - slope @ reeb(eta, y) * eta(y))
             return jnp.append(two, eta(y) @ X + hamiltonian(y))
 
         return at
 
-    def of_polynomial(at):
+    def of_polynomial(at: np.ndarray) -> float:
         H = random_polynomial(at.shape[1], seed)
         return largest(defect(contact_equations(H), H), at / 2)
 
-    def of_scene(scene):
+    def of_scene(scene: Mechanical) -> float:
         return largest(defect(vector_field(scene), function_of(scene.hamiltonian)), points(5, seed=seed))
 
     random = max(map(of_polynomial, points_by_degree(seed)))
@@ -192,7 +192,7 @@ def hamiltonian_evolution(seed: int = SEED) -> Evidence:
     dissipation = lambda y: jax.grad(H)(y) @ reeb(eta, y)  # noqa: E731
     at = points(5, seed=seed) / 2
 
-    def relative(law):
+    def relative(law: Field) -> float:
         return largest(lambda y: rate(y) + law(y), at) / largest(law, at)
 
     yield at_most("max |H' + R(H)| / max |R(H)|", relative(dissipation), *CUBIC)
@@ -211,16 +211,16 @@ def damped_newton(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     potential = lambda q: scene.V((q[0], 0.0 * q[0]))  # noqa: E731
     polar = lambda q: jnp.diag(jnp.array([1.0, q[0] ** 2]))  # noqa: E731
 
-    def defect(metric, connection):
+    def defect(metric: Field, connection: bool) -> float:
         """Return the largest left-hand side of the damped Newton equation along the contact flow of H0 + γ s."""
 
-        def H(y):
+        def H(y: Array) -> Array:
             q, p = y[:2], y[2:4]
             return p @ jnp.linalg.solve(metric(q), p) / 2 + potential(q) + gamma * y[4]
 
         field = contact_equations(H)
 
-        def newton(y):
+        def newton(y: Array) -> Array:
             q, g = y[:2], metric(y[:2])
             velocity = field(y)[:2]
             acceleration = along(field, lambda z: field(z)[:2], y)
@@ -240,10 +240,10 @@ def damped_newton(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
 @claim("C06")
 def energy_balance(seed: int = SEED, gamma: float = 0.1) -> Evidence:
-    def defect(scene):
+    def defect(scene: Mechanical) -> float:
         energy, field = function_of(scene.energy), vector_field(scene)
 
-        def at(y):
+        def at(y: Array) -> Array:
             power = y[2:4] @ jax.grad(energy)(y)[2:4]
             return along(field, energy, y) + scene.dissipation_rate(y[4]) * power
 
@@ -256,7 +256,7 @@ def energy_balance(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
 @claim("C07")
 def monotone_energy(seed: int = SEED, gamma: float = 0.1) -> Evidence:
-    def rate(scene):
+    def rate(scene: Mechanical) -> Field:
         change = lambda y: along(vector_field(scene), function_of(scene.energy), y)  # noqa: E731
         return lambda y: jnp.where(scene.dissipation_rate(y[4]) >= 0, change(y), -jnp.inf)
 
@@ -276,12 +276,12 @@ def oscillator_portrait(
 
     orbit = lambda scene, times: reference(scene, times, ()).y  # noqa: E731
 
-    def half_turns(scene):
+    def half_turns(scene: Mechanical) -> int:
         """Return the half turns about the origin in ten periods, by sign changes of q."""
         q = orbit(scene, np.linspace(0, 10 * period, 401))[:, 0]
-        return np.count_nonzero(np.diff(np.sign(q)))
+        return int(np.count_nonzero(np.diff(np.sign(q))))
 
-    def ratios(scene):
+    def ratios(scene: Mechanical) -> np.ndarray:
         sizes = np.linalg.norm(orbit(scene, period * np.arange(1, 11)), axis=1)
         return sizes[1:] / sizes[:-1]
 
@@ -348,28 +348,28 @@ def oscillator_energy(gamma: float = 0.1) -> Evidence:
 AXIS = np.array([0.48, 0.6, 0.64])  #: a unit vector
 
 
-def rotate(y, angle):
+def rotate(y: Array, angle: Array | float) -> Array:
     """Return the cotangent lift of a rotation about `AXIS`, on T*R³ × R."""
     hat = jnp.array([[0, -AXIS[2], AXIS[1]], [AXIS[2], 0, -AXIS[0]], [-AXIS[1], AXIS[0], 0.0]])
     matrix = jnp.eye(3) + jnp.sin(angle) * hat + (1 - jnp.cos(angle)) * hat @ hat  # Rodrigues
     return jnp.concatenate([matrix @ y[:3], matrix @ y[3:6], y[6:]])
 
 
-def generator(y):
+def generator(y: Array) -> Array:
     return jax.jvp(lambda angle: rotate(y, angle), (0.0,), (1.0,))[1]
 
 
 @claim("C09")
 def cotangent_lifts(seed: int = SEED) -> Evidence:
-    def bend(q):
+    def bend(q: Array) -> Array:
         """Return a diffeomorphism of R² that is no rotation."""
         return jnp.array([q[0] + jnp.tanh(q[1]), q[1] + jnp.sin(q[0] + jnp.tanh(q[1])) / 2])
 
-    def lifted(y):
+    def lifted(y: Array) -> Array:
         q, p = y[:2], y[2:4]
         return jnp.concatenate([bend(q), jnp.linalg.solve(jax.jacfwd(bend)(q).T, p), y[4:]])
 
-    def defect(map_, dimension):
+    def defect(map_: Field, dimension: int) -> float:
         return largest(lambda y: pullback(map_, eta, y) - eta(y), points(dimension, seed=seed))
 
     yield at_most("max |Φ*η − η|, rotations of space", defect(lambda y: rotate(y, 0.7), 7), *IDENTITY)
@@ -394,7 +394,7 @@ def commuting_derivatives(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     invariant = lambda y: y[3:6] @ y[3:6] / 2 + (y[:3] @ y[:3]) ** 2 / 4 + gamma * y[6]  # noqa: E731
     form = lambda y: jnp.sin(y[::-1]) + y * y[0]  # noqa: E731  # neither flow leaves it alone
 
-    def both(field, form):
+    def both(field: Field, form: Field) -> tuple[Field, Field]:
         along_X, along_ξ = partial(lie_derivative, field), partial(lie_derivative, generator)
         return partial(along_X, partial(along_ξ, form)), partial(along_ξ, partial(along_X, form))
 
@@ -413,23 +413,23 @@ def commuting_derivatives(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     yield at_most("max |L_X L_ξ β − L_ξ L_X β|/max |L_X L_ξ β|, invariant H", difference, *bound)
 
 
-def times(scene):
+def times(scene: Scene) -> np.ndarray:
     return np.linspace(0, scene.t_end, 201)  # the grid of the frozen references
 
 
-def momenta(scene):
+def momenta(scene: Scene) -> np.ndarray:
     """Return J along the truth, shape (201, m)."""
     return np.array(scene.momentum(reference(scene, times(scene)).states())).T
 
 
-def radius_and_speed(x):
+def radius_and_speed(x: Any) -> tuple[np.ndarray, np.ndarray]:
     radius = np.hypot(*x.q)
     return radius, (x.q[0] * x.p[0] + x.q[1] * x.p[1]) / radius
 
 
 @claim("C11")
 def momentum_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
-    def deviation(name):
+    def deviation(name: str) -> float:
         scene = SCENES[name].with_(gamma=gamma)
         J = momenta(scene)
         scaled = J * np.exp(scene.conformal_rate * times(scene))[:, None]
@@ -437,13 +437,13 @@ def momentum_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
     coefficients = np.random.default_rng(seed).normal(size=(4, 4))
 
-    def invariant(y):
+    def invariant(y: Array) -> Array:
         """Return a contact Hamiltonian that rotations leave alone, not of the form H0(q, p) + Γ(s)."""
         q, p, s = y[:2], y[2:4], y[4]
         u = jnp.array([q @ q, p @ p, q @ p, s])
         return u @ coefficients @ u / 4
 
-    def defect(y):
+    def defect(y: Array) -> Array:
         momentum = lambda y: SCENES["central"].momentum(canonical(y))[0]  # noqa: E731
         rate = jax.grad(invariant)(y)[-1]
         return along(contact_equations(invariant), momentum, y) + rate * momentum(y)
@@ -459,7 +459,7 @@ def momentum_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 def level_sets(gamma: float = 0.1) -> Evidence:
     damped = SCENES["central"].with_(gamma=gamma)
 
-    def change(scene):
+    def change(scene: Scene) -> float:
         J = momenta(scene)[:, 0]
         return np.abs(J - J[0]).max() / (abs(J[0]) or 1.0)
 
@@ -477,7 +477,7 @@ def time_dependent_reduction(gamma: float = 0.1) -> Evidence:
     radius, radial = radius_and_speed(reference(scene, t, ()).states())
     mu = scene.momentum(scene.initial(()))[0]
 
-    def reduced(t, y):
+    def reduced(t: float, y: np.ndarray) -> list[float]:
         """Return H_μ = ½ (p_r² + μ(t)²/r²) + V(r), with γ s: the contact equations of (r, p_r) alone."""
         r, p_r = y
         level = mu * np.exp(-scene.gamma * t)
@@ -494,29 +494,29 @@ def symplectification(gamma: float = 0.1) -> Evidence:
     scene = SCENES["central"].with_(gamma=gamma)
     t = np.linspace(0, scene.t_end, 21)
 
-    def lifted(contact):
+    def lifted(contact: Field) -> Field:
         """Return K(x, P, s, r) = −r H(x, −P/r, s), of degree one in the momenta P = −r p of x and r of s."""
 
-        def K(z):
+        def K(z: Array) -> Array:
             n = (len(z) - 2) // 2
             x, P, s, r = z[:n], z[n : 2 * n], z[-2], z[-1]
             return -r * contact(jnp.concatenate([x, -P / r, s[None]]))
 
         return K
 
-    def flow(K, z0):
+    def flow(K: Field, z0: np.ndarray) -> np.ndarray:
         """Return the motion by Hamilton's equations of K for the pairs (x, P) and (s, r)."""
         n = (len(z0) - 2) // 2
 
         @jax.jit
-        def rhs(z):
+        def rhs(z: Array) -> Array:
             slope = jax.grad(K)(z)
             return jnp.concatenate([slope[n : 2 * n], -slope[:n], slope[-1:], -slope[-2:-1]])
 
         run = scipy.integrate.solve_ivp(lambda _, z: np.asarray(rhs(z)), (0, t[-1]), z0, t_eval=t, **SOLVER)
         return run.y
 
-    def polar(y):
+    def polar(y: Array) -> Array:
         """Return H on (ρ, p_ρ, s) with p_θ put in for the conserved level, y = (ρ, θ, p_ρ, p_θ, s)."""
         return (y[2] ** 2 + (y[3] / y[0]) ** 2) / 2 + scene.V((y[0], 0.0 * y[0])) + gamma * y[4]
 
@@ -528,7 +528,7 @@ def symplectification(gamma: float = 0.1) -> Evidence:
     projected = np.vstack([run[:2], -run[2:4] / r, run[4]]).T
     error = np.linalg.norm(projected - truth.y, axis=1).max() / np.linalg.norm(truth.y, axis=1).max()
 
-    def reduced(z):
+    def reduced(z: Array) -> Array:
         """Return K on (ρ, P_ρ, s, r) at the level P_θ = −r J."""
         ρ, P, s, r = z
         return lifted(polar)(jnp.stack([ρ, 0.0 * ρ, P, level[0] + 0.0 * ρ, s, r]))

@@ -33,7 +33,7 @@ from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS, solve
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.loops import trajectory
-from contactbench.scene import Scene, State
+from contactbench.scene import Mechanical, Scene, State
 from contactbench.scenes import SCENES
 from contactbench.solution import Solution
 from contactbench.splitting.modified import modified_hamiltonian
@@ -88,7 +88,7 @@ def discrete_herglotz(seed: int = SEED, gamma: float = 0.1, h: float = 0.1) -> E
     path = [start, *trajectory(method, scene, start, [(h, 1)] * 20, math)]
     q = jnp.array([x.q for x in path])
 
-    def action(inner):
+    def action(inner: Array) -> Array:
         """Return s_N along a discrete curve with the ends q_0 and q_N held; L = ½‖Δq/h‖² − V(q_k) − γ s_k."""
         s = scene.s
         for a, b in itertools.pairwise([q[0], *inner, q[-1]]):
@@ -96,7 +96,7 @@ def discrete_herglotz(seed: int = SEED, gamma: float = 0.1, h: float = 0.1) -> E
             s = s + h * (v @ v / 2 - scene.V(tuple(a)) - scene.gamma * s)
         return s
 
-    def symplectic_defect(y):
+    def symplectic_defect(y: Array) -> Array:
         derivative = jax.jacfwd(one_step(method, scene.with_(gamma=0.0), h))(y)[:4, :4]
         omega = jnp.kron(jnp.array([[0.0, 1.0], [-1.0, 0.0]]), jnp.eye(2))
         return derivative.T @ omega @ derivative - omega
@@ -116,7 +116,7 @@ def flow_defect(flow: Callable[[float, Array], Array], hamiltonian: Field, seed:
     """Return max |dφ_h/dh − X_H(φ_h)|/(1 + |φ_h|) and |φ_0 − id| at random points and h: 0 for the exact flow."""
     field = contact_equations(hamiltonian)
 
-    def defect(point):
+    def defect(point: Array) -> Array:
         h, y = point[0], point[1:]
         value, rate = jax.jvp(lambda h: flow(h, y), (h,), (1.0,))
         size = 1 + jnp.abs(value).max()
@@ -137,15 +137,15 @@ def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evide
         "drift_damp": lambda scene, x: scene.kinetic(x.p) + scene.dissipation(x.s),
     }
 
-    def part_defect(name, scene):
+    def part_defect(name: str, scene: Scene) -> float:
         part, flow = hamiltonians[name], scene.flows[name]
         map_ = lambda h, y: pack(flow.apply(scene, canonical(y), flow.constants(scene, h, jnp), jnp))  # noqa: E731
         return flow_defect(map_, lambda y: part(scene, canonical(y)), seed)
 
     quartic = lambda y: jnp.sum(y[2:4] ** 4) / 4  # noqa: E731
 
-    def quartic_defect(general):
-        def flow(h, y):
+    def quartic_defect(general: bool) -> float:
+        def flow(h: Array | float, y: Array) -> Array:
             q, p, s = y[:2], y[2:4], y[4]
             T, p_T = quartic(y), jnp.sum(p**4)
             action = s + h * (p_T - T if general else T)
@@ -234,7 +234,7 @@ def energy_and_action_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     scene, starts = PARTICLE.with_(gamma=gamma), points(5, seed=seed)
     printed, abc, strang = (local_orders(name, scene, starts) for name in (PRINTED, ABC, STRANG))
 
-    def momentum_law(name):
+    def momentum_law(name: str) -> float:
         scene, t = SCENES[name].with_(gamma=gamma), np.arange(1, 41) / 2
         return LAWS["momentum_law"](solve(scene, PRINTED, step=0.5, save_at=t, engine="python"))
 
@@ -517,7 +517,7 @@ def conservative_limit(**changes: object) -> Evidence:
     off = np.abs(free.energy(run.states()) / free.energy(free.initial(())) - 1)
     early, late = off[:20_000].max(), off[20_000:].max()
 
-    def distance(scene, **changes):
+    def distance(scene: Mechanical, **changes: object) -> float:
         scene = scene.with_(gamma=0.0, **changes)
         t = np.arange(0, 10001) * PAPER_STEP
         return nearest_return(solve(scene, PRINTED, step=PAPER_STEP, save_at=t, carry=(), engine="python").y)

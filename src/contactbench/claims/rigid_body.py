@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,10 +53,10 @@ def momentum_rate(scene: RigidBody) -> Field:
 def body_equations(seed: int = SEED, **changes: object) -> Evidence:
     scene = BODY.with_(**changes)
 
-    def form(y):
+    def form(y: Array) -> Array:
         return jax.grad(lambda v: scene.contact_form(*jax.jvp(chart, (y,), (v,))))(jnp.zeros(7))
 
-    def defect(y):
+    def defect(y: Array) -> Array:
         """Return X_H from its definition in a chart of T*SO(3) × R, against the equations."""
         X = contact_field(form, lambda y: scene.hamiltonian(chart(y)), y)
         return pack(jax.jvp(chart, (y,), (X,))[1]) - pack(scene.rhs(chart(y)))
@@ -70,12 +70,12 @@ def body_equations(seed: int = SEED, **changes: object) -> Evidence:
 def body_momentum_map(seed: int = SEED, **changes: object) -> Evidence:
     scene = BODY.with_(**changes)
 
-    def momentum_map(y):
+    def momentum_map(y: Array) -> Array:
         """Return J_ξ = −ι_ξ η for the rotations ξ = e_i in space."""
         x = chart(y)
 
-        def component(axis):
-            def rotated(angle):
+        def component(axis: np.ndarray) -> Array:
+            def rotated(angle: Array | float) -> tuple[Any, ...]:
                 half = angle / 2
                 return quaternion_product((jnp.cos(half), *(jnp.sin(half) * c for c in axis)), x.R)
 
@@ -84,7 +84,7 @@ def body_momentum_map(seed: int = SEED, **changes: object) -> Evidence:
 
         return jnp.stack([component(axis) for axis in np.eye(3)])
 
-    def against(candidate):
+    def against(candidate: Callable[[BodyState], tuple[Any, ...]]) -> float:
         return largest(lambda y: momentum_map(y) - jnp.stack(candidate(chart(y))), points(7, seed=seed))
 
     yield at_most("max |J_ξ − M·ξ| at random (R, M), J_ξ = −ι_ξ η", against(lambda x: x.M), *IDENTITY)
@@ -429,7 +429,8 @@ def decay_to_the_origin(
 ) -> Evidence:
     """rates : about axes 2 and 3.  kernel : a direction that is no principal axis."""
     scene = body((0.0, *rates))
-    left = momentum_at(scene.damping, scene.M, 80.0 / min(rates)) / np.linalg.norm(scene.M)
+    start = np.array(scene.M)
+    left = momentum_at(scene.damping, start, 80.0 / min(rates)) / np.linalg.norm(start)
     sizes = np.linalg.norm(along_kernel(kernel)[0], axis=1)
     damped_away = 1e-2, "what decays at the damping rates is gone"
     after = "‖M(t)‖/‖M(0)‖ after 80 damping times, D = diag(0, 1, 1), D M(0) ≠ 0"

@@ -28,10 +28,14 @@ from contactbench.solution import Counts, Status
 
 @dataclass(frozen=True)
 class Ensemble:
-    """The result of `ensemble`.
+    """Hold the result of `ensemble`.
 
     Attributes
     ----------
+    scene, method
+        What was integrated, and the name of the method.
+    t
+        The measured times, (k,).
     statistics, endings
         Mean and maximum of every measure, and how many trajectories ended `ok` and `diverged`, over all processes.
     counts
@@ -62,7 +66,7 @@ class Ensemble:
 
     @property
     def ok(self) -> np.ndarray | None:
-        """Which of this process's trajectories did not diverge."""
+        """Return which of this process's trajectories did not diverge."""
         return None if self.end_time is None else self.end_time == self.t[-1]
 
 
@@ -115,10 +119,23 @@ def ensemble(
         Maps the chunks, each on one core of a worker: any executor of `concurrent.futures`, such as a process pool,
         Dask's ``Client.get_executor()`` or an MPI pool.  A chunk whose worker dies is run again.
 
+    Returns
+    -------
+    Ensemble
+        The final states and measures of this process, the statistics and endings of all.
+
     Raises
     ------
     BadInput
-        For anything it cannot work with.
+        For an unknown name, a method whose steps are not fixed, a value of the wrong shape or out of range, and an
+        engine that cannot run the scene.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> found = cb.ensemble("oscillator", "contact-strang", {"q": ([0.5, 1.0],)}, step=0.1, engine="numba")
+    >>> found.endings[cb.Status.ok]
+    2
     """
     from tqdm import tqdm
 

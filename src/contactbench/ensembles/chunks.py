@@ -154,7 +154,7 @@ def on_cores(
 
 
 def lanes_of(loop: Any) -> int:
-    """How many trajectories its compiled loop integrates side by side."""
+    """Return how many trajectories its compiled loop integrates side by side."""
     return LANES if sum(1 for _ in lines(loop.program.many.body)) <= LONG else FEW_LANES
 
 
@@ -237,8 +237,8 @@ def on_devices(
 
     def make() -> Callable[..., Any]:
         share = share_of(run, names, places, tile)
-        specs = {"in_specs": (cut, cut, cut, whole, whole), "out_specs": (cut, cut, PartitionSpec(AXIS))}
-        return jax.jit(jax.shard_map(share, mesh=mesh, check_vma=False, **specs))
+        taken, given = (cut, cut, cut, whole, whole), (cut, cut, PartitionSpec(AXIS))
+        return jax.jit(jax.shard_map(share, mesh=mesh, in_specs=taken, out_specs=given, check_vma=False))
 
     program = _programs.get(key(identity(run.method_, r.scene, r.carry), names, places, tile, mesh), make)
     sharding = NamedSharding(mesh, cut)

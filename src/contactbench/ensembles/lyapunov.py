@@ -45,10 +45,12 @@ FEW = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Lyapunov:
-    """The result of `lyapunov`; errors are standard errors.
+    """Hold the result of `lyapunov`; errors are standard errors.
 
     Attributes
     ----------
+    scene, method
+        What was integrated, and the name of the method.
     exponents
         Per unit of time, (m,), in the order of the orthonormalisation, the largest first; of a scene of many sites
         with more than 65 numbers the four largest.
@@ -130,11 +132,22 @@ def lyapunov(
     carry
         As in `solve`; by default nothing that does not act back on the motion.
 
+    Returns
+    -------
+    Lyapunov
+        The exponents, their sum, the dimension of Kaplan and Yorke and the mean energy, with standard errors.
+
     Raises
     ------
     BadInput
-        For anything it cannot work with, also an interval in which tangents grow so far apart that rounding loses
-        the small ones.
+        For a method whose steps are not fixed, a value that is out of range, and an interval in which tangents
+        grow so far apart that rounding loses the small ones.
+
+    References
+    ----------
+    Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980), doi:10.1007/BF02128236.
+    Geist, Parlitz, Lauterborn, Prog. Theor. Phys. 83, 875 (1990), doi:10.1143/PTP.83.875.
+    Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995), doi:10.1016/0168-9274(95)00033-Q.
 
     Examples
     --------

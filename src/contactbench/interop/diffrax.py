@@ -1,4 +1,4 @@
-"""The integrators inside `diffrax.diffeqsolve`: differentiable, vmappable, with diffrax's adjoints and saving.
+"""Run the integrators inside `diffrax.diffeqsolve`: differentiable, vmappable, with diffrax's adjoints and saving.
 
 import contactbench as cb
 import diffrax
@@ -34,6 +34,8 @@ import equinox as eqx  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 from jax.flatten_util import ravel_pytree  # noqa: E402
+
+__all__ = ["Contact", "ReversibleAdjoint", "terms_of"]
 
 #: relative differences of steps that are round-off of the times: the run goes on as it is
 EQUAL = 1e-9
@@ -161,14 +163,14 @@ def time_of(stages: Sequence[Stage]) -> float:
     return float(sum(coefficient for flow, coefficient in stages if flow in CLOCKS))
 
 
-class ContactSolver(diffrax.AbstractSolver):
+class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
     """A contact splitting integrator for three terms on y = (q, p); see `Contact`."""
 
     composition: Composition = eqx.field(static=True)
 
     term_structure: ClassVar[Any] = (
         diffrax.AbstractTerm,
-        diffrax.MultiTerm[tuple[diffrax.AbstractTerm, diffrax.AbstractTerm]],
+        diffrax.MultiTerm[tuple[diffrax.AbstractTerm, diffrax.AbstractTerm]],  # type: ignore[type-arg]
     )
     interpolation_cls: ClassVar[Any] = diffrax.ThirdOrderHermitePolynomialInterpolation
 
@@ -271,16 +273,23 @@ LOST = (
 
 
 class ReversibleAdjoint(diffrax.AbstractAdjoint):
-    """Reverse mode for `Contact` in memory that does not grow with the steps: ``adjoint=ReversibleAdjoint()``.
+    """Differentiate `Contact` in reverse, in memory that does not grow with the steps: ``adjoint=ReversibleAdjoint()``.
 
     The steps are taken back from the end, each flow by itself, at the cost of about one run more; the derivative is
     that of the numerical map.  A run taken back grows where it was damped, and round-off with it, by up to e^{∫γ}: the
-    start is found again and compared.  tolerance : how far off it may be, relative to y0, or the end where that is
-    larger; beyond, the run fails, and so it does where dt0 does not divide the span.  For first derivatives in y0,
-    args and terms.
+    start is found again and compared.  It gives first derivatives in y0, args and terms.  A run fails whose dt0 does
+    not divide the span.
 
-    Raises `BadInput` for another solver than `Contact`, steps that are not constant, an event, and where more than the
-    end is saved.
+    Parameters
+    ----------
+    tolerance
+        How far off the start may be, relative to y0, or to the end where that is larger; beyond, the run fails.
+
+    Raises
+    ------
+    BadInput
+        For another solver than `Contact`, steps that are not constant, an event, and where more than the end is
+        saved.
     """
 
     tolerance: float = 1e-6
@@ -315,10 +324,29 @@ def Contact(method: str) -> ContactSolver:
     diffrax's.  Between steps it interpolates by cubics, whose error is of order h⁴ and which are no contact map
     (``SaveAt(steps=True)`` and ``t1=True`` need none).
 
+    Parameters
+    ----------
+    method
+        The name of a composition of kicks, drifts and damping.
+
+    Returns
+    -------
+    ContactSolver
+        A solver of diffrax's, of constant steps.
+
     Raises
     ------
     BadInput
         For a method that is no composition of kicks, drifts and damping.
+
+    Examples
+    --------
+    >>> import contactbench as cb, diffrax, jax
+    >>> terms, solver = cb.diffrax.terms_of("oscillator"), cb.diffrax.Contact("contact-strang")
+    >>> steps, y0 = diffrax.ConstantStepSize(), (jax.numpy.ones(1), jax.numpy.zeros(1))
+    >>> sol = diffrax.diffeqsolve(terms, solver, 0, 1, 0.125, y0, stepsize_controller=steps)
+    >>> int(sol.stats["num_steps"])
+    8
     """
     chosen = METHODS[method]
     if not isinstance(chosen, ContactMethod):
@@ -331,11 +359,28 @@ def Contact(method: str) -> ContactSolver:
 def terms_of(scene: Scene | str) -> tuple[Any, Any]:
     """Return the terms of a scene; ``args`` are its parameters by name, or None for its own.
 
+    Parameters
+    ----------
+    scene
+        A mechanical or driven scene with linear damping, itself or its name.
+
+    Returns
+    -------
+    tuple
+        The velocity, and force and damping as a `MultiTerm`, for `Contact`.
+
     Raises
     ------
     BadInput
         For a scene that is not mechanical, or whose damping is not linear, and for args that are none of its
         parameters.
+
+    Examples
+    --------
+    >>> import contactbench as cb, jax
+    >>> velocity, momentum_terms = cb.diffrax.terms_of("oscillator")
+    >>> velocity.vf(0.0, jax.numpy.ones(1), None).shape
+    (1,)
     """
     scene = scene_of(scene)
     if scene.kind not in ("mechanical", "driven"):

@@ -1,4 +1,4 @@
-"""The integrators inside `scipy.integrate.solve_ivp`, with its events and dense output.
+"""Run the integrators inside `scipy.integrate.solve_ivp`, with its events and dense output.
 
 import contactbench as cb
 from scipy.integrate import solve_ivp
@@ -37,6 +37,8 @@ SAME = 1e-6
 LARGEST = 512
 #: the pieces that a run repeats: compiled as a loop of n = 1 turns, LLVM rounds them as in a longer one
 LOOPED = (1, 2)
+
+__all__ = ["Contact"]
 
 _loops: Cache[Loop] = Cache(256)
 
@@ -244,7 +246,7 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     Events and dense output are SciPy's, by a Hermite interpolant of degree five, whose error falls as h⁶ (three and
     h⁴ where a force takes floats only).  It is no contact map: laws hold at the steps, not between them.
 
-    The solver's own ``rhs(t, y)``, ``start`` and ``labels`` are the scene's; ``nfev`` counts what the steps evaluate.
+    Its ``nfev`` counts what the steps evaluate.
 
     Parameters
     ----------
@@ -255,11 +257,24 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     carry
         Which of s and R are part of y; by default all the scene has.
 
+    Returns
+    -------
+    type
+        A class for ``solve_ivp(…, method=…)``, with the scene's ``rhs(t, y)``, ``start``, (d,), and ``labels``.
+
     Raises
     ------
     BadInput
         For a method that is no step map or cannot do the scene; the solver for a ``fun`` that is not the scene's
         right-hand side, and without ``max_step``.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> from scipy.integrate import solve_ivp
+    >>> contact = cb.scipy.Contact("contact-strang", "oscillator", carry=())
+    >>> solve_ivp(contact.rhs, (0, 1), contact.start, method=contact, max_step=0.1).y.shape
+    (2, 11)
     """
     step = step_map(scene, method, carry)
     if step.scene.has_users_functions:

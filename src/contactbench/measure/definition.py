@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ def digits_of(value: Any, context: Any) -> str:
 
 
 def declarations(item: Any) -> list[str]:
-    data = bool | int | float | str | tuple | dict | None
+    data = bool, int, float, str, tuple, dict, NoneType
     named = {field.name: getattr(item, field.name) for field in dataclasses.fields(item) if field.init}
     return [f"{n}={value!r}" for n, value in named.items() if n not in WORDS and isinstance(value, data)]
 

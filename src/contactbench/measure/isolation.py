@@ -34,14 +34,14 @@ class Died(Exception):
     """The call took its process down."""
 
 
-class Worker(AbstractContextManager):
+class Worker(AbstractContextManager["Worker"]):
     """A process that makes calls, on some cores; it starts with the first and ends with `close`, or its block."""
 
     def __init__(self, cores: Iterable[int] = ()) -> None:
         self.cores = list(cores)
         self.running: tuple[ProcessPoolExecutor, BaseProcess] | None = None
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future:
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Begin a call after those before it; function, arguments and what comes of it must be picklable."""
         if self.running is None:
             spawn = multiprocessing.get_context("spawn")
@@ -53,7 +53,7 @@ class Worker(AbstractContextManager):
     def call(self, limit: float, function: Callable[..., Any], *arguments: Any) -> Any:
         return self.result(self.submit(function, *arguments), limit)
 
-    def result(self, call: Future, limit: float | None = None) -> Any:
+    def result(self, call: Future[Any], limit: float | None = None) -> Any:
         """Return what a call returns, and raise what it raises; `TimedOut` after so many seconds, and `Died`."""
         try:
             return call.result(limit)

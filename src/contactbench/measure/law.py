@@ -58,7 +58,7 @@ class Gate(Enum):
 
 @dataclass(frozen=True)
 class Measured:
-    """A law's value, its error bar, and at how many saved times it was clamped; the last two None without."""
+    """Hold a law's value, its error bar and at how many saved times it was clamped, the last two None where unknown."""
 
     value: float
     uncertainty: float | None = None
@@ -66,16 +66,26 @@ class Measured:
 
     @property
     def bound(self) -> bool:
-        """Whether the value is an upper bound."""
+        """Return whether the value is an upper bound."""
         return self.uncertainty is not None and self.value <= UNSURE * self.uncertainty
 
 
 @dataclass(frozen=True)
 class Law:
-    """A measure, and what those who show or compare it must know.
+    """Define a measure of a solution, and what those who show or compare it must know.
 
-    Attributes
+    Parameters
     ----------
+    name
+        A key in `LAWS` and the name of a column.
+    measure
+        ``measure(solution)``: the deviation at the saved times, or one number.
+    applies
+        ``applies(scene)``: whether the scene has this law.
+    differentiates
+        Whether it takes the derivative of the map, which may cost many runs.
+    claimed
+        ``claimed(solution)``: whether the method of the run promises, on its scene, to keep it at every setting.
     definition, label
         Its meaning, a header or axis label, and a short name in mathtext.
     needs
@@ -84,6 +94,11 @@ class Law:
         How two runs are compared.
     shown
         The documents that list it.
+
+    Raises
+    ------
+    BadInput
+        On a call, where the scene has no such law or the run did not carry what it needs.
     """
 
     name: str
@@ -94,30 +109,28 @@ class Law:
     applies: Callable[[Scene], bool] = lambda scene: True
     gate: Gate = Gate.error
     shown: tuple[str, ...] = ("laws",)
-    #: whether it takes the derivative of the map, which may cost many runs
     differentiates: bool = False
-    #: whether the method of a run promises, on its scene, to keep it at every setting
     claimed: Callable[[Solution], bool] = lambda solution: False
 
     @property
     def about(self) -> str:
-        """Its definition: what registries list."""
+        """Return its definition, which registries list."""
         return self.definition
 
     @property
     def structural(self) -> bool:
-        """Whether it is a law of the map itself, kept or not whatever the error of the solution."""
+        """Return whether it is a law of the map itself, kept or not whatever the error of the solution."""
         return self.gate is Gate.structure and "laws" in self.shown
 
     def __call__(self, solution: Solution) -> float:
-        """The measure; nan unless the run ended `ok` and the law is defined for its method.
+        """Return the measure, nan unless the run ended `ok` and the law is defined for its method.
 
         Raises `BadInput` when the scene has no such law or the run did not carry what it needs.
         """
         return self.measured(solution).value
 
     def measured(self, solution: Solution) -> Measured:
-        """The measure with its error bar; raises as the call does."""
+        """Return the measure with its error bar; raises as the call does."""
         found = self.along(solution)
         if not isinstance(found, Deviation):
             return Measured(found)
@@ -128,7 +141,7 @@ class Law:
         return Measured(value + (uncertainty or 0.0) if unknown else value, uncertainty, clamped)
 
     def along(self, solution: Solution) -> Deviation | float:
-        """The deviation at every saved time, where the law is a maximum over them; raises as the call does."""
+        """Return the deviation at every saved time, where the law is a maximum over them; raises as the call does."""
         if not self.applies(solution.scene):
             raise BadInput(f"law {self.name!r} is not defined for scene {solution.scene.name!r}")
         missing = [f for f in self.needs_on(solution.scene) if f not in solution.carry]
@@ -232,7 +245,7 @@ def round_off_bound(growth: Any, evaluations: Any) -> Any:
 
 
 def structural_bound(growth: Any, evaluations: Any) -> Any:
-    """Up to what the deviation from a structural law is round-off; the arguments may be columns."""
+    """Return up to what the deviation from a structural law is round-off; the arguments may be columns."""
     return np.maximum(STRUCTURE, round_off_bound(growth, evaluations))
 
 

@@ -41,12 +41,23 @@ def composition(
 
     Parameters
     ----------
+    name
+        A key in tables and a word on the command line.
+    order
+        The order of convergence that is claimed.
     kick, drift
         Coefficients in the order in which they act, numbers or strings of digits; the longer list begins and ends
         (lists of the same length begin with a kick).  Each adds up to one; what the rounding of printed digits
         leaves of that goes to the middle, so that the conformal factor of a step is e^{−γh}.
     nystrom
         Whether the order rests on the potential depending on q alone; rigid bodies are then refused.
+    about
+        One line with the source.
+
+    Returns
+    -------
+    ContactMethod
+        The method, which is in `METHODS` by its name.
 
     Raises
     ------

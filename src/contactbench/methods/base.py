@@ -59,7 +59,7 @@ SHORTEST_RUN = 1e-290
 
 
 class Method(ABC):
-    """What can be compared with the other methods.
+    """Declare a method and prepare its runs, so that it can be compared with the other methods.
 
     To bring a step map ``(scene, x, h, xp) -> x``, use `fixed_step` or subclass `FixedStep`; to bring a solver
     that chooses its own steps, subclass `Adaptive` and write `prepare`.  Everything else here has a default.
@@ -128,11 +128,11 @@ class Method(ABC):
 
     @property
     def control(self) -> str:
-        """What is set: "step", "rtol" or nothing, "exact"."""
+        """Return what is set: "step", "rtol" or nothing, "exact"."""
         return EXACT if self.exact else "rtol" if self.adaptive else "step"
 
     def refuses(self, scene: Scene) -> str | None:
-        """Why the scene is out of reach, or None."""
+        """Return why the scene is out of reach, or None."""
         return None
 
     def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:  # noqa: B027
@@ -140,11 +140,11 @@ class Method(ABC):
 
     @abstractmethod
     def prepare(self, request: Request) -> Prepared:
-        """A run for the request, compiled."""
+        """Return a run for the request, compiled."""
 
     @abstractmethod
     def step_cost(self, scene: Scene, engine: str) -> float | None:
-        """About the right-hand sides, called back from Python, that a step costs as much as."""
+        """Return about how many right-hand sides, called back from Python, a step costs."""
 
 
 METHODS.of = Method
@@ -161,7 +161,7 @@ class Adaptive(Method):
 
 
 def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
-    """Why a method that takes components one by one refuses a scene, or None."""
+    """Return why a method that takes components one by one refuses a scene, or None."""
     if scene.by_sites:
         return f"{method.name} has no loop over sites; scene {scene.name!r} has many"
     if not fits:
@@ -222,10 +222,22 @@ def prepare(
     max_steps
         Budget; a run that needs more ends with status `budget`.
 
+    Returns
+    -------
+    Prepared
+        What takes other initial data by name, ``run(q=…, p=…)``, and returns a `Solution`.
+
     Raises
     ------
     BadInput
-        For anything it cannot work with.
+        For an unknown name, and a value that is not allowed or does not go with the scene or the method.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> run = cb.prepare("oscillator", "contact-strang", step=0.1, save_at=[1.0])
+    >>> run(q=(0.5,)).y0[0]
+    np.float64(0.5)
     """
     scene, chosen = lookup(scene, method)
     request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
@@ -293,7 +305,7 @@ def make_request(
 
 
 def too_large(chosen: Method, request: Request) -> str | None:
-    """Why a scene has too many components to be compiled one by one, or None."""
+    """Return why a scene has too many components to be compiled one by one, or None."""
     scene, most = request.scene, chosen.largest
     if not isinstance(scene, Mechanical) or request.engine in CALLBACKS or len(scene.q) <= most:
         return None
@@ -388,10 +400,29 @@ OPTIONS = inspect.signature(prepare).parameters.keys() - {"scene", "method"}
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     """Solve a scene once, by the keywords of `prepare`.
 
+    Parameters
+    ----------
+    scene, method
+        As of `prepare`.
+    **options
+        The other keywords of `prepare`.
+
+    Returns
+    -------
+    Solution
+        The saved states, how the run ended and what it cost; a run that fails does not raise, see its `status`.
+
     Raises
     ------
     BadInput
         As `prepare` does, and where a gradient is not that of the potential at a saved state.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> sol = cb.solve("oscillator", "contact-strang", step=0.1, save_at=[1.0])
+    >>> sol.status.value, sol.counts.steps, sol.q.shape
+    ('ok', 10, (1, 1))
     """
     for name in options.keys() - OPTIONS:
         scene, why = scene_of(scene), f"choose from {', '.join(sorted(OPTIONS))}"

@@ -26,7 +26,17 @@ def steps_in(span: Any, until: Any, step: float) -> Any:
 
 @dataclass
 class FixedStepRun(Prepared):
-    """A run of a `FixedStep` in intervals of equal steps, which a loop takes; without one it is the division alone."""
+    """Run a `FixedStep` in intervals of equal steps, which a loop takes.
+
+    Parameters
+    ----------
+    method, request, compile_s
+        As of `Prepared`.
+    method_
+        The `FixedStep` itself.
+    loop
+        What takes the steps; without one the run only divides time.
+    """
 
     method_: Any
     loop: StepLoop | None = None
@@ -98,7 +108,7 @@ class FixedStepRun(Prepared):
 
     @property
     def until(self) -> np.ndarray:
-        """The saved time at which each interval ends, nan where none is."""
+        """Return the saved time at which each interval ends, nan where none is."""
         times = np.full(len(self.n), math.nan)
         times[self.saved] = self.later
         return times

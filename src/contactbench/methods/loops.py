@@ -38,13 +38,20 @@ def total(n: np.ndarray) -> int:
 
 
 class StepLoop(ABC):
-    """What takes the steps of a method on a scene, by one engine.
+    """Take the steps of a method on a scene, by one engine.
 
     1. ``ready(h, n)`` is all that depends on the steps alone, intervals of n[k] of size h[k].
     2. ``take(y0, ready)`` returns the packed states after each interval, (k, d), and the evaluations made, None where
        they are known beforehand.  No call leaves a trace.
     3. ``last(ready)`` is the function that gives the last of these states alone, by the fastest way there is.
     4. ``tangent(y0, v, h, n)`` is the derivative of the states along v.
+
+    Parameters
+    ----------
+    method
+        A `FixedStep`.
+    request
+        The scene, what is carried, the setting and the saved times.
     """
 
     #: how `tangent` differentiates
@@ -98,7 +105,7 @@ class StepLoop(ABC):
 def program_of(
     method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
 ) -> Program:
-    """The recorded loop of a method on a scene; raises `CannotRecord` where one of them branches on values.
+    """Return the recorded loop of a method on a scene; raises `CannotRecord` where one of them branches on values.
 
     tangent : a tangent vector follows the state and is carried along.  counted : by the evaluations spent so far.
     """
@@ -132,7 +139,7 @@ def program_of(
 
 @cache
 def is_fixed(method: Any) -> bool:
-    """Whether a step map is one of this package, which computes the same tomorrow."""
+    """Return whether a step map is one of this package, which computes the same tomorrow."""
     return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
 
 
@@ -200,7 +207,7 @@ class Loop:
         return found[0]
 
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
+        """Return what depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
         given = numbers.tobytes(), h.tobytes(), n.tobytes()
         if (known := self._rows.items.get(given)) is not None:
             return known
@@ -211,7 +218,7 @@ class Loop:
         return self._rows.get(given if w.size + len(n) <= FEW else None, lambda: rows)
 
     def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
-        """The rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
+        """Return the rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
         program = self.program
         if "setup" not in vars(self) and len(spans) * program.width <= FEW:
             rows = [[0.0] * program.width for _ in spans]
@@ -240,7 +247,7 @@ _loops: Cache[Loop] = Cache(1024)
 def loop_of(
     method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
 ) -> Loop:
-    """The recorded loop of a method on a scene; one for all scenes of one identity.  Raises `CannotRecord`."""
+    """Return the recorded loop of a method on a scene; one for all scenes of one identity.  Raises `CannotRecord`."""
 
     def make() -> Loop:
         elapsed = stopwatch()
@@ -389,7 +396,7 @@ class Plain(StepLoop):
 
 
 def trajectory(method: Any, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
-    """States after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
+    """Return the states after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
     for h, n in spans:
         x = method.advance(scene, x, h, n, xp)
         yield x

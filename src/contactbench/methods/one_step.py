@@ -24,7 +24,7 @@ from contactbench.trace.formula import argument_names, formula
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OneStep:
-    """``step(y, h, numbers=None, **parameters) -> y``: one step of size h from the packed state y.
+    """Take one step: ``step(y, h, numbers=None, **parameters) -> y``, of size h from the packed state y.
 
     y is a tuple with an entry for each of `labels`; of a scene of many sites an array.  numbers are the scene's
     parameters as a tuple in the order of `names`, by default its own; any of them can also be given by name, as in
@@ -37,6 +37,11 @@ class OneStep:
     Numbers may make the scene another problem, which has other flows: another sign of κ, another order of the moments
     of inertia.  The step is then that one's, of traced numbers too for κ; where the method or what is carried has none
     it is refused, in compiled code always, and nan under JAX.  So is a mass ≤ 0.
+
+    Parameters
+    ----------
+    scene, method, carry
+        As of `step_map`.
     """
 
     scene: Scene
@@ -53,17 +58,17 @@ class OneStep:
 
     @property
     def labels(self) -> list[str]:
-        """What the entries of y are."""
+        """Return what the entries of y are."""
         return self.scene.labels(self.carry)
 
     @property
     def names(self) -> list[str]:
-        """What the entries of `numbers` are."""
+        """Return what the entries of `numbers` are."""
         return self.scene.number_names()
 
     @property
     def start(self) -> Any:
-        """The scene's initial state."""
+        """Return the scene's initial state, packed."""
         y = self.scene.pack(self.scene.initial(self.carry))
         return y if self.many else tuple(map(float, y))
 
@@ -129,7 +134,7 @@ class OneStep:
 
     @property
     def _numba_type_(self) -> Any:
-        """What numba takes this for where compiled code calls it: a compiled function."""
+        """Return what numba takes this for where compiled code calls it: a compiled function."""
         return self.compiled._numba_type_
 
     @cached_property
@@ -183,7 +188,7 @@ def namespace(*values: Any) -> Any:
 
 
 def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None) -> OneStep:
-    """One step of a fixed-step method on a scene, as a pure function for one's own code: see `OneStep`.
+    """Return one step of a fixed-step method on a scene, as a pure function for one's own code.
 
     Parameters
     ----------
@@ -193,6 +198,11 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
         The name of a fixed-step one.
     carry
         Which of s and R are part of the state; by default all the scene has.
+
+    Returns
+    -------
+    OneStep
+        ``step(y, h, numbers=None, **parameters) -> y``, with the initial state as its `start`.
 
     Raises
     ------

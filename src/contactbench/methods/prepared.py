@@ -55,7 +55,7 @@ class Request:
 
     @cached_property
     def start(self) -> np.ndarray:
-        """The scene's own initial state, packed."""
+        """Return the scene's own initial state, packed."""
         return np.array(self.scene.pack(self.scene.initial(self.carry)), dtype=float)
 
     @property
@@ -91,18 +91,31 @@ class Outcome:
 
 @dataclass
 class Prepared(ABC):
-    """A compiled solver: call it, with other initial data if you like, to get a `Solution`.
+    """Run a compiled solver: call it, with other initial data if you like, to get a `Solution`.
 
     A solver's own class writes `integrate`; `bare` where there is a faster way to the last state; and, where its
     map can be differentiated, `sensitivity` (or `linearised`) together with `sensitivity_source`.
 
     It belongs to what the scene's functions computed when it was prepared.  A function that cannot be recorded is
     called as it is; where that is so, and something has changed since, a call computes with the change.
+
+    Parameters
+    ----------
+    method
+        The name of the method.
+    request
+        The scene, what is carried, the setting and the saved times.
+    compile_s
+        Seconds spent on tracing and compiling; zero where nothing is compiled.
+
+    Raises
+    ------
+    BadInput
+        On a call, for initial data that the scene does not have or cannot start from.
     """
 
     method: str
     request: Request
-    #: seconds spent tracing and compiling; zero where nothing is compiled
     compile_s: float = field(default=0.0, kw_only=True)
 
     #: of fixed steps: the step asked for, and the longest taken
@@ -185,7 +198,7 @@ class Prepared(ABC):
 
     @cached_property
     def places(self) -> dict[str, tuple[int | slice, int | None]]:
-        """Where initial data are in a packed state, and how many numbers; those with no more to be checked."""
+        """Return where initial data are in a packed state, and how many numbers; those with no more to be checked."""
         scene, carry = self.request.scene, self.request.carry
         found: dict[str, tuple[int | slice, int | None]] = {}
         at = 0
@@ -210,7 +223,7 @@ class Prepared(ABC):
         """Run from a packed initial state."""
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        """The solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
+        """Make the solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
         return self.integrate(y0).y[-1]
 
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -309,7 +322,7 @@ class Prepared(ABC):
     # -- the map of the steps taken --------------------------------------------------------------------
     @property
     def steps_follow_state(self) -> bool:
-        """Whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
+        """Return whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
         return self.request.rtol is not None
 
     def tangents(self, y0: np.ndarray) -> list[np.ndarray]:

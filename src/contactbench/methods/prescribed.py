@@ -44,10 +44,15 @@ def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.
         So many steps in a row are equal, which saves methods what they pay where a step changes, if nothing is
         saved in between; divides `count`.
 
+    Returns
+    -------
+    numpy.ndarray
+        The lengths of the steps, (count,), which add up to `t_end`.
+
     Raises
     ------
     BadInput
-        For anything else.
+        For a time that is not finite and > 0, a count that is not whole, and a plateau that does not divide it.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""``cb.math``: sin, exp, … of whatever numbers a scene runs on.
+"""Find sin, exp, … of whatever numbers a scene runs on (``cb.math``).
 
 A scene is written once and runs on floats, NumPy arrays, JAX tracers, mpmath numbers, heyoka's expressions and reals,
 dual and recorded numbers.  Arithmetic and powers are theirs; of the functions beyond that, these find the one that

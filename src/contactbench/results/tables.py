@@ -106,9 +106,9 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
 
     Parameters
     ----------
-    name : str
+    name
         Of a table, such as "laws", "work_precision", "stability", "claims", "ensemble".
-    folder : path-like, optional
+    folder
         Of a run of your own; by default the tables that came with the package.
 
     Returns
@@ -120,6 +120,13 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
     ------
     BadInput
         For an unknown name or absent tables.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> laws = cb.results("laws")
+    >>> laws.attrs["columns"].keys() == set(laws.columns)
+    True
     """
     from contactbench.results.store import read  # takes long to load, as pandas does
 

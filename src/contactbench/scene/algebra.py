@@ -9,8 +9,9 @@ import numpy as np
 
 from contactbench.checks import array
 from contactbench.errors import BadInput, excerpt
+from contactbench.numbers.protocol import Arithmetic
 
-Vector = tuple[Any, ...]
+Vector = tuple[Arithmetic, ...]
 
 
 class State(NamedTuple):
@@ -30,7 +31,35 @@ class BodyState(NamedTuple):
 
 
 def shifted(x: Any, h: Any, slope: Any) -> Any:
-    """Return x + h·slope, component by component, fields that are not carried left alone."""
+    """Return x + h·slope, component by component.
+
+    Parameters
+    ----------
+    x
+        A state of a scene, a NamedTuple of tuples and numbers; a field that is not carried is None.
+    h
+        A number, the length of the step.
+    slope
+        A state of the same fields, such as ``scene.rhs(x)``.
+
+    Returns
+    -------
+    NamedTuple
+        A state of the same fields; those that are not carried are left alone.
+
+    Raises
+    ------
+    ValueError
+        Where a field of x and of the slope differ in length.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> scene = cb.SCENES["oscillator"]
+    >>> x = scene.initial(())
+    >>> cb.shifted(x, 0.0, scene.rhs(x)) == x
+    True
+    """
     parts: list[Any] = []
     for part, rate in zip(x, slope, strict=True):
         if isinstance(part, tuple):

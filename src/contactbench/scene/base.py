@@ -23,7 +23,7 @@ from contactbench.notebook import html_table
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.registry import Registry
-from contactbench.scene.algebra import Vector, shifted
+from contactbench.scene.algebra import shifted
 from contactbench.scene.flow import Flow
 from contactbench.scene.scales import in_order
 from contactbench.trace.formula import Formula, formula
@@ -61,7 +61,7 @@ def reciprocal(value: Any) -> Any:
 
 
 class Cache[Made]:
-    """The latest `size` things made, by key; None is no key: what has none is made anew every time."""
+    """Keep the latest `size` things made, by key; a thing whose key is None is made at every call."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -106,7 +106,13 @@ INSTEAD |= {"lagrangian": INSTEAD["hamiltonian"], "drag": INSTEAD["damping"]}
 
 @dataclass(frozen=True, kw_only=True)
 class System(ABC):
-    """What solvers need: a state and its packing, numbers that can be replaced, a right-hand side."""
+    """Give solvers what they need: a state and its packing, numbers that can be replaced, a right-hand side.
+
+    Attributes
+    ----------
+    name, t_end
+        A key in tables, and the time > 0 at which a run ends.
+    """
 
     name: str
     t_end: float
@@ -143,7 +149,7 @@ class System(ABC):
 
     @cached_property
     def motion(self) -> int:
-        """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
+        """Return how many leading components of a packed state are (q, p) or M: what may not leave its scale."""
         return len(self.without_clock(self.labels(())))
 
     @abstractmethod
@@ -152,7 +158,7 @@ class System(ABC):
 
     @property
     def clock(self) -> int | None:
-        """The component of the packed state that is the time, where there is one."""
+        """Return the component of the packed state that is the time, where there is one."""
         return None
 
     def breaks_until(self, end: float) -> list[tuple[float, float]]:
@@ -202,7 +208,7 @@ class System(ABC):
     @property
     @abstractmethod
     def structure(self) -> tuple[Any, ...]:
-        """Everything but the numbers."""
+        """Return everything but the numbers."""
 
     @cached_property
     def identity(self) -> Hashable | None:
@@ -213,7 +219,7 @@ class System(ABC):
 
     @cached_property
     def has_users_functions(self) -> bool:
-        """Whether any of its functions, or of their derivatives, is not of this package."""
+        """Return whether any of its functions, or of their derivatives, is not of this package."""
         given = (getattr(self, name) for name in self.functions)
         return not all(part is None or is_ours(part) for part in given)
 
@@ -315,7 +321,7 @@ class System(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Scene(System):
-    """A system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
+    """Describe a system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
 
     A kind of scene of one's own (most need none: `Mechanical` takes any potential) writes what is abstract here
     and in `System`, and keeps these rules, which `contactbench.testing.check_scene` tests:
@@ -336,17 +342,36 @@ class Scene(System):
      8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies, of many sites a few vectors
         at random; ``displaced`` leaves along them.
      9. ``exact``, where given, starts at the initial state and solves the equations.
+
+    Parameters
+    ----------
+    name, about
+        A key in tables and a word on the command line, and one line with the source.
+    t_end
+        The time > 0 at which a run ends; it starts at 0.
+    s
+        The action at the start.
+    exact
+        Closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None.
+    slows_after
+        The time after which the motion slows down as 1/t: steps that grow with the time suit it
+        (`geometric_steps`).
+    hard
+        Whether only the stability experiment runs it.
+    experiments
+        The experiments that run it, where it is not all of them but that of stability.
+
+    Raises
+    ------
+    BadInput
+        For a name that is no argument, and a value that is not allowed.
     """
 
     s: float = 0.0
-    #: closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None
     exact: Callable[[Any, Any, Any], Any] | None = None
     about: str = ""
-    #: the time after which the motion slows down as 1/t: steps that grow with the time suit it (`geometric_steps`)
     slows_after: float | None = None
-    #: only the stability experiment runs it
     hard: bool = False
-    #: the experiments that run it, where it is not all of them but that of stability
     experiments: tuple[str, ...] = ()
 
     #: the NamedTuple of its states
@@ -541,7 +566,7 @@ class Scene(System):
         """Return the contact Hamiltonian H = H0 + Γ(s); needs s."""
 
     @abstractmethod
-    def momentum(self, x: Any) -> Vector | None:
+    def momentum(self, x: Any) -> tuple[Any, ...] | None:
         """Return the momentum map J of the rotations, None where there is none."""
 
     def tangents(self, x: Any) -> list[Any]:
@@ -585,17 +610,17 @@ class Scene(System):
 
     @property
     def is_contact(self) -> bool:
-        """The exact flow is a conformal contact map, with a rate that is constant or changes."""
+        """Return whether the exact flow is a conformal contact map, with a rate that is constant or changes."""
         return self.conformal_rate is not None or self.rate_changes
 
     @property
     def has_hamiltonian_law(self) -> bool:
-        """H' = −Γ'(s) H."""
+        """Return whether H' = −Γ'(s) H."""
         return self.is_contact
 
     @property
     def bounds_energy(self) -> bool:
-        """H0 never exceeds what it was at the start."""
+        """Return whether H0 never exceeds what it was at the start."""
         return not self.may_gain_energy
 
 

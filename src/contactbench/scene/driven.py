@@ -66,7 +66,7 @@ def increasing(name: str, value: Any) -> tuple[float, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Driven(Mechanical):
-    """H = ‖p‖²/2m + V(q, t) + γ(t) s, with the time as one more component of the state, t' = 1.
+    """Describe a driven point mass: H = ‖p‖²/2m + V(q, t) + γ(t) s, with the time in the state, t' = 1.
 
     Adaptive solvers are given f(t, y): the time is theirs and no part of the state whose error they control.
 
@@ -77,6 +77,10 @@ class Driven(Mechanical):
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
+    hessian, q, p, kappa, mass, parameters, rotation_invariant
+        As of `Mechanical`; κ = 0, no Hessian and no symmetry are allowed.
     potential
         ``V(q, t, **parameters) -> number``.
     gradient

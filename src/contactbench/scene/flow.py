@@ -19,6 +19,7 @@ from contactbench.numbers.control import choose
 
 
 def plain(scene: Any, h: Any, xp: Any) -> Any:
+    """Return the step itself, of flows without other constants."""
     return h
 
 
@@ -27,12 +28,21 @@ def no_damping(scene: Any, x: Any, h: Any, xp: Any) -> Any:
 
 
 class Flow(NamedTuple):
-    """One exact subflow φ_h.
+    """Define one exact subflow φ_h.
 
-    costs : what one application adds to the counts, by kind ("gradient", "rotation"; "attitude": the rotations
-        that R takes beside the others, where it is carried).
-    log_factor : ``(scene, x, h, xp) -> log c`` with φ_h*η = c η at x.
     Flows for h1 and h2 compose to the flow for h1 + h2, so that neighbours may be merged.
+
+    Parameters
+    ----------
+    constants
+        ``(scene, h, xp) -> constants``: the coefficients that depend on the step alone.
+    apply
+        ``(scene, x, constants, xp) -> x``: the state after the step.
+    costs
+        What one application adds to the counts, by kind ("gradient", "rotation"; "attitude": the rotations that R
+        takes beside the others, where it is carried).
+    log_factor
+        ``(scene, x, h, xp) -> log c`` with φ_h*η = c η at x.
     """
 
     constants: Callable[[Any, Any, Any], Any]
@@ -42,6 +52,7 @@ class Flow(NamedTuple):
 
 
 def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+    """Return −γh, the log of the factor under linear damping."""
     return -scene.gamma * h
 
 

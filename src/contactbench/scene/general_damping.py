@@ -103,7 +103,7 @@ def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class GeneralDamping(Mechanical):
-    """H = ‖p‖²/2m + V(q) + Γ(s) for any smooth Γ, on the three-part splitting: kick, drift and damping.
+    """Describe a point mass with any smooth damping: H = ‖p‖²/2m + V(q) + Γ(s), split into kick, drift and damping.
 
     Nyström tables and Herglotz's recursion refuse it: their flows need a Γ at most quadratic.
 
@@ -112,6 +112,10 @@ class GeneralDamping(Mechanical):
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
+    potential, gradient, hessian, q, p, gamma, kappa, mass, parameters, rotation_invariant
+        As of `Mechanical`; gamma and kappa stay 0, Γ is in their place.
     damping, damping_slope
         ``Γ(s) -> number`` and ``Γ'(s) -> number``, plain arithmetic like the force.
     damping_flow

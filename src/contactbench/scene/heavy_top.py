@@ -27,19 +27,22 @@ def top_kick(scene: HeavyTop, x: BodyState, h: Any, xp: Any) -> BodyState:
 
 @dataclass(frozen=True, kw_only=True)
 class HeavyTop(RigidBody):
-    """Damped top: M' = M × Ω + w u × χ − γ M, R' = R Ω̂, s' = ½ M·Ω − w u·χ − γ s, u = Rᵀe₃ the vertical in the body.
+    """Describe a damped heavy top by M, its attitude R and s.
 
+    M' = M × Ω + w u × χ − γ M, R' = R Ω̂, s' = ½ M·Ω − w u·χ − γ s, u = Rᵀe₃ the vertical in the body.
     H = ½ M·I⁻¹M + w e₃·Rχ + γ s.  Rotations about the vertical are a symmetry: e₃·RM decays as e^{−γt}.  With two equal
     moments and χ along the third axis it is Lagrange's top, whose M·χ decays so, too.
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
     inertia
         Three principal moments about the fixed point > 0.
     weight
-        w = mgl, the torque that the weight has at most.
+        Torque w = mgl, the torque that the weight has at most.
     axis
-        χ, from the fixed point to the centre of mass: three numbers in the body, of length one where w = mgl.
+        Vector χ, from the fixed point to the centre of mass: three numbers in the body, of length one where w = mgl.
     potential
         ``V(u) -> number``, a further potential of the vertical in the body, three numbers, as of gravity's gradient on
         a satellite, 3/2 n² u·Iu.  Its torque is u × ∂V/∂u, derived: it has to be one that can be recorded.
@@ -49,6 +52,8 @@ class HeavyTop(RigidBody):
         As of `RigidBody`; the attitude is always carried.
     gamma
         Isotropic damping.
+    damping
+        None: an anisotropic damping is refused.
 
     Raises
     ------
@@ -90,7 +95,7 @@ class HeavyTop(RigidBody):
 
     @property
     def u(self) -> Vector:
-        """The vertical in the body at the start."""
+        """Return the vertical in the body at the start."""
         return self.vertical(self.R)
 
     def recorded(self) -> Self:
@@ -145,7 +150,7 @@ class HeavyTop(RigidBody):
     def jacobian(self, x: BodyState) -> Any:
         """Return None."""
 
-    def momentum(self, x: BodyState) -> Vector:
+    def momentum(self, x: BodyState) -> tuple[Any, ...]:
         """Return e₃·RM, the vertical component of the spatial momentum."""
         return (dot(self.vertical(x.R), x.M),)
 

@@ -96,16 +96,16 @@ class Many(Canonical):
     @property
     @abstractmethod
     def sites(self) -> int:
-        """How many there are."""
+        """Return how many there are."""
 
     @property
     def weight(self) -> Any:
-        """The mass: one number, or an array with one for every site."""
+        """Return the mass: one number, or an array with one for every site."""
         return getattr(self, self.weights)
 
     @property
     def constants(self) -> dict[str, np.ndarray]:
-        """The arrays of one number a site that the equations read, by the attribute they are."""
+        """Return the arrays of one number a site that the equations read, by the attribute they are."""
         return {} if self.uniform else {"inverse_mass": self.inverse_mass}
 
     @abstractmethod
@@ -133,7 +133,7 @@ class Many(Canonical):
         self._check_functions()
         with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
             x = self.initial(())
-            start = np.array([*np.ravel(self.gradient_at(x)), self.potential_at(x)])
+            start = np.array([*np.ravel(np.asarray(self.gradient_at(x))), self.potential_at(x)])
         if not np.isfinite(start).all():
             raise BadInput(f"q: the force or the potential of scene {self.name!r} is not finite at the start")
 
@@ -255,12 +255,12 @@ class Many(Canonical):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        """Everything but the numbers; programs for arrays of one length serve no other."""
+        """Return everything but the numbers; programs for arrays of one length serve no other."""
         return (*self.equations, self.sites, *(value.tobytes() for value in self.constants.values()))
 
     @property
     def equations(self) -> tuple[Any, ...]:
-        """What is computed at a site, however many there are."""
+        """Return what is computed at a site, however many there are."""
         functions = tuple(getattr(self, name) for name in self.functions)
         return (type(self), *functions, self.dimensions, tuple(self.parameters), self.uniform)
 
@@ -305,7 +305,7 @@ class Many(Canonical):
         return self.product(p, self.velocity(p)) / 2
 
     def velocity(self, p: Vector) -> Vector:
-        return scaled(like(self.inverse_mass, p[0]), p)
+        return scaled(self.inverse_mass if self.uniform else like(self.inverse_mass, p[0]), p)
 
     def product(self, a: Vector, b: Vector) -> Any:
         """Return a·b, also of one vector with each of many."""
@@ -314,7 +314,7 @@ class Many(Canonical):
     #: derivatives are by differences or dual numbers
     has_jacobian = False
 
-    def momentum(self, x: State) -> Vector:
+    def momentum(self, x: State) -> tuple[Any, ...]:
         """Return the total momentum; of particles in a plane or in space the angular one, one component or three."""
         if self.dimensions == 1:
             return (total(x.p[0]),)
@@ -339,10 +339,12 @@ class Many(Canonical):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Lattice(Many):
-    """A chain or ring of n sites: V = Σ onsite(q_i) + Σ bond(q_{i+1} − q_i).
+    """Describe a chain or ring of n sites: V = Σ onsite(q_i) + Σ bond(q_{i+1} − q_i).
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
     n
         Sites, ≥ 2.
     boundary
@@ -355,7 +357,8 @@ class Lattice(Many):
     gamma
         Linear damping.
     q, p
-        n numbers each, or functions of the index 0 … n − 1, or of the index and n.
+        Coordinates and momenta at the start: n numbers each, or functions of the index 0 … n − 1, or of the index
+        and n.
     parameters
         Numbers by name that the potentials take.
 
@@ -478,10 +481,12 @@ class Chain:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Particles(Many):
-    """N bodies in a plane or in space, each acting on each: V = Σ_{a<b} pair(‖x_a − x_b‖², m_a, m_b).
+    """Describe N bodies in a plane or in space, each acting on each: V = Σ_{a<b} pair(‖x_a − x_b‖², m_a, m_b).
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
     masses
         N numbers > 0, N ≥ 2.
     dimensions

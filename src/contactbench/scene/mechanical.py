@@ -273,13 +273,15 @@ def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Mechanical(Canonical):
-    """H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
+    """Describe a point mass in a potential: H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
 
     The functions may read globals or attributes: every solve, run and reference is of what they compute when it
     is prepared.
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
     potential
         ``V(q, **parameters) -> number``.
     gradient
@@ -446,7 +448,7 @@ class Mechanical(Canonical):
             rows.append([-g for g in self.dV(x.q)] + [*scaled(self.inverse_mass, x.p)] + [-rate])
         return rows
 
-    def momentum(self, x: State) -> Vector | None:
+    def momentum(self, x: State) -> tuple[Any, ...] | None:
         """Return the angular momentum q × p (one component in the plane, three in space), else None."""
         q, p = x.q, x.p
         if len(q) == 2:

@@ -178,12 +178,14 @@ ISOTROPIC = BODY | {"free_damp": Flow(time_and_damping, free_damp, FREE_COSTS, l
 
 @dataclass(frozen=True, kw_only=True)
 class RigidBody(Scene):
-    """Damped rigid body: M' = M × I⁻¹M − D M, R' = R Ω̂, s' = ½ M·Ω − γ s on T*SO(3) × R.
+    """Describe a damped rigid body: M' = M × I⁻¹M − D M, R' = R Ω̂, s' = ½ M·Ω − γ s on T*SO(3) × R.
 
     The momentum map of the left action is the spatial momentum J = R M.
 
     Parameters
     ----------
+    name, about, t_end, s, exact, slows_after, hard, experiments
+        As of `Scene`.
     inertia
         Three principal moments > 0.
     M
@@ -333,7 +335,7 @@ class RigidBody(Scene):
     def jacobian(self, x: BodyState) -> list[list[Any]]:
         inv, omega = self.inverse_inertia, self.angular_velocity(x.M)
         width = len(self.pack(x))
-        rows = [[0.0] * width for _ in range(width)]
+        rows: list[list[Any]] = [[0.0] * width for _ in range(width)]
         for j, e in enumerate(UNIT):
             gyroscopic = cross(x.M, tuple(inv[k] * e[k] for k in range(3)))
             other, damped = cross(e, omega), self.damp_matrix_function(e, lambda rate: rate)
@@ -350,7 +352,7 @@ class RigidBody(Scene):
             rows[-1][-1] = -self.gamma
         return rows
 
-    def momentum(self, x: BodyState) -> Vector | None:
+    def momentum(self, x: BodyState) -> tuple[Any, ...] | None:
         """Return J = R M, the spatial angular momentum, R ~ |quaternion|²; None when R is not carried."""
         return None if x.R is None else rotate(x.R, x.M)
 

@@ -9,100 +9,113 @@ from __future__ import annotations
 from typing import Any
 
 from contactbench.numbers import functions as xm
-from contactbench.scene import Driven, DrivenState
+from contactbench.numbers.protocol import Arithmetic
+from contactbench.scene import Driven, DrivenState, Vector
 
 
 # -- forces ----------------------------------------------------------------------------------------
-def forced(q, t, omega, force, drive, **damping):
+def forced(
+    q: Vector, t: Arithmetic, omega: Arithmetic, force: Arithmetic, drive: Arithmetic, **damping: Arithmetic
+) -> Arithmetic:
     """V = ½ ω² q² − F q cos Ωt."""
     return omega * omega * q[0] * q[0] / 2 - force * q[0] * xm.cos(drive * t)
 
 
-def forced_gradient(q, t, omega, force, drive, **damping):
+def forced_gradient(
+    q: Vector, t: Arithmetic, omega: Arithmetic, force: Arithmetic, drive: Arithmetic, **damping: Arithmetic
+) -> Vector:
     return (omega * omega * q[0] - force * xm.cos(drive * t),)
 
 
-def double_well(q, t, force, drive):
+def double_well(q: Vector, t: Arithmetic, force: Arithmetic, drive: Arithmetic) -> Arithmetic:
     """V = ¼ q⁴ − ½ q² − F q sin Ωt."""
     square = q[0] * q[0]
     return square * square / 4 - square / 2 - force * q[0] * xm.sin(drive * t)
 
 
-def double_well_gradient(q, t, force, drive):
+def double_well_gradient(q: Vector, t: Arithmetic, force: Arithmetic, drive: Arithmetic) -> Vector:
     return (q[0] * q[0] * q[0] - q[0] - force * xm.sin(drive * t),)
 
 
-def constant_pull(q, t):
+def constant_pull(q: Vector, t: Arithmetic) -> Arithmetic:
     """V = q: Lane–Emden of index 0."""
     return q[0]
 
 
-def constant_pull_gradient(q, t):
+def constant_pull_gradient(q: Vector, t: Arithmetic) -> Vector:
     return (1.0 + 0 * q[0],)
 
 
-def square_well(q, t):
+def square_well(q: Vector, t: Arithmetic) -> Arithmetic:
     """V = ½ q²: index 1."""
     return q[0] * q[0] / 2
 
 
-def square_well_gradient(q, t):
+def square_well_gradient(q: Vector, t: Arithmetic) -> Vector:
     return (q[0],)
 
 
-def bessel(q, t):
+def bessel(q: Vector, t: Arithmetic) -> Arithmetic:
     """V = ½ (1 − ¼ t⁻²) q²: of γ = 1/t the Bessel equation of order ½."""
     return (1 - 1 / (4 * t * t)) * q[0] * q[0] / 2
 
 
-def bessel_gradient(q, t):
+def bessel_gradient(q: Vector, t: Arithmetic) -> Vector:
     return ((1 - 1 / (4 * t * t)) * q[0],)
 
 
-def soft_spring(q, t, softness, force, drive):
+def soft_spring(
+    q: Vector, t: Arithmetic, softness: Arithmetic, force: Arithmetic, drive: Arithmetic
+) -> Arithmetic:
     """V = ½ q² − ¼ q⁴/c − F q sin Ωt."""
     square = q[0] * q[0]
     return square / 2 - square * square / (4 * softness) - force * q[0] * xm.sin(drive * t)
 
 
-def soft_spring_gradient(q, t, softness, force, drive):
+def soft_spring_gradient(
+    q: Vector, t: Arithmetic, softness: Arithmetic, force: Arithmetic, drive: Arithmetic
+) -> Vector:
     return (q[0] - q[0] * q[0] * q[0] / softness - force * xm.sin(drive * t),)
 
 
-def sextic(q, t):
+def sextic(q: Vector, t: Arithmetic) -> Arithmetic:
     """V = q⁶/6: index 5."""
     cube = q[0] * q[0] * q[0]
     return cube * cube / 6
 
 
-def sextic_gradient(q, t):
+def sextic_gradient(q: Vector, t: Arithmetic) -> Vector:
     square = q[0] * q[0]
     return (square * square * q[0],)
 
 
 # -- γ(t) ---------------------------------------------------------------------------------------
-def spherical(t, **parameters):
+def spherical(t: Arithmetic, **parameters: Arithmetic) -> Arithmetic:
     """γ = 2/t, the divergence of a radius in space."""
     return 2 / t
 
 
-def spherical_span(t, h, xp, **parameters):
+def spherical_span(
+    t: Arithmetic, h: Arithmetic, xp: Any, **parameters: Arithmetic
+) -> tuple[Arithmetic, Arithmetic]:
     """∫γ = 2 log(1 + h/t), φ = t h/(t + h)."""
     return 2 * xp.log1p(h / t), t * h / (t + h)
 
 
-def cylindrical(t):
+def cylindrical(t: Arithmetic) -> Arithmetic:
     """γ = 1/t, the divergence of a radius in the plane."""
     return 1 / t
 
 
-def cylindrical_span(t, h, xp):
+def cylindrical_span(t: Arithmetic, h: Arithmetic, xp: Any) -> tuple[Arithmetic, Arithmetic]:
     """∫γ = log(1 + h/t), φ = t log(1 + h/t)."""
     spent = xp.log1p(h / t)
     return spent, t * spent
 
 
-def pulsating(t, friction, depth, pulse, **parameters):
+def pulsating(
+    t: Arithmetic, friction: Arithmetic, depth: Arithmetic, pulse: Arithmetic, **parameters: Arithmetic
+) -> Arithmetic:
     """γ = γ₀ (1 + a sin νt); φ is no elementary function."""
     return friction * (1 + depth * xm.sin(pulse * t))
 

@@ -6,41 +6,42 @@ They are registered beside the standard ones and marked `hard`, so that only the
 
 from __future__ import annotations
 
-from contactbench.scene import Mechanical
+from contactbench.numbers.protocol import Arithmetic
+from contactbench.scene import Mechanical, Vector
 from contactbench.scenes.standard import OSCILLATOR, PARTICLE, RIGID_BODY, RIGID_BODY_ANISOTROPIC
 
 
-def two_scales(q, omega, coupling):
+def two_scales(q: Vector, omega: Arithmetic, coupling: Arithmetic) -> Arithmetic:
     """V = ½ q1² + ½ ω² q2² + c q1² q2: a slow and a fast oscillation, coupled."""
     x, y = q
     return (x * x + omega * omega * y * y) / 2 + coupling * x * x * y
 
 
-def two_scales_gradient(q, omega, coupling):
+def two_scales_gradient(q: Vector, omega: Arithmetic, coupling: Arithmetic) -> Vector:
     x, y = q
     return (x + 2 * coupling * x * y, omega * omega * y + coupling * x * x)
 
 
-def two_scales_hessian(q, omega, coupling):
+def two_scales_hessian(q: Vector, omega: Arithmetic, coupling: Arithmetic) -> tuple[Vector, ...]:
     x, y = q
     mixed = 2 * coupling * x
     return ((1 + 2 * coupling * y, mixed), (mixed, omega * omega + 0 * y))
 
 
-def kepler(q, strength):
+def kepler(q: Vector, strength: Arithmetic) -> Arithmetic:
     """V = −k/‖q‖."""
     x, y = q
     return -strength * (x * x + y * y) ** -0.5
 
 
-def kepler_gradient(q, strength):
+def kepler_gradient(q: Vector, strength: Arithmetic) -> Vector:
     x, y = q
     inverse = (x * x + y * y) ** -0.5
     pull = strength * inverse * inverse * inverse
     return (pull * x, pull * y)
 
 
-def kepler_hessian(q, strength):
+def kepler_hessian(q: Vector, strength: Arithmetic) -> tuple[Vector, ...]:
     x, y = q
     inverse = (x * x + y * y) ** -0.5
     square = inverse * inverse

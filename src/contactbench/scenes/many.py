@@ -7,46 +7,47 @@ from typing import Any
 import numpy as np
 
 from contactbench.numbers import functions as math
+from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import State
 from contactbench.scene.many import Lattice, Particles
 
 
-def quartic_bond(r, beta):
+def quartic_bond(r: Arithmetic, beta: Arithmetic) -> Arithmetic:
     """W = ½ r² + ¼ β r⁴: Fermi, Pasta, Ulam, Tsingou's β-chain."""
     square = r * r  # of the forms of W, the one whose derivative is shortest: half the time of r * r * r * r
     return square * (0.5 + beta / 4 * square)
 
 
-def linear_bond(r):
+def linear_bond(r: Arithmetic) -> Arithmetic:
     """W = ½ r²."""
     return r * r / 2
 
 
-def toda_bond(r):
+def toda_bond(r: Arithmetic) -> Arithmetic:
     """W = e^{−r} + r − 1 (Toda, J. Phys. Soc. Jpn. 22, 431 (1967), doi:10.1143/JPSJ.22.431)."""
     return math.exp(-r) + r - 1
 
 
-def pendulum(q, spacing):
+def pendulum(q: Arithmetic, spacing: Arithmetic) -> Arithmetic:
     """U = (1 − cos q) a of sites at a distance a; with bonds r²/2a it is the sine-Gordon equation."""
     return (1 - math.cos(q)) * spacing
 
 
-def spring(r, spacing):
+def spring(r: Arithmetic, spacing: Arithmetic) -> Arithmetic:
     return r * r / (2 * spacing)
 
 
-def gravity(r2, a, b, G):
+def gravity(r2: Arithmetic, a: Arithmetic, b: Arithmetic, G: Arithmetic) -> Arithmetic:
     """V = −G a b/r."""
     return -G * a * b / math.sqrt(r2)
 
 
-def kink(i, n):
+def kink(i: float, n: int) -> float:
     """A kink of the continuous equation at a third of the chain, of velocity `SPEED`."""
     return 4 * np.arctan(np.exp(place(i, n)))
 
 
-def moving_kink(i, n):
+def moving_kink(i: float, n: int) -> float:
     """Its momenta, mass times velocity."""
     return -SPACING * SPEED * 2 / np.sqrt(1 - SPEED**2) / np.cosh(place(i, n))
 
@@ -55,16 +56,16 @@ def moving_kink(i, n):
 SPEED, SPACING = 0.5, 0.25
 
 
-def place(i, n):
-    """The distance from the kink in its own width."""
+def place(i: float, n: int) -> float:
+    """Return the distance from the kink in its own width."""
     return (i - n / 3) * SPACING / np.sqrt(1 - SPEED**2)
 
 
-def long_wave(i, n):
+def long_wave(i: float, n: int) -> float:
     return np.sin(2 * np.pi * i / n)
 
 
-def two_waves(i, n):
+def two_waves(i: float, n: int) -> float:
     return 0.3 + 0.5 * np.cos(4 * np.pi * i / n)
 
 

@@ -5,53 +5,54 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-from contactbench.scene import BodyState, HeavyTop, Mechanical, RigidBody, State, dot
+from contactbench.numbers.protocol import Arithmetic
+from contactbench.scene import BodyState, HeavyTop, Mechanical, RigidBody, State, Vector, dot
 
 
-def harmonic(q, omega):
+def harmonic(q: Vector, omega: Arithmetic) -> Arithmetic:
     """V = ½ ω² q²."""
     return omega * omega * q[0] * q[0] / 2
 
 
-def harmonic_gradient(q, omega):
+def harmonic_gradient(q: Vector, omega: Arithmetic) -> Vector:
     return (omega * omega * q[0],)
 
 
-def harmonic_hessian(q, omega):
+def harmonic_hessian(q: Vector, omega: Arithmetic) -> tuple[Vector, ...]:
     return ((omega * omega,),)
 
 
-def cubic(q, coupling):
+def cubic(q: Vector, coupling: Arithmetic) -> Arithmetic:
     """V = ½‖q‖² + c q1² q2 (paper, eq. 2DOF-V, c = 0.1)."""
     x, y = q
     return (x * x + y * y) / 2 + coupling * x * x * y
 
 
-def cubic_gradient(q, coupling):
+def cubic_gradient(q: Vector, coupling: Arithmetic) -> Vector:
     x, y = q
     return (x + 2 * coupling * x * y, y + coupling * x * x)
 
 
-def cubic_hessian(q, coupling):
+def cubic_hessian(q: Vector, coupling: Arithmetic) -> tuple[Vector, ...]:
     x, y = q
     mixed = 2 * coupling * x
     return ((1 + 2 * coupling * y, mixed), (mixed, 1.0 + 0 * y))
 
 
-def quartic(q, stiffness):
+def quartic(q: Vector, stiffness: Arithmetic) -> Arithmetic:
     """V = ½‖q‖² + ¼ k ‖q‖⁴, rotation invariant."""
     x, y = q
     square = x * x + y * y
     return square / 2 + stiffness * square * square / 4
 
 
-def quartic_gradient(q, stiffness):
+def quartic_gradient(q: Vector, stiffness: Arithmetic) -> Vector:
     x, y = q
     square = x * x + y * y  # multiplied last: of the operations that wait for one another there is one less
     return (x + stiffness * x * square, y + stiffness * y * square)
 
 
-def quartic_hessian(q, stiffness):
+def quartic_hessian(q: Vector, stiffness: Arithmetic) -> tuple[Vector, ...]:
     x, y = q
     slope = 1 + stiffness * (x * x + y * y)
     mixed = 2 * stiffness * x * y
@@ -96,8 +97,8 @@ def elliptic_phase(sine: Any, cosine: Any, modulus: Any, mp: Any, precision: int
     return mp.ellipf(mp.atan2(sine, cosine), modulus)
 
 
-def free_top(inertia: tuple, M0: tuple, tau: Any, mp: Any) -> tuple:
-    """Body momentum of the free asymmetric top at time tau, by Jacobi elliptic functions.
+def free_top(inertia: tuple[Any, ...], M0: tuple[Any, ...], tau: Any, mp: Any) -> Vector:
+    """Return the body momentum of the free asymmetric top at time tau, by Jacobi elliptic functions.
 
     With axes ordered so that the motion encircles the last one,
     M = (A1 cn u, A2 sn u, ±A3 dn u) with u linear in time; Euler's equation for the middle

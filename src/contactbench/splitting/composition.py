@@ -33,12 +33,24 @@ HALF, ONE = Fraction(1, 2), Fraction(1)
 
 @dataclass(frozen=True)
 class Composition:
-    """A composition: `stages` act left to right; `order` is its order for γ > 0.
+    """Define a step by the flows that it is composed of.
 
-    nystrom : the order rests on [B, [B, [B, A]]] = 0, which holds for kicks and (merged) drifts
-    only; elsewhere the composition is refused.
-    processor : stages that act once before the first step and, in reverse order, once after the last
-    (Nyström compositions).  Palindromic stages between them make the whole run palindromic.
+    Parameters
+    ----------
+    name
+        The name of the method.
+    order
+        Its order for γ > 0.
+    stages
+        Pairs of a flow's name and its part of the step; they act left to right.
+    source
+        The paper, table and DOI that the coefficients are from.
+    nystrom
+        Whether the order rests on [B, [B, [B, A]]] = 0, which holds for kicks and (merged) drifts only; elsewhere
+        the composition is refused.
+    processor
+        Stages that act once before the first step and, in reverse order, once after the last (Nyström
+        compositions).  Palindromic stages between them make the whole run palindromic.
     """
 
     name: str

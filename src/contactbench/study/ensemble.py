@@ -125,7 +125,7 @@ def diffrax_program(name: str, shape: str, scene_name: str) -> Any:
     scene = cb.SCENES[scene_name]
     solver = getattr(diffrax, SOLVERS[name][0])()
 
-    def solve(y, tolerance, end):
+    def solve(y: Any, tolerance: Any, end: Any) -> Any:
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, x, args: scene.rhs(x)),
             solver,
@@ -144,8 +144,8 @@ def diffrax_program(name: str, shape: str, scene_name: str) -> Any:
     if shape == "vmap":
         solve = jax.vmap(solve, in_axes=(1, None, None), out_axes=(1, 0))
 
-    def tiled(y, tiles, tolerance, end):
-        def one(k, state):
+    def tiled(y: Any, tiles: Any, tolerance: Any, end: Any) -> Any:
+        def one(k: Any, state: Any) -> Any:
             y, most = state
             mine, steps = solve(jax.lax.dynamic_slice_in_dim(y, k * TILE, TILE, axis=1), tolerance, end)
             y = jax.lax.dynamic_update_slice_in_dim(y, mine, k * TILE, axis=1)
@@ -162,7 +162,7 @@ def diffrax(scene: Scene, method: str, shape: str, value: float, y0: np.ndarray)
     tiles = -(-n // TILE)
     room = np.pad(y0, ((0, 0), (0, max(ROOM, tiles * TILE) - n)), mode="edge")
 
-    def run():
+    def run() -> np.ndarray:
         y, steps[0] = program(room, tiles, value, scene.t_end)
         return np.asarray(y)[:, :n]
 
@@ -179,7 +179,7 @@ def heyoka(scene: Scene, method: str, shape: str, value: float, y0: np.ndarray) 
     filled = np.pad(y0, ((0, 0), (0, -y0.shape[1] % width)), mode="edge")
     most = [0]
 
-    def run():
+    def run() -> np.ndarray:
         y = np.empty_like(filled)
         most[0] = 0
         for k in range(0, y.shape[1], width):
@@ -200,7 +200,7 @@ def compiled_loop(scene: Scene, method: str, shape: str, value: float, y0: np.nd
         return run.why
     starts, most = np.ascontiguousarray(y0.T), [0, 0]
 
-    def loop():
+    def loop() -> Any:
         told = run.many(starts)
         most[:] = told[:, 3:5].max(axis=0).astype(int)
         return told[:, -len(y0) :].T

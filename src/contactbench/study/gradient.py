@@ -62,11 +62,11 @@ def program(scene: str, method: str, how: str) -> Any:
     terms, d, chosen = cb.diffrax.terms_of(scene), len(cb.SCENES[scene].q), cb.METHODS[method]
     velocity, (force, damping) = terms[0], terms[1].terms
 
-    def field(t, y, args):
+    def field(t: Any, y: Any, args: Any) -> Any:
         q, p = y[:d], y[d:]
         return jnp.concatenate([velocity.vf(t, p, args), force.vf(t, q, args) + damping.vf(t, p, args)])
 
-    def loss(x, datum, end, setting):
+    def loss(x: Any, datum: Any, end: Any, setting: Any) -> Any:
         fit, norm = {"rtol": setting, "atol": setting}, diffrax.adjoint_rms_seminorm  # diffrax's advice
         backward = diffrax.PIDController(**fit, norm=norm)
         adjoints: dict[str, Any] = {
@@ -86,7 +86,7 @@ def program(scene: str, method: str, how: str) -> Any:
         q = jnp.ravel(jax.tree.leaves(run.ys)[0])[:d]
         return jnp.sum((q - datum) ** 2) / 2, run.stats["num_accepted_steps"]
 
-    derivative = {ALONE: lambda f, has_aux: f, FORWARD: jax.jacfwd}.get(how, jax.grad)
+    derivative: Any = {ALONE: lambda f, has_aux: f, FORWARD: jax.jacfwd}.get(how, jax.grad)
     shapes = [jax.ShapeDtypeStruct(shape, float) for shape in ((2 + 2 * d,), (d,), (), ())]
     return jax.jit(derivative(loss, has_aux=True)).lower(*shapes).compile()
 
@@ -108,7 +108,7 @@ def truth(name: str, end: float) -> np.ndarray:
     pairs = zip(scene.number_names(), scene.numbers(), strict=True)
     twin = scene.with_numbers([given.get(*pair) for pair in pairs])
 
-    def rates(y):
+    def rates(y: np.ndarray) -> np.ndarray:
         state = twin.unpack([Dual(row[0], row[1:]) for row in y.reshape(len(x) - 2, -1)], ())
         return np.concatenate([[each.a, *(each.b + 0 * one[0])] for each in twin.pack(twin.rhs(state))])
 

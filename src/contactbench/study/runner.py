@@ -232,11 +232,11 @@ def work(run: Run, keyword: str = "", resume: bool = False) -> int:
     allowed = getattr(os, "sched_getaffinity", lambda _: ())(0)
     cores = [[core] for core in sorted(allowed)] or [[]] * (os.cpu_count() or 1)
     failed: list[str] = []
-    calls: dict[Future, tuple[Worker, list[journal.Cell]]] = {}
+    calls: dict[Future[Any], tuple[Worker, list[journal.Cell]]] = {}
     with ExitStack() as ends, tqdm(total=len(tasks), unit="cell", disable=None) as bar:
         ends.callback(run.end)
 
-        def tell(worker: Worker, call: Future, cells: list[journal.Cell]) -> None:
+        def tell(worker: Worker, call: Future[Any], cells: list[journal.Cell]) -> None:
             try:
                 wrong = worker.result(call)
             except Died as error:

@@ -93,13 +93,15 @@ def starts(n: int) -> np.ndarray:
     """Initial data: those of the scene, and others near them."""
     off = AMPLITUDE * np.random.default_rng(SEED).normal(size=(STARTS, 2, n))
     off[0] = 0
-    sites = np.arange(n)
+    sites: Any = np.arange(n)
     return np.array([long_wave(sites, n), two_waves(sites, n)]) + off
 
 
 def energy_left(q: np.ndarray, p: np.ndarray) -> np.ndarray:
     """H0 less that of the centre of mass; sites along the first axis."""
-    total = (p * p).sum(axis=0) / 2 + quartic_bond(np.roll(q, -1, axis=0) - q, 1.0).sum(axis=0)
+    stretched: Any = np.roll(q, -1, axis=0) - q
+    bonds: Any = quartic_bond(stretched, 1.0)
+    total = (p * p).sum(axis=0) / 2 + bonds.sum(axis=0)
     return total - p.sum(axis=0) ** 2 / (2 * len(q))
 
 

@@ -59,7 +59,7 @@ class Remote:
     """A call that another process prepares, without being waited for, and times."""
 
     worker: Worker
-    prepared: Future
+    prepared: Future[Any]
     cores: Sequence[int]
     part = None
 
@@ -92,7 +92,7 @@ class Entry:
         self.record(columns)
 
 
-class Timetable(AbstractContextManager):
+class Timetable(AbstractContextManager[Any]):
     """The timed cells of an experiment, in the order in which they were prepared.
 
     cells : all there will be, and the engine of each; a sample of every engine's is timed in a second process too.

@@ -1,4 +1,4 @@
-"""Conformance tests of methods and scenes, for those who bring their own.
+"""Test whether methods and scenes keep their contracts, for those who bring their own.
 
     from contactbench.testing import check_method, check_scene
     check_method(cb.METHODS["mine"])

@@ -143,7 +143,7 @@ def is_timed_by_its_own_call(case: MethodCase) -> None:
 
 
 def truncation(case: MethodCase) -> float:
-    """What the fine step leaves of an error of the method's order, constants of size one."""
+    """Return what the fine step leaves of an error of the method's order, constants of size one."""
     step = case.scene.t_end / STEPS["fine"]
     return float(10 * step ** min(case.method.order or 1, 3))
 
@@ -332,6 +332,8 @@ def check_method(
 
     Parameters
     ----------
+    method
+        Itself, such as ``cb.METHODS["mine"]``.
     engines
         By default all of the method.
     scenes
@@ -346,6 +348,17 @@ def check_method(
     ------
     Violation
         Where a rule is broken.
+    BadInput
+        Where the method refuses all scenes.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> from contactbench.testing import check_method
+    >>> oscillator = cb.SCENES["oscillator"]
+    >>> found = check_method(cb.METHODS["contact-strang"], engines=["python"], scenes=[oscillator])
+    >>> found[0].rule
+    1
     """
     return list(method_findings(method, engines, scenes))
 

@@ -10,12 +10,14 @@ from typing import Any, NamedTuple
 
 
 class Violation(AssertionError):
-    """A rule of a contract is broken.
+    """Report that a rule of a contract is broken.
 
-    Attributes
+    Parameters
     ----------
     rule
         Its number in the contract.
+    message
+        How it is broken.
     """
 
     def __init__(self, rule: int, message: str) -> None:
@@ -24,7 +26,7 @@ class Violation(AssertionError):
 
 
 class Finding(NamedTuple):
-    """A rule that is kept, or does not apply: where, and what was measured.
+    """Report a rule that is kept, or does not apply.
 
     Attributes
     ----------
@@ -45,7 +47,7 @@ class Finding(NamedTuple):
 
 
 def require(condition: Any, message: str) -> None:
-    """Raises `AssertionError` unless the condition holds; not by `assert`, which may be switched off."""
+    """Raise `AssertionError` unless the condition holds; not by `assert`, which may be switched off."""
     if not condition:
         raise AssertionError(message)
 

@@ -211,7 +211,7 @@ def has_tangents(case: SceneCase) -> None:
 
 
 def solves_its_equations(case: SceneCase) -> str | None:
-    """The closed form, where there is one: from the initial state, and with the slope of the equations."""
+    """Compare the closed form, where there is one, with the initial state and the slope of the equations."""
     scene, twin, xp = case.scene, case.twin, case.xp
     exact = scene.exact
     if exact is None:
@@ -248,6 +248,11 @@ def scene_findings(scene: Scene) -> Iterator[Finding]:
 def check_scene(scene: Scene) -> list[Finding]:
     """Follow every rule of `scene.base.Scene`.
 
+    Parameters
+    ----------
+    scene
+        Itself, such as ``cb.SCENES["mine"]``.
+
     Returns
     -------
     list of Finding
@@ -257,5 +262,12 @@ def check_scene(scene: Scene) -> list[Finding]:
     ------
     Violation
         Where a rule is broken.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> from contactbench.testing import check_scene
+    >>> [finding.rule for finding in check_scene(cb.SCENES["oscillator"])]
+    [1, 2, 3, 4, 5, 6, 7, 8, 9]
     """
     return list(scene_findings(scene))

@@ -167,7 +167,7 @@ class Stopwatch:
 
 
 # -- Taylor series -----------------------------------------------------------------------------------
-def taylor_system(scene: Scene, carry: tuple[str, ...], bits: int) -> tuple[list, list]:
+def taylor_system(scene: Scene, carry: tuple[str, ...], bits: int) -> tuple[list[Any], list[Any]]:
     """Return the scene as heyoka expressions with numbers of `bits` bits, and its initial state."""
     import heyoka
 

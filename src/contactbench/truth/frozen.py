@@ -88,7 +88,7 @@ def entries(scene: Scene) -> Iterator[dict[str, Any]]:
             yield entry
 
 
-def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
+def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple[list[list[str]], int, str] | None:
     for entry in entries(scene):
         header, rows = table(frozen_folder() / entry["file"], entry["sha256"])  # type: ignore[operator]
         grid = np.array([float(row[0]) for row in rows])

@@ -59,7 +59,13 @@ def doubles(
             )
             watch = Stopwatch(scene, float(t[-1]), deadline, PATIENCE)
 
-            def solve(y: np.ndarray, times: list[float], begin: float, solver=solver, watch=watch) -> Any:
+            def solve(
+                y: np.ndarray,
+                times: list[float],
+                begin: float,
+                solver: Any = solver,
+                watch: Stopwatch = watch,
+            ) -> Any:
                 return solver(slope, y, times, watch=watch, begin=begin)
 
             try:

@@ -60,10 +60,12 @@ HIGH, SURVEY = 0.5, 0.3
 
 @dataclass(frozen=True, repr=False)
 class Reference:
-    """The true states of a scene at given times.
+    """Hold the true states of a scene at given times.
 
     Attributes
     ----------
+    scene, carry
+        What was solved, and which of s and R the states contain.
     t, y
         Times, (k,), and states, (k, d), correctly rounded, columns as in ``scene.labels(carry)``.
     decimals
@@ -101,20 +103,33 @@ def checked_times(times: Any) -> np.ndarray:
     return t
 
 
+#: rows of decimals, how many digits of them are right, and where they are from
+type Stored = tuple[list[list[str]], int, str]
+
 _cache: Cache[Reference] = Cache(1024)
 
 
 def reference(
     scene: Scene | str, times: Any, carry: Sequence[str] | None = None, seconds: float = LIVE_SECONDS
 ) -> Reference:
-    """Return the truth of a scene, itself or by name, at `times` (k,), any order, t ≥ 0; `carry` as in `solve`.
+    """Return the true states of a scene at given times.
 
     Parameters
     ----------
+    scene
+        Itself, or the name of a registered one.
     times
-        A time within 4 units in the last place of a frozen grid time means that grid time.
+        Times ≥ 0 in any order, (k,), or one number.  A time within 4 units in the last place of a frozen grid time
+        means that grid time.
+    carry
+        Which of s and R to give; by default all the scene has.
     seconds
         How long a live computation may take; it ends sooner where it is seen to need far more.
+
+    Returns
+    -------
+    Reference
+        The states, (k, d), correctly rounded, with all digits that are known as strings.
 
     Raises
     ------
@@ -123,6 +138,12 @@ def reference(
         before the last time, or too few digits can be had.
     OutOfTime
         A `BadInput`, where it would take too long.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> cb.reference("oscillator", [1.0, 2.0], carry=()).y.shape
+    (2, 2)
     """
     begun, scene = perf_counter(), scene_of(scene)
     if not is_real(seconds) or not hasattr(seconds, "__float__") or seconds != seconds:
@@ -175,18 +196,20 @@ def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], deadline: float,
 
 # -- closed forms ------------------------------------------------------------------------------------
 CLOSED_FORM_DIGITS = 50
+#: of every column its decimals and how many digits of them are right; None for a column that is not known
+type Columns = list[tuple[list[str], int] | None]
 
 
-def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
+def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Stored | None:
     """Return decimals, digits and source from the scene's closed form, or None if it lacks a field."""
     probe = closed_form_columns(scene, t[:1], carry)  # elliptic functions at every time are slow
     if probe is None or None in probe or (columns := closed_form_columns(scene, t, carry)) is None:
         return None
-    digits = min(known for _, known in columns)
-    return [list(row) for row in zip(*(c for c, _ in columns), strict=True)], digits, "closed form"
+    decimals, digits = zip(*(column for column in columns if column), strict=True)
+    return [list(row) for row in zip(*decimals, strict=True)], min(digits), "closed form"
 
 
-def closed_form_columns(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> list | None:
+def closed_form_columns(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Columns | None:
     """Return decimals and digits of every column of the closed form, by two precisions; None for a column it lacks.
 
     None where there is no closed form that solves the equations, as after a change of a parameter it leaves out.
@@ -194,7 +217,7 @@ def closed_form_columns(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> 
     if scene.exact is None or not solves_equations(scene, float(t.max())):
         return None
     low, high = (closed_form_rows(scene, t, carry, CLOSED_FORM_DIGITS + extra) for extra in (0, 15))
-    columns: list = []
+    columns: Columns = []
     for a, b in zip(zip(*low, strict=True), zip(*high, strict=True), strict=True):
         if b[0] is None:
             columns.append(None)
@@ -279,7 +302,7 @@ BROKEN = 14
 
 
 # -- live --------------------------------------------------------------------------------------------
-def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> tuple:
+def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> Stored:
     """Return decimals, digits and source from two precisions of heyoka or, without it, extrapolation.
 
     20 digits of every column and of the smallest state are enough, neither counted as less than 10⁻⁶⁰ of the largest.
@@ -290,7 +313,7 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
     every = np.union1d(unique, survey.stops)
     times, saved = [repr(x) for x in every.tolist()], np.searchsorted(every, unique).tolist()
     start = scene.pack(scene.initial(carry))
-    exact: list | None = None
+    exact: Columns | None = None
     for pair in computations(scene, times, carry, deadline, survey.stops):
         rows, other = ([part[k] for k in saved] for part in pair)
         size = max(abs(x) for row in [*rows, start] for x in row)
