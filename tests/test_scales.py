@@ -238,7 +238,7 @@ def test_a_step_map_refuses_numbers_it_has_no_step_for():
             call()
         assert "\n" not in str(found.value)
     slopes = jax.grad(lambda numbers: plain(Y[:2], 0.2, numbers)[0])(jnp.array([0.0, 0.0, 1.0]))
-    assert np.isnan(slopes[1]) and np.isfinite(slopes[[0, 2]]).all()  # noqa: PT018
+    assert np.isnan(slopes[1]) and np.isfinite(slopes[np.array([0, 2])]).all()  # noqa: PT018
 
 
 def test_a_step_map_takes_moments_of_inertia_in_any_order():

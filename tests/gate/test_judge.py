@@ -359,7 +359,7 @@ def test_rules_made_laxer_in_the_tree_that_is_judged_turn_nothing_green(tmp_path
     done = subprocess.run(
         [*command, "--fresh", run], cwd=root, env=revisions.environment(root), capture_output=True, text=True
     )
-    assert done.returncode == 1, done.stderr
+    assert (done.returncode, bool(done.stdout)) == (1, True), done.stderr
     lines = [line for line in json.loads(done.stdout)["lines"] if line["red"]]
     found = {line["between"] for line in lines if line["measure"] == "solution_error"}
     assert {"base → tree", "base → fresh"} <= found

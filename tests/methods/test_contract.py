@@ -63,7 +63,9 @@ TIMED_ELSEWHERE = changed(
 )
 DERIVES_WRONGLY = changed(FixedStepRun, sensitivity=lambda run, y0: 1.001 * FixedStepRun.sensitivity(run, y0))
 OTHER_STEPS = changed(
-    FixedStepRun, take=lambda run, y0: (run.intervals(y0, run.h * (1 + 1e-9), run.n), run.totals)
+    FixedStepRun,
+    shorten=lambda run, loop: None,
+    take=lambda run, y0: (run.intervals(y0, run.h * (1 + 1e-9), run.n), run.totals),
 )
 
 

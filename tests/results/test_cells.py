@@ -19,7 +19,7 @@ from made_up import row
 SMALL = (
     "particle and not long and not limit and (strang or cvode-adams) and not weak and not jax and not numba"
 )
-TIMED = 3
+TIMED = 5
 #: convergence of one, decay and laws of both; errors and times
 CELLS = 5 + 2 * TIMED
 

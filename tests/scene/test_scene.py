@@ -120,6 +120,7 @@ BROKEN = [
     (4, quartic(gradient=lambda q: (math.sin(q[0]),), potential=lambda q: -math.cos(q[0]), hessian=None)),
     (5, quartic(hessian=lambda q: ((2 * q[0] * q[0],),))),
     (5, quartic(potential=lambda q: q[0] * q[0] / 2, hessian=None)),
+    (6, quartic(broken(hamiltonian=lambda self, x: cb.Mechanical.hamiltonian(self, x) + 1))),
     (7, quartic(broken(may_gain_energy=False), gamma=-0.3)),
     (7, cb.SCENES["particle"].with_(rotation_invariant=True)),
     (8, quartic(broken(displaced=lambda self, x, v, a: cb.Mechanical.displaced(self, x, v, 2 * a)))),

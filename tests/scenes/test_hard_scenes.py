@@ -79,7 +79,7 @@ def test_blow_up_time_against_an_integral():
 # -- what is run is decided by counts ----------------------------------------------------------------
 def test_the_clock_decides_nothing(monkeypatch):
     """A clock that says every call took minutes changes the time in the row and nothing else."""
-    method = cb.METHODS["heyoka-taylor"]  # its derivative is taken here, at the cost of many runs
+    method = cb.METHODS["contact-rkn6"]
     asked = ("critical", method.name, method.engines[0], "rtol", 1e-6, 10_000)
     row = stability.stability_row(*asked)
     ticks = iter(range(0, 10**6, 300))

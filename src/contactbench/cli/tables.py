@@ -84,7 +84,7 @@ def gate(arguments: argparse.Namespace) -> int:
             raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")
         found = compare_folders(arguments.baseline, arguments.fresh)
     else:
-        status = judge.by_base(Path.cwd(), arguments.base, arguments.line)
+        status = judge.by_base(Path.cwd(), arguments.base, arguments.line, arguments.stdout)
         if status is not None:
             return status
         parts = (arguments.only,) if arguments.only else judge.PARTS

@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, TextIO
 
 import pandas as pd
 
@@ -51,7 +51,7 @@ ALL = "all"
 Row = dict[str, Any]
 
 
-def by_base(folder: Path, base: str | None, line: Sequence[str]) -> int | None:
+def by_base(folder: Path, base: str | None, line: Sequence[str], stdout: TextIO) -> int | None:
     """Have the base's own gate judge a tree by the same command line; return its status, None where we are it."""
     if revisions.JUDGED in os.environ:
         return None
@@ -71,7 +71,7 @@ def by_base(folder: Path, base: str | None, line: Sequence[str]) -> int | None:
             except BaseException:
                 run.terminate()  # it removes what it has made, and ends
                 raise
-    print(findings, end="")
+    print(findings, end="", file=stdout)
     return run.returncode if findings else 2
 
 

@@ -430,13 +430,16 @@ ROUNDINGS = 8
 BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 
 
-def scale(x: object, v: object) -> float:
-    for own, part in zip(x, v, strict=True):  # type: ignore[call-overload]
+def scale(x: Any, v: Any, units: Any) -> float:
+    """Return the size of the field that v moves, where it is zero what the motion makes of it."""
+    for own, part, unit in zip(x, v, units, strict=True):
         moved = part if isinstance(part, tuple) else (part or 0.0,)
         if np.any(moved):
             if isinstance(part, tuple) and isinstance(part[0], np.ndarray):
-                return float(np.linalg.norm(np.concatenate(own))) or 1.0
-            return norm(own if isinstance(own, tuple) else (own,)) or 1.0
+                size = float(np.linalg.norm(np.concatenate(own)))
+            else:
+                size = norm(own if isinstance(own, tuple) else (own,))
+            return size or float(np.max(unit))
     return 1.0
 
 
@@ -475,7 +478,8 @@ def differences(run: Any, y0: np.ndarray, out: Any) -> Differential:
     def quotient(v: object, amount: float) -> np.ndarray:
         return (end(v, amount) - end(v, -amount)) / (2 * amount)
 
-    scales = [scale(x, v) for v in tangents]
+    units = scene.unpack(scene.with_clock(run.scales(y0).tolist(), 1.0), run.request.carry)
+    scales = [scale(x, v, units) for v in tangents]
     moved = list(zip(tangents, scales, strict=True))
     plain = np.array([[quotient(v, d * size) for v, size in moved] for d in INCREMENTS])
     better = (RATIO**2 * plain[1:] - plain[:-1]) / (RATIO**2 - 1)

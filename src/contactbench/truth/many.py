@@ -85,10 +85,13 @@ def doubles(
     explicit, implicit = PAIRS
     try:
         y, digits = agreed(explicit)
-    except OutOfTime:
+    except OutOfTime as late:
         if isinstance(scene, Many):  # a dense Jacobian
             raise
-        y, digits = agreed(implicit)
+        try:
+            y, digits = agreed(implicit)
+        except OutOfTime:
+            raise late from None
     if not digits:
         raise BadInput(
             f"no reference for scene {scene.name!r}: two solvers agree on no digit at t = {t[-1]:g}"
