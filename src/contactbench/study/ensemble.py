@@ -201,7 +201,7 @@ def compiled_loop(scene: Scene, method: str, shape: str, value: float, y0: np.nd
     starts, most = np.ascontiguousarray(y0.T), [0, 0]
 
     def loop() -> Any:
-        told = run.many(starts)
+        told = run.call.many(starts)
         most[:] = told[:, 3:5].max(axis=0).astype(int)
         return told[:, -len(y0) :].T
 
