@@ -110,7 +110,8 @@ def test_a_jump_between_two_increments_is_passed_over(away):
         return Outcome(y[None], Counts(1, 1), Status.ok, "", 1.0)
 
     y0 = np.array([0.5, 0.2, 0.4])
-    run = SimpleNamespace(integrate=integrate, request=cb.prepare("oscillator", "rk4", step=0.1).request)
+    plain = cb.prepare("oscillator", "rk4", step=0.1)
+    run = SimpleNamespace(integrate=integrate, request=plain.request, scales=plain.scales)
     found = differences(run, y0, run.integrate(y0))
     wrong = np.abs(found.value[0] - np.diag(3 * np.cos(3 * y0))).max(axis=0)
     assert np.all(wrong <= bars(found))
