@@ -62,7 +62,9 @@ class CFunctions(NamedTuple):
 _compiled: Cache[CFunctions] = Cache(256)
 
 
-def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions | FieldFunctions:
+def c_functions(
+    scene: Any, carry: tuple[str, ...], jacobian: bool = True
+) -> CFunctions | FieldFunctions:
     """The C functions of a scene, once for its identity and fields; `CannotRecord` where it branches on values."""
 
     if isinstance(scene, Many):
@@ -70,15 +72,15 @@ def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions | FieldFunct
 
     def make() -> CFunctions:
         elapsed = stopwatch()
-        constants, found = functions(scene, carry)
+        constants, found = functions(scene, carry, jacobian)
         code = {}
         for name, function in found.items():
             key = digest(back_end(), function.digest)
             code[name] = compile_c(intrinsic(function), name, "out, t, y, data", key)
-        jacobian = code["jacobian"].address if "jacobian" in code else 0
-        return CFunctions(code["rhs"].address, jacobian, execute(constants), elapsed(), code)
+        of_jacobian = code["jacobian"].address if "jacobian" in code else 0
+        return CFunctions(code["rhs"].address, of_jacobian, execute(constants), elapsed(), code)
 
-    return _compiled.get(key(scene.identity, carry), make)
+    return _compiled.get(key(scene.identity, carry, jacobian), make)
 
 
 class FieldFunctions:
@@ -95,8 +97,10 @@ class FieldFunctions:
         return self.loop.data(self.scene, self.arrays)
 
 
-def functions(scene: Scene, carry: tuple[str, ...]) -> tuple[Function, dict[str, Function]]:
-    """`constants(numbers)`, which Python runs, and the C functions: `rhs` and, where it exists, `jacobian`."""
+def functions(
+    scene: Scene, carry: tuple[str, ...], jacobian: bool
+) -> tuple[Function, dict[str, Function]]:
+    """`constants(numbers)`, which Python runs, and the C functions: `rhs` and, where it is wanted, `jacobian`."""
     tape = Tape()
     numbers = [tape.assign(Element("numbers", (i,)), "f", tape.root) for i in range(len(scene.numbers()))]
     twin = scene.with_numbers(numbers)
@@ -109,7 +113,7 @@ def functions(scene: Scene, carry: tuple[str, ...]) -> tuple[Function, dict[str,
         return [entry for column in zip(*rows, strict=True) for entry in column]
 
     bodies = {"rhs": _body(tape, scene, carry, slopes, "rhs")}
-    if len(scene.labels(carry)) <= LARGEST_JACOBIAN:
+    if jacobian and len(scene.labels(carry)) <= LARGEST_JACOBIAN:
         with suppress(CannotRecord):  # a function that dual numbers do not know: the solver takes differences
             bodies["jacobian"] = _body(tape, scene, carry, columns, "jacobian")
     known = set(tape.root.known.values())

@@ -11,6 +11,7 @@ import ctypes
 import importlib.util
 import sys
 import weakref
+from collections.abc import Callable
 from ctypes import byref, c_int, c_void_p
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,6 @@ SIGNATURES = {
     "ipdip": "CVodeGetDky",
     "ippppi": "SUNDIALSGetVersionNumber",
 }
-FUNCTIONS = {name: word for word, names in SIGNATURES.items() for name in names.split()}
 
 
 def library_file() -> Path:
@@ -77,35 +77,43 @@ def library_file() -> Path:
     raise ImportError(f"scikit-sundae's CVODE library is not in {', '.join(map(str, places))}")
 
 
-def load() -> Any:
+def bind(path: Path, signatures: dict[str, str], index: str) -> tuple[Any, Callable[[str], Any]]:
+    """Load a library of SUNDIALS; return it, and what gives its functions to compiled code by their names."""
+    words = {name: word.replace("n", index) for word, names in signatures.items() for name in names.split()}
+    try:
+        library = ctypes.CDLL(str(path))
+        for name, word in words.items():
+            function = getattr(library, name)
+            function.restype, *function.argtypes = (LETTERS[letter][0] for letter in word)
+    except (OSError, AttributeError) as error:
+        raise ImportError(f"{path.name}: {error}") from error
+
+    def function_of(name: str) -> Any:
+        address = ctypes.cast(getattr(library, name), c_void_p).value
+        return external(f"contactbench_{path.stem.partition('.')[0]}_{name}", address, words[name])
+
+    return library, function_of
+
+
+def load() -> tuple[Any, Callable[[str], Any]]:
     path = library_file()
     from sksundae._cy_common import config  # how the library was built
 
     if config["SUNDIALS_FLOAT_TYPE"] != "double":
         raise ImportError(f"SUNDIALS was built with {config['SUNDIALS_FLOAT_TYPE']} numbers")
-    index = "i" if config["SUNDIALS_INT_TYPE"] == "int" else "q"
-    try:
-        library = ctypes.CDLL(str(path))
-        for name, word in FUNCTIONS.items():
-            function = getattr(library, name)
-            function.restype, *function.argtypes = (LETTERS[letter][0] for letter in word.replace("n", index))
-    except (OSError, AttributeError) as error:
-        raise ImportError(f"{path.name}: {error}") from error
+    found = bind(path, SIGNATURES, "i" if config["SUNDIALS_INT_TYPE"] == "int" else "q")
     version, label = [c_int(), c_int(), c_int()], ctypes.create_string_buffer(16)
-    library.SUNDIALSGetVersionNumber(*map(byref, version), label, len(label))
-    if version[0].value != MAJOR:
-        found = ".".join(str(part.value) for part in version)
-        raise ImportError(f"SUNDIALS {found}: its C interface is known for version {MAJOR} only")
-    return library
+    found[0].SUNDIALSGetVersionNumber(*map(byref, version), label, len(label))
+    require_major(".".join(str(part.value) for part in version))
+    return found
 
 
-library = load()
+def require_major(version: str) -> None:
+    if version.split(".")[0] != str(MAJOR):
+        raise ImportError(f"SUNDIALS {version}: its C interface is known for version {MAJOR} only")
 
 
-def function(name: str) -> Any:
-    return external(name, ctypes.cast(getattr(library, name), c_void_p).value, FUNCTIONS[name])
-
-
+library, function = load()
 array_of, entries_of = function("N_VGetArrayPointer"), function("SUNDenseMatrix_Data")
 reinitialise, set_stop_time = function("CVodeReInit"), function("CVodeSetStopTime")
 set_max_steps, advance, interpolate = map(function, ("CVodeSetMaxNumSteps", "CVode", "CVodeGetDky"))
@@ -248,7 +256,7 @@ class Memory:
         self.memory = memory = library.CVodeCreate(METHODS[method], context)
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
         solvers = self.choose(method, isinstance(functions, FieldFunctions), size, context)
-        weakref.finalize(self, free, memory, solvers, self.vector, context)
+        weakref.finalize(self, free, library, "CVodeFree", memory, solvers, self.vector, context)
         self.tolerate(*tolerances, context)
         check("CVodeSetUserData", memory, self.user.ctypes.data)
         if functions.jacobian:
@@ -285,8 +293,10 @@ def check(name: str, *arguments: Any) -> None:
         raise RuntimeError(f"{name} returned {flag}")
 
 
-def free(memory: int, solvers: dict[str, int], vector: int, context: c_void_p) -> None:
-    library.CVodeFree(byref(c_void_p(memory)))
+def free(
+    library: Any, name: str, memory: int, solvers: dict[str, int], vector: int, context: c_void_p
+) -> None:
+    getattr(library, name)(byref(c_void_p(memory)))
     for name, solver in solvers.items():
         getattr(library, name)(solver)
     library.N_VDestroy(vector)

@@ -1,0 +1,292 @@
+"""SUNDIALS' symplectic partitioned Runge–Kutta methods: ARKODE's SPRKStep, by its own bindings, sundials4py.
+
+In z = e^{γt/2} q a linearly damped motion is the motion of a Hamiltonian that depends on time, z'' = γ²z/4 −
+e^{γt/2} ∇V(q)/m: momenta change by coordinates alone, coordinates by momenta alone.  So does S = e^{γt} (s − q·p/2), by
+S' = e^{γt} (q·∇V/2 − V), and every step is a contact map with the factor of the exact flow.  The time is a coordinate
+of its own: at the times that SPRKStep passes to its two functions a force that depends on time is of order one
+(measured).
+
+Engine "c": the library, with the scene as C functions (abi/arkode.py).  Engine "c+python": sundials4py as it is,
+calling back into Python.
+
+Hairer, Lubich, Wanner, Geometric Numerical Integration, §II.2; the methods: McLachlan, Atela, Nonlinearity 5, 541
+(1992), doi:10.1088/0951-7715/5/2/011; Suzuki, Umeno (1993), doi:10.1007/978-3-642-78448-4_7; Sofroniou, Spaletta,
+Optim. Methods Softw. 20, 597 (2005), doi:10.1080/10556780500140664.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, partial
+from threading import Lock
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from contactbench.methods.base import CALLBACKS, METHODS, Method, unfit
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.loops import StepLoop
+from contactbench.methods.prepared import NO_NUMBER, Prepared, Refused, Request
+from contactbench.numbers import functions as math
+from contactbench.peers.base import Variational, record_function
+from contactbench.peers.compiled import c_functions
+from contactbench.scene import Scene, System, Vector, dot, key, scaled
+from contactbench.scene.many import Many
+
+#: γt beyond which e^{γt} is no longer a double; components that are compiled one by one
+LONGEST, MOST = 700.0, 256
+#: gradients of an uninterrupted call, which nothing ends: some hundredths of a second
+PIECE = 10**6
+
+
+class Stretched(NamedTuple):
+    """z, the time since the start, that of the start where forces depend on it, z', and S."""
+
+    q: Vector
+    t: Any
+    origin: Any
+    p: Vector
+    s: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part(System):
+    """What moves momenta, a kick, or else what moves coordinates."""
+
+    base: Any
+    kick: bool
+
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        z, w = ([f"{name}{i + 1}" for i in range(len(self.base.q))] for name in "zw")
+        return [*z, "t", *(["origin"] if self.base.clock is not None else []), *w, *carry]
+
+    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+        raise NotImplementedError("a part of equations has no motion")
+
+    def unpack(self, y: Any, carry: Sequence[str]) -> Stretched:
+        n, timed = len(self.base.q), self.base.clock is not None
+        p = tuple(y[n + 1 + timed : 2 * n + 1 + timed])
+        return Stretched(tuple(y[:n]), y[n], y[n + 1] if timed else None, p, y[-1] if carry else None)
+
+    def numbers(self) -> list[float]:
+        return self.base.numbers()
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        return self._replaced(base=self.base.with_numbers(numbers))
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (Part, self.kick, *self.base.structure)
+
+    @property
+    def identity(self) -> Hashable | None:  # type: ignore[override]
+        return key(self.base.identity, Part, self.kick)
+
+    def rhs(self, x: Stretched) -> Stretched:
+        base, rest = self.base, tuple(0.0 * c for c in x.q)
+        origin, s = None if x.origin is None else 0.0, None if x.s is None else 0.0
+        if not self.kick:
+            return Stretched(x.p, 1.0, origin, rest, s)
+        grown = math.exp(base.gamma * x.t / 2)
+        q = scaled(1 / grown, x.q)
+        at: Any = base.state(q, None) if origin is None else base.state(q, None, x.origin + x.t)
+        gradient = base.gradient_at(at)
+        pull = scaled(base.inverse_mass, gradient)
+        p = tuple(base.gamma * base.gamma / 4 * z - grown * g for z, g in zip(x.q, pull, strict=True))
+        if s is not None:
+            s = grown * grown * (dot(q, gradient) / 2 - base.potential_at(at))
+        return Stretched(rest, 0.0, origin, p, s)
+
+
+class Callbacks:
+    """sundials4py as it is; the interface of `abi.arkode.Memory`."""
+
+    def __init__(self, method: str, functions: Sequence[Callable[[float, Any], Any]], size: int) -> None:
+        from sundials4py import arkode, core
+
+        def calling(function: Callable[[float, Any], Any]) -> Callable[..., int]:
+            def call(t: float, y: Any, dy: Any, _: Any) -> int:
+                with suppress(*NO_NUMBER):
+                    core.N_VGetArrayPointer(dy)[:] = function(t, core.N_VGetArrayPointer(y).tolist())
+                    return 0
+                return -1
+
+            return call
+
+        self.library, self.y = arkode, np.zeros(size)
+        _, self.context = core.SUNContext_Create(core.SUN_COMM_NULL)
+        core.SUNContext_ClearErrHandlers(self.context)
+        self.vector = core.N_VMake_Serial(size, self.y, self.context)
+        self.view = arkode.SPRKStepCreate(*map(calling, functions), 0.0, self.vector, self.context)
+        self.memory = self.view.get()
+        arkode.SPRKStepSetMethodName(self.memory, method)
+        arkode.ARKodeSetInterpolantType(self.memory, arkode.ARK_INTERP_NONE)
+        arkode.ARKodeSetMaxNumSteps(self.memory, -1)
+
+    def take(self, y: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        ark, memory, rows = self.library, self.memory, np.empty((len(h), len(y)))
+        self.y[:] = y
+        for k, (each, end) in enumerate(zip(h.tolist(), (h * n).tolist(), strict=True)):
+            ark.ARKodeReset(memory, 0.0, self.vector)
+            ark.ARKodeSetFixedStep(memory, each)
+            ark.ARKodeSetStopTime(memory, end)
+            if ark.ARKodeEvolve(memory, end, self.vector, ark.ARK_NORMAL)[0] < 0:
+                self.y[:] = np.nan
+            rows[k] = self.y
+        return rows
+
+
+class Steps(StepLoop):
+    """Take the steps of SPRKStep."""
+
+    derivative = "the same steps of the variational equations"
+
+    def __init__(self, method: Sprk, request: Request) -> None:
+        from contactbench.peers.abi import arkode
+
+        super().__init__(method, request)
+        self.abi, scene = arkode, self.scene.unrolled() if isinstance(self.scene, Many) else self.scene
+        self.parts = [
+            Part(name=scene.name, t_end=scene.t_end, base=scene, kick=kick) for kick in (True, False)
+        ]
+        self.size = len(self.parts[0].labels(self.carry))
+        over_m = np.array(scaled(scene.inverse_mass, (1.0,) * len(scene.q)))
+        self.place = over_m, scene.gamma, -1 if scene.clock is None else scene.clock
+        self.alone = Lock()  # memory is shared by the calls
+        self.memory: Any = None
+        if request.engine in CALLBACKS:
+            given = [
+                record_function(p, "rhs", self.carry) or partial(p.slopes, carry=self.carry) for p in self.parts
+            ]
+            self.memory = Callbacks(method.solver, given, self.size)
+        else:
+            self.memory = self.compiled(self.parts, self.size)
+
+    def compiled(self, parts: Sequence[Any], size: int) -> Any:
+        kick, drift = (c_functions(part, self.carry, jacobian=False) for part in parts)
+        self.seconds += kick.compile_s + drift.compile_s
+        return self.abi.Memory(self.method.solver, kick, drift, self.parts[0].numbers(), size)
+
+    def ready(self, h: np.ndarray, n: np.ndarray) -> Any:
+        """Return the steps in intervals that are not too long, and which of their ends are asked for."""
+        parts = np.maximum(1, -(-n * self.method.stages // PIECE))
+        last = np.cumsum(parts) - 1
+        each = np.repeat(n // parts, parts)
+        each[last] += n - parts * (n // parts)
+        return np.repeat(h, parts), each, last
+
+    def march(self, memory: Any, y: np.ndarray, ready: Any) -> np.ndarray:
+        h, n, last = ready
+        with self.alone:
+            if len(last) == len(h):
+                return memory.take(y, h, n)
+            rows = np.empty((len(h), len(y)))
+            for k in range(len(h)):
+                y = rows[k] = memory.take(y, h[k : k + 1], n[k : k + 1])[0]
+        return rows[last]
+
+    def stretched(self, y0: np.ndarray) -> np.ndarray:
+        y = np.empty(self.size)
+        self.abi.stretch(y0, *self.place, y)
+        return y
+
+    def back(self, y: np.ndarray) -> np.ndarray:
+        state = np.empty(len(self.scene.labels(self.carry)))
+        self.abi.unstretch(y, *self.place, state)
+        return state
+
+    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+        rows = self.march(self.memory, self.stretched(y0), ready)
+        return np.array([self.back(y) for y in rows]), None
+
+    def last(self, ready: Any) -> Callable[[np.ndarray], np.ndarray]:
+        h, n, _ = ready
+        if isinstance(self.memory, Callbacks):
+            return super().last(ready)
+        memory = self.memory
+        end, rest = self.abi.to_end, (*self.place, memory.y, h, n, memory.memory, memory.vector)
+        return lambda y0: end(y0, *rest)
+
+    @cached_property
+    def tangents(self) -> Any:  # type: ignore[override]
+        larger: Any = [
+            Variational(name=part.name, t_end=part.t_end, base=part, count=1) for part in self.parts
+        ]
+        return self.compiled(larger, 2 * self.size)
+
+    def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Both changes of coordinates are of degree two, and central differences exact."""
+        d = self.size
+        w = (self.stretched(y0 + v) - self.stretched(y0 - v)) / 2
+        y = self.march(self.tangents, np.concatenate([self.stretched(y0), w]), self.ready(h, n))
+        return np.array([(self.back(row[:d] + row[d:]) - self.back(row[:d] - row[d:])) / 2 for row in y])
+
+
+@dataclass(frozen=True)
+class Sprk(Method):
+    """A method of SPRKStep; solver : its name there."""
+
+    name: str
+    order: int
+    stages: int
+    solver: str
+    about: str
+    symmetric: bool = False
+    engines = ("c", "c+python")
+    contact = True
+    adaptive = False
+    one_step = False
+    largest = MOST
+    tolerance = "nothing: it takes a step"
+
+    def refuses(self, scene: Any) -> str | None:
+        if importlib.util.find_spec("sundials4py") is None:
+            return "sundials4py is not installed (pip install contactbench[bench])"
+        if isinstance(scene, Many):
+            if scene.motion > 2 * MOST:
+                return f"{self.name} compiles every component: scene {scene.name!r} has {scene.motion}"
+        else:
+            linear = scene.kind in ("mechanical", "driven") and not scene.nonlinear_damping
+            fits = linear and getattr(scene, "rate", None) is None
+            needs = "forces that depend on q and t alone and damping Γ = γ s of a constant γ"
+            if (why := unfit(self, scene, fits, needs)) is not None:
+                return why
+        if scene.gamma * scene.t_end > LONGEST:
+            return f"{self.name} takes γ t up to {LONGEST:g}; scene {scene.name!r} goes on for longer"
+        return None
+
+    def prepare(self, request: Request) -> Prepared:
+        try:
+            return FixedStepRun(self.name, request, self, Steps(self, request))
+        except ImportError as why:
+            return Refused(self.name, request, str(why))
+
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        return n * self.stages
+
+    def per_step(self, scene: Scene, carry: Sequence[str] | None = None) -> int:
+        return self.stages
+
+    def kind_on(self, scene: Scene) -> str:
+        return "gradient"
+
+    def step_cost(self, scene: Scene, engine: str) -> float | None:
+        return 3 * self.stages if engine in CALLBACKS else None
+
+    def log_factor(self, scene: Any, x: Any, h: float, n: int) -> float:
+        return -scene.gamma * h * n
+
+    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
+        return None
+
+
+for _order, _stages, _solver, _symmetric, _authors in (
+    (5, 6, "MCLACHLAN_5_6", False, "McLachlan–Atela"),
+    (8, 16, "SUZUKI_UMENO_8_16", True, "Suzuki–Umeno"),
+    (10, 36, "SOFRONIOU_10_36", True, "Sofroniou–Spaletta"),
+):
+    _about = f"{_authors}'s symplectic method of {_stages} stages, SUNDIALS' SPRKStep on e^{{γt/2}} q"
+    METHODS.add(Sprk(f"sprk-{_order}", _order, _stages, f"ARKODE_SPRK_{_solver}", _about, _symmetric))
