@@ -285,7 +285,6 @@ class Sprk(Method):
 
 for _order, _stages, _solver, _symmetric, _authors in (
     (5, 6, "MCLACHLAN_5_6", False, "McLachlan–Atela"),
-    (8, 16, "SUZUKI_UMENO_8_16", True, "Suzuki–Umeno"),
     (10, 36, "SOFRONIOU_10_36", True, "Sofroniou–Spaletta"),
 ):
     _about = f"{_authors}'s symplectic method of {_stages} stages, SUNDIALS' SPRKStep on e^{{γt/2}} q"

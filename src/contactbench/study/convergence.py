@@ -1,7 +1,7 @@
 """How fast does the error fall with the step?  One cell: a fixed-step method on a scene.
 
-Up to order 4 in double precision over the whole scene; above it at 50 digits over its first part,
-because round-off would hide the slope.
+Up to order 4, and of other libraries, in double precision over the whole scene; above it at 50 digits over its first
+part, because round-off would hide the slope.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, floa
 )
 def convergence(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
-    extended = method.order > 4 and method.refuses(scene) is None
+    extended = method.order > 4 and isinstance(method, FixedStep) and method.refuses(scene) is None
     measured = at_fifty_digits(scene, method) if extended else in_double_precision(scene, method)
     rows, hs, errors = zip(*measured, strict=True)
     fit = fit_order(hs, errors, EXTENDED_FLOOR if extended else FLOOR)
