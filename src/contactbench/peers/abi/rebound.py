@@ -1,0 +1,142 @@
+"""Compiled code between REBOUND's C library and a scene: its forces as REBOUND's additional ones, and loops of steps.
+
+What is read and written of REBOUND's structures lies where the classes of its Python package say.
+"""
+
+from __future__ import annotations
+
+import math
+from ctypes import c_void_p, cast, sizeof
+from typing import Any
+
+import numpy as np
+import rebound
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from rebound.particle import Particle
+from rebound.simulation import Simulation
+
+from contactbench.peers.abi import external, join, kept, kept_c, split
+from contactbench.peers.abi.cvode import call
+from contactbench.peers.compiled import KNOWN, RHS_CALLS, SUCCESS, TOO_MANY_STEPS
+
+#: places in a simulation and in a particle, and the length of this, in words
+TIME, STEP, STEP_DONE, NUMBER, PARTICLES, EXTRAS, MODIFIED = (
+    getattr(Simulation, name).offset // 8
+    for name in ("t", "dt", "dt_last_done", "N", "_particles", "extras", "is_synchronized")
+)
+VELOCITY, FORCE, WIDTH = Particle.vx.offset // 8, Particle.ax.offset // 8, sizeof(Particle) // 8
+#: a step that ends this near to a time, relative to it, ends there
+NEAR = 1e-12
+#: the first step, in parts of the time in which the state changes by its size: later ones grow by four at most
+FIRST = 1e-3
+#: the flag of a run whose time stands still
+STUCK = 0
+
+
+def pointer_to(kind: Any, width: Any) -> Any:
+    @intrinsic
+    def view(typing: Any, address: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], ir.PointerType(width))
+
+        return types.CPointer(kind)(types.intp), generate
+
+    return view
+
+
+doubles: Any = pointer_to(types.float64, ir.DoubleType())
+integers: Any = pointer_to(types.intp, ir.IntType(64))
+
+
+def function(name: str, word: str) -> Any:
+    address = cast(getattr(rebound.clibrebound, name), c_void_p).value
+    return external(f"contactbench_{name}", address, word)
+
+
+steps, set_integrator = function("reb_simulation_steps", "vpz"), function("reb_simulation_set_integrator", "ppp")
+
+
+# -- any equations of second order: coordinates three to a particle, and the action, as the velocity of one more
+@kept
+def scatter(y, p, over_m):  # type: ignore[no-untyped-def]
+    n = len(over_m)
+    for i in range(len(y) - n):
+        at = WIDTH * (i // 3) + i % 3
+        p[at] = y[i] if i < n else 0.0
+        p[at + VELOCITY] = y[n + i] * over_m[i] if i < n else y[n + i]
+
+
+@kept
+def gather(p, y, over_m):  # type: ignore[no-untyped-def]
+    n = len(over_m)
+    for i in range(len(y) - n):
+        at = WIDTH * (i // 3) + i % 3
+        if i < n:
+            y[i] = p[at]
+        y[n + i] = p[at + VELOCITY] / over_m[i] if i < n else p[at + VELOCITY]
+
+
+@kept_c(types.void(types.intp))
+def forces(simulation):  # type: ignore[no-untyped-def]
+    user, p = integers(integers(simulation)[EXTRAS]), doubles(integers(simulation)[PARTICLES])
+    rhs, data, n, size = user[0], user[1], user[5], user[6]
+    y, dy, over_m = doubles(user[2]), doubles(user[3]), doubles(user[4])
+    for i in range(size - n):
+        at = WIDTH * (i // 3) + i % 3
+        if i < n:
+            y[i] = p[at]
+        y[n + i] = p[at + VELOCITY] / over_m[i] if i < n else p[at + VELOCITY]
+    call(rhs, user[3], doubles(simulation)[TIME], user[2], data)
+    for i in range(size - n):
+        p[WIDTH * (i // 3) + i % 3 + FORCE] = dy[n + i] * over_m[i] if i < n else dy[n + i]
+
+
+@kept
+def begin(start, simulation, settings, place):  # type: ignore[no-untyped-def]
+    """A packed state at time 0; settings : the name of the integrator, where its tolerance is, and this."""
+    name, offset, epsilon = settings
+    y, data, over_m, clock = place
+    user = integers(integers(simulation)[EXTRAS])
+    split(start, y, data, clock)
+    data[RHS_CALLS] = size = change = 0.0
+    call(user[0], user[3], 0.0, user[2], user[1])
+    for i in range(len(y)):
+        size, change = size + y[i] * y[i], change + doubles(user[3])[i] ** 2
+    doubles(set_integrator(simulation, name) + offset)[0] = epsilon
+    now = doubles(simulation)
+    scale = math.sqrt(size / change) if size > 0 and change > 0 else 1.0
+    now[TIME], now[STEP], now[STEP_DONE] = 0.0, FIRST * scale, 0.0
+    scatter(y, doubles(integers(simulation)[PARTICLES]), over_m)
+
+
+@kept
+def on(times, saved, out, simulation, place, most):  # type: ignore[no-untyped-def]
+    """At most so many more steps, each saved time the end of one; `FACTS` and the state reached."""
+    y, data, over_m, clock = place
+    now, p = doubles(simulation), doubles(integers(simulation)[PARTICLES])
+    flag, taken = TOO_MANY_STEPS, 0
+    while taken < most and saved < len(times):
+        before, full = now[TIME], now[STEP]
+        now[STEP] = min(full, times[saved] - before)
+        steps(simulation, 1)
+        taken += 1
+        gather(p, y, over_m)
+        if not (now[TIME] > before and np.isfinite(y).all()):
+            flag, now[TIME] = STUCK, before
+            break
+        if abs(now[TIME] - times[saved]) <= NEAR * times[saved]:
+            join(y, times[saved], data, clock, out[saved])
+            now[STEP], saved = max(full, now[STEP]), saved + 1
+    facts = np.empty(KNOWN + out.shape[1])
+    facts[0], facts[1], facts[2], facts[3] = SUCCESS if saved == len(times) else flag, now[TIME], saved, taken
+    facts[4], facts[5], facts[6] = data[RHS_CALLS], 0.0, 0.0
+    join(y, now[TIME], data, clock, facts[KNOWN:])
+    return facts
+
+
+@kept
+def to_end(start, simulation, settings, place, end, most):  # type: ignore[no-untyped-def]
+    begin(start, simulation, settings, place)
+    return on(np.full(1, end), 0, np.empty((1, len(start))), simulation, place, most)
