@@ -62,9 +62,7 @@ class CFunctions(NamedTuple):
 _compiled: Cache[CFunctions] = Cache(256)
 
 
-def c_functions(
-    scene: Any, carry: tuple[str, ...], jacobian: bool = True
-) -> CFunctions | FieldFunctions:
+def c_functions(scene: Any, carry: tuple[str, ...], jacobian: bool = True) -> CFunctions | FieldFunctions:
     """The C functions of a scene, once for its identity and fields; `CannotRecord` where it branches on values."""
 
     if isinstance(scene, Many):
@@ -97,9 +95,7 @@ class FieldFunctions:
         return self.loop.data(self.scene, self.arrays)
 
 
-def functions(
-    scene: Scene, carry: tuple[str, ...], jacobian: bool
-) -> tuple[Function, dict[str, Function]]:
+def functions(scene: Scene, carry: tuple[str, ...], jacobian: bool) -> tuple[Function, dict[str, Function]]:
     """`constants(numbers)`, which Python runs, and the C functions: `rhs` and, where it is wanted, `jacobian`."""
     tape = Tape()
     numbers = [tape.assign(Element("numbers", (i,)), "f", tape.root) for i in range(len(scene.numbers()))]

@@ -16,30 +16,25 @@ Optim. Methods Softw. 20, 597 (2005), doi:10.1080/10556780500140664.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
-from threading import Lock
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from contactbench.methods.base import CALLBACKS, METHODS, Method, unfit
-from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.loops import StepLoop
-from contactbench.methods.prepared import NO_NUMBER, Prepared, Refused, Request
+from contactbench.methods.base import CALLBACKS, METHODS, unfit
+from contactbench.methods.prepared import NO_NUMBER, Request
 from contactbench.numbers import functions as math
 from contactbench.peers.base import Variational, record_function
 from contactbench.peers.compiled import c_functions
-from contactbench.scene import Scene, System, Vector, dot, key, scaled
+from contactbench.peers.stepping import LibrarySteps, Stepper
+from contactbench.scene import System, Vector, dot, key, scaled
 from contactbench.scene.many import Many
 
 #: γt beyond which e^{γt} is no longer a double; components that are compiled one by one
 LONGEST, MOST = 700.0, 256
-#: gradients of an uninterrupted call, which nothing ends: some hundredths of a second
-PIECE = 10**6
 
 
 class Stretched(NamedTuple):
@@ -139,12 +134,12 @@ class Callbacks:
         return rows
 
 
-class Steps(StepLoop):
+class Steps(LibrarySteps):
     """Take the steps of SPRKStep."""
 
     derivative = "the same steps of the variational equations"
 
-    def __init__(self, method: Sprk, request: Request) -> None:
+    def __init__(self, method: Stepper, request: Request) -> None:
         from contactbench.peers.abi import arkode
 
         super().__init__(method, request)
@@ -155,13 +150,12 @@ class Steps(StepLoop):
         self.size = len(self.parts[0].labels(self.carry))
         over_m = np.array(scaled(scene.inverse_mass, (1.0,) * len(scene.q)))
         self.place = over_m, scene.gamma, -1 if scene.clock is None else scene.clock
-        self.alone = Lock()  # memory is shared by the calls
-        self.memory: Any = None
         if request.engine in CALLBACKS:
-            given = [
-                record_function(p, "rhs", self.carry) or partial(p.slopes, carry=self.carry) for p in self.parts
+            functions = [
+                record_function(p, "rhs", self.carry) or partial(p.slopes, carry=self.carry)
+                for p in self.parts
             ]
-            self.memory = Callbacks(method.solver, given, self.size)
+            self.memory: Any = Callbacks(method.solver, functions, self.size)
         else:
             self.memory = self.compiled(self.parts, self.size)
 
@@ -169,24 +163,6 @@ class Steps(StepLoop):
         kick, drift = (c_functions(part, self.carry, jacobian=False) for part in parts)
         self.seconds += kick.compile_s + drift.compile_s
         return self.abi.Memory(self.method.solver, kick, drift, self.parts[0].numbers(), size)
-
-    def ready(self, h: np.ndarray, n: np.ndarray) -> Any:
-        """Return the steps in intervals that are not too long, and which of their ends are asked for."""
-        parts = np.maximum(1, -(-n * self.method.stages // PIECE))
-        last = np.cumsum(parts) - 1
-        each = np.repeat(n // parts, parts)
-        each[last] += n - parts * (n // parts)
-        return np.repeat(h, parts), each, last
-
-    def march(self, memory: Any, y: np.ndarray, ready: Any) -> np.ndarray:
-        h, n, last = ready
-        with self.alone:
-            if len(last) == len(h):
-                return memory.take(y, h, n)
-            rows = np.empty((len(h), len(y)))
-            for k in range(len(h)):
-                y = rows[k] = memory.take(y, h[k : k + 1], n[k : k + 1])[0]
-        return rows[last]
 
     def stretched(self, y0: np.ndarray) -> np.ndarray:
         y = np.empty(self.size)
@@ -204,10 +180,10 @@ class Steps(StepLoop):
 
     def last(self, ready: Any) -> Callable[[np.ndarray], np.ndarray]:
         h, n, _ = ready
-        if isinstance(self.memory, Callbacks):
+        memory, end = self.memory, self.abi.to_end
+        if isinstance(memory, Callbacks):
             return super().last(ready)
-        memory = self.memory
-        end, rest = self.abi.to_end, (*self.place, memory.y, h, n, memory.memory, memory.vector)
+        rest = *self.place, memory.y, h, n, memory.memory, memory.vector
         return lambda y0: end(y0, *rest)
 
     @cached_property
@@ -225,61 +201,21 @@ class Steps(StepLoop):
         return np.array([(self.back(row[:d] + row[d:]) - self.back(row[:d] - row[d:])) / 2 for row in y])
 
 
-@dataclass(frozen=True)
-class Sprk(Method):
-    """A method of SPRKStep; solver : its name there."""
-
-    name: str
-    order: int
-    stages: int
-    solver: str
-    about: str
-    symmetric: bool = False
-    engines = ("c", "c+python")
+class Sprk(Stepper):
     contact = True
-    adaptive = False
-    one_step = False
     largest = MOST
-    tolerance = "nothing: it takes a step"
 
-    def refuses(self, scene: Any) -> str | None:
-        if importlib.util.find_spec("sundials4py") is None:
-            return "sundials4py is not installed (pip install contactbench[bench])"
+    def unfit(self, scene: Any) -> str | None:
+        linear = scene.kind in ("mechanical", "driven") and not scene.nonlinear_damping
+        fits = linear and getattr(scene, "rate", None) is None
+        needs = "forces that depend on q and t alone and damping Γ = γ s of a constant γ"
         if isinstance(scene, Many):
             if scene.motion > 2 * MOST:
                 return f"{self.name} compiles every component: scene {scene.name!r} has {scene.motion}"
-        else:
-            linear = scene.kind in ("mechanical", "driven") and not scene.nonlinear_damping
-            fits = linear and getattr(scene, "rate", None) is None
-            needs = "forces that depend on q and t alone and damping Γ = γ s of a constant γ"
-            if (why := unfit(self, scene, fits, needs)) is not None:
-                return why
+        elif (why := unfit(self, scene, fits, needs)) is not None:
+            return why
         if scene.gamma * scene.t_end > LONGEST:
             return f"{self.name} takes γ t up to {LONGEST:g}; scene {scene.name!r} goes on for longer"
-        return None
-
-    def prepare(self, request: Request) -> Prepared:
-        try:
-            return FixedStepRun(self.name, request, self, Steps(self, request))
-        except ImportError as why:
-            return Refused(self.name, request, str(why))
-
-    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        return n * self.stages
-
-    def per_step(self, scene: Scene, carry: Sequence[str] | None = None) -> int:
-        return self.stages
-
-    def kind_on(self, scene: Scene) -> str:
-        return "gradient"
-
-    def step_cost(self, scene: Scene, engine: str) -> float | None:
-        return 3 * self.stages if engine in CALLBACKS else None
-
-    def log_factor(self, scene: Any, x: Any, h: float, n: int) -> float:
-        return -scene.gamma * h * n
-
-    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
         return None
 
 
@@ -287,5 +223,11 @@ for _order, _stages, _solver, _symmetric, _authors in (
     (5, 6, "MCLACHLAN_5_6", False, "McLachlan–Atela"),
     (10, 36, "SOFRONIOU_10_36", True, "Sofroniou–Spaletta"),
 ):
-    _about = f"{_authors}'s symplectic method of {_stages} stages, SUNDIALS' SPRKStep on e^{{γt/2}} q"
-    METHODS.add(Sprk(f"sprk-{_order}", _order, _stages, f"ARKODE_SPRK_{_solver}", _about, _symmetric))
+    METHODS.add(
+        Sprk(
+            f"sprk-{_order}",
+            _order,
+            f"{_authors}'s symplectic method of {_stages} stages, SUNDIALS' SPRKStep on e^{{γt/2}} q",
+            *(Steps, "sundials4py", _stages, f"ARKODE_SPRK_{_solver}", _symmetric, ("c", "c+python")),
+        )
+    )

@@ -14,7 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from contactbench.peers.abi import kept, kept_c
-from contactbench.peers.abi.cvode import NORMAL, _user, bind, call, free, integer, pointer, real, require_major
+from contactbench.peers.abi.cvode import (
+    NORMAL,
+    _user,
+    bind,
+    call,
+    free,
+    integer,
+    pointer,
+    real,
+    require_major,
+)
 from contactbench.peers.compiled import CFunctions
 
 #: no interpolation: a run ends on a step
@@ -114,7 +124,9 @@ def to_end(state, over_m, gamma, clock, y, h, n, memory, vector):  # type: ignor
 class Memory:
     """ARKODE's memory, freed with the object; y : the vector it works on."""
 
-    def __init__(self, method: str, kick: CFunctions, drift: CFunctions, numbers: list[float], size: int) -> None:
+    def __init__(
+        self, method: str, kick: CFunctions, drift: CFunctions, numbers: list[float], size: int
+    ) -> None:
         self.y, self.functions = np.zeros(size), (kick, drift)
         self.data = [part.data(numbers) for part in self.functions]
         addresses = [(part.rhs, own.ctypes.data) for part, own in zip(self.functions, self.data, strict=True)]

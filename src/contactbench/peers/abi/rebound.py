@@ -22,10 +22,11 @@ from contactbench.peers.abi.cvode import call
 from contactbench.peers.compiled import KNOWN, RHS_CALLS, SUCCESS, TOO_MANY_STEPS
 
 #: places in a simulation and in a particle, and the length of this, in words
-TIME, STEP, STEP_DONE, NUMBER, PARTICLES, EXTRAS, MODIFIED = (
-    getattr(Simulation, name).offset // 8
-    for name in ("t", "dt", "dt_last_done", "N", "_particles", "extras", "is_synchronized")
+TIME, STEP, STEP_DONE, NUMBER, PARTICLES, EXTRAS = (
+    getattr(Simulation, name).offset // 8 for name in ("t", "dt", "dt_last_done", "N", "_particles", "extras")
 )
+#: whether somebody else has moved the particles, in words of half the length
+CHANGED = Simulation.did_modify_particles.offset // 4
 VELOCITY, FORCE, WIDTH = Particle.vx.offset // 8, Particle.ax.offset // 8, sizeof(Particle) // 8
 #: a step that ends this near to a time, relative to it, ends there
 NEAR = 1e-12
@@ -48,6 +49,7 @@ def pointer_to(kind: Any, width: Any) -> Any:
 
 doubles: Any = pointer_to(types.float64, ir.DoubleType())
 integers: Any = pointer_to(types.intp, ir.IntType(64))
+flags: Any = pointer_to(types.int32, ir.IntType(32))
 
 
 def function(name: str, word: str) -> Any:
@@ -55,7 +57,10 @@ def function(name: str, word: str) -> Any:
     return external(f"contactbench_{name}", address, word)
 
 
-steps, set_integrator = function("reb_simulation_steps", "vpz"), function("reb_simulation_set_integrator", "ppp")
+steps, set_integrator = (
+    function("reb_simulation_steps", "vpz"),
+    function("reb_simulation_set_integrator", "ppp"),
+)
 
 
 # -- any equations of second order: coordinates three to a particle, and the action, as the velocity of one more
@@ -140,3 +145,73 @@ def on(times, saved, out, simulation, place, most):  # type: ignore[no-untyped-d
 def to_end(start, simulation, settings, place, end, most):  # type: ignore[no-untyped-def]
     begin(start, simulation, settings, place)
     return on(np.full(1, end), 0, np.empty((1, len(start))), simulation, place, most)
+
+
+# -- bodies about a heavy one, drag as an additional force --------------------------------------------------------
+#: of an orbit's own numbers: γ, G, whether the action is carried, its integral, centre of mass and its velocity
+GAMMA, G, ACTION, INTEGRAL, CENTRE, DRIFT = 0, 1, 2, 3, 4, 7
+OWN = 10
+
+
+@kept_c(types.void(types.intp))
+def drag(simulation):  # type: ignore[no-untyped-def]
+    """Make a kick by h end in velocities times e^{−γh}; the integral of e^{γt}(q·∇V/2 − V) goes by midpoints."""
+    now, p = doubles(simulation), doubles(integers(simulation)[PARTICLES])
+    own, number, h = doubles(integers(simulation)[EXTRAS]), integers(simulation)[NUMBER], now[STEP]
+    rate, sum_ = np.expm1(-own[GAMMA] * h) / h, 0.0
+    for i in range(number):
+        a = WIDTH * i
+        for j in range(3):
+            p[a + FORCE + j] += rate * p[a + VELOCITY + j]
+        if own[ACTION] > 0:
+            for k in range(i):
+                b = WIDTH * k
+                x, y, z = p[a] - p[b], p[a + 1] - p[b + 1], p[a + 2] - p[b + 2]
+                sum_ += own[OWN + i] * own[OWN + k] / np.sqrt(x * x + y * y + z * z)
+    own[INTEGRAL] += 1.5 * own[G] * sum_ * h * np.exp(own[GAMMA] * now[TIME])
+
+
+@kept
+def launch(state, simulation, own, order, over_m, masses):  # type: ignore[no-untyped-def]
+    """A packed state at time 0, about the centre of mass, which REBOUND leaves without drag."""
+    p, n, d, product = doubles(integers(simulation)[PARTICLES]), len(over_m), len(over_m) // len(order), 0.0
+    for i in range(len(masses)):
+        for j in range(6):
+            p[WIDTH * i + j] = 0.0
+    for i in range(n):
+        at = WIDTH * order[i // d] + i % d
+        p[at], p[at + VELOCITY] = state[i], state[n + i] * over_m[i]
+        product += state[i] * state[n + i]
+    for j in range(6):
+        own[CENTRE + j] = 0.0
+        for i in range(len(masses)):
+            own[CENTRE + j] += masses[i] / masses.sum() * p[WIDTH * i + j]
+        for i in range(len(masses)):
+            p[WIDTH * i + j] -= own[CENTRE + j]
+    own[INTEGRAL] = state[-1] - product / 2 if own[ACTION] > 0 else 0.0
+    doubles(simulation)[TIME], flags(simulation)[CHANGED] = 0.0, 1
+
+
+@kept
+def land(simulation, own, order, over_m, state):  # type: ignore[no-untyped-def]
+    t, p = doubles(simulation)[TIME], doubles(integers(simulation)[PARTICLES])
+    n, d, product, gamma = len(over_m), len(over_m) // len(order), 0.0, own[GAMMA]
+    decay, span = np.exp(-gamma * t), -np.expm1(-gamma * t) / gamma if gamma != 0 else t
+    for i in range(n):
+        at, j = WIDTH * order[i // d] + i % d, i % d
+        q = p[at] + own[CENTRE + j] + span * own[DRIFT + j]
+        v = p[at + VELOCITY] + decay * own[DRIFT + j]
+        state[i], state[n + i] = q, v / over_m[i]
+        product += q * v / over_m[i]
+    if own[ACTION] > 0:
+        state[-1] = decay * own[INTEGRAL] + product / 2
+
+
+@kept
+def orbits(state, h, n, end, simulation, own, order, over_m, masses):  # type: ignore[no-untyped-def]
+    """n steps of h, from a packed state to another."""
+    launch(state, simulation, own, order, over_m, masses)
+    doubles(simulation)[STEP] = h
+    steps(simulation, n)
+    land(simulation, own, order, over_m, end)
+    return end
