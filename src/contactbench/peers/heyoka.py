@@ -55,6 +55,11 @@ PIECE = 10**4
 _integrators: Cache[tuple[Any, float]] = Cache(32)
 
 
+def is_fast(scene: Any) -> bool:
+    """Whether heyoka may reorder operations: with equal errors, up to a quarter faster, of bodies up to 9 % slower."""
+    return getattr(scene, "canonical", False)
+
+
 class Taylor(Call):
     def __init__(self, method: Peer, request: Request) -> None:
         import heyoka
@@ -72,9 +77,8 @@ class Taylor(Call):
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             system = taylor_system(scene, r.carry, heyoka, units.tolist())
-            return heyoka.taylor_adaptive(
-                system, y0 / units, tol=r.rtol, compact_mode=size > UNROLLED
-            ), elapsed()
+            how = {"compact_mode": size > UNROLLED, "fast_math": is_fast(scene)}
+            return heyoka.taylor_adaptive(system, y0 / units, tol=r.rtol, **how), elapsed()
 
         given = (*scene.numbers(), *units), r.carry, r.rtol
         program, self.seconds = _integrators.get(key(scene.recorded().identity, *given), make)

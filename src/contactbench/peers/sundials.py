@@ -87,7 +87,8 @@ class Cvode(Compiled):
         assert r.rtol is not None
         assert r.atol is not None
         tolerances, bounds = (r.rtol, r.atol), (SHORTEST * self.end, self.end)
-        self.memory = cvode.Memory(self.method.solver, self.functions, self.data, size, tolerances, bounds)
+        solver = self.method.solver, self.method.implicit
+        self.memory = cvode.Memory(*solver, self.functions, self.data, size, tolerances, bounds)
         place = self.memory.memory, self.memory.vector, self.memory.y
         return cvode, (*place, self.data, clock, self.end, r.max_steps)
 
@@ -127,7 +128,8 @@ def cvode(method: Peer, request: Request) -> Call:
     try:
         return Cvode(method, request)
     except ImportError as why:
-        raise ImportError(f"{why}; engine 'c+python' does without") from why
+        others = "; engine 'c+python' does without" if "c+python" in method.engines else ""
+        raise ImportError(f"{why}{others}") from why
 
 
 for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
@@ -140,3 +142,10 @@ for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
             costs={"c+python": 2},
         )
     )
+METHODS.add(
+    Peer(
+        "cvode-adams-fixed",
+        "variable-order Adams–Moulton, fixed-point iteration: cheaper steps, more evaluations",
+        *(cvode, ("c",), (ROUNDING, 1e-1), "Adams"),
+    )
+)

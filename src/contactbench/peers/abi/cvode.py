@@ -241,6 +241,7 @@ class Memory:
     def __init__(
         self,
         method: str,
+        newton: bool,
         functions: CFunctions | FieldFunctions,
         data: np.ndarray,
         size: int,
@@ -255,11 +256,12 @@ class Memory:
         self.vector = library.N_VMake_Serial(size, self.y.ctypes.data, context)
         self.memory = memory = library.CVodeCreate(METHODS[method], context)
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
-        solvers = self.choose(method, isinstance(functions, FieldFunctions), size, context)
+        many = isinstance(functions, FieldFunctions)
+        solvers = self.choose(newton and not (many and method == "Adams"), many, size, context)
         weakref.finalize(self, free, library, "CVodeFree", memory, solvers, self.vector, context)
         self.tolerate(*tolerances, context)
         check("CVodeSetUserData", memory, self.user.ctypes.data)
-        if functions.jacobian:
+        if functions.jacobian and "SUNMatDestroy" in solvers:
             check("CVodeSetJacFn", memory, _jacobian.address)
         check("CVodeSetMinStep", memory, bounds[0])
         check("CVodeSetMaxStep", memory, bounds[1])
@@ -273,9 +275,9 @@ class Memory:
         check("CVodeSVtolerances", self.memory, rtol, given)  # which copies it
         library.N_VDestroy(given)
 
-    def choose(self, method: str, many: bool, size: int, context: Any) -> dict[str, int]:
+    def choose(self, newton: bool, many: bool, size: int, context: Any) -> dict[str, int]:
         """Connect what solves for a step (no dense matrix of many sites), and return it by what frees it."""
-        if many and method == "Adams":
+        if not newton:
             iteration = library.SUNNonlinSol_FixedPoint(self.vector, 0, context)
             check("CVodeSetNonlinearSolver", self.memory, iteration)
             return {"SUNNonlinSolFree": iteration}
