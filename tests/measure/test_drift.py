@@ -13,6 +13,7 @@ from contactbench.measure.law import round_off_bound
 from contactbench.measure.laws import row
 from contactbench.measure.pullback import pairs, pullback
 from contactbench.methods import prepared
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import Outcome, differences
 from contactbench.solution import SAFETY, Counts, Differential, Status
 
@@ -30,7 +31,7 @@ VARIATIONAL = ("scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "heyok
 #: nearly rejected, its differences at rtol = 1e-8 are uncertain by their own size
 CYRK = ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5", "cyrk-lsoda", "cyrk-radau")
 DIFFRAX = ("diffrax-tsit5", "diffrax-dopri8")
-FIXED = [name for name, method in cb.METHODS.items() if method.control == "step"]
+FIXED = [name for name, method in cb.METHODS.items() if isinstance(method, FixedStep)]
 
 
 drift = cb.LAWS["contact_drift"]

@@ -4,9 +4,10 @@ import pytest
 
 import contactbench as cb
 from cases import pairs
+from contactbench.methods.fixed_step import FixedStep
 from decimals import contact_defect, momentum_defect
 
-METHODS = [m for m in cb.METHODS.values() if m.control == "step" and (m.contact or m.factor)]
+METHODS = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and (m.contact or m.factor)]
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))
 #: other parameters, mass and inertia ratios included; a generic attitude
 HEAVY = PARTICLE.with_(name="heavy", gamma=0.35, mass=1.6, coupling=-0.15, q=(0.7, -0.4), p=(0.5, 0.2), s=0.3)

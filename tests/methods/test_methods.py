@@ -9,13 +9,14 @@ import contactbench as cb
 from cases import few_slow
 from contactbench.methods import jax_engine
 from contactbench.methods.base import tolerance
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 from contactbench.xla import jax
 
 PARTICLE = CASES[0]
-FIXED = [m for m in cb.METHODS.values() if m.control == "step"]
+FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep)]
 #: contact-exact solves bodies only, and has tests of its own
 ON_PARTICLE = [m for m in cb.METHODS.values() if m.refuses(PARTICLE) is None]
 ADAPTIVE = [m for m in ON_PARTICLE if m.adaptive]

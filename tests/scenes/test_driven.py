@@ -9,6 +9,7 @@ import contactbench as cb
 from cases import by_name, pairs, refusal, saved
 from contactbench.measure.laws import laws_of, row
 from contactbench.measure.order import error_at, order_at
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers import quadrature
 from contactbench.scenes.driven import (
     DETEST,
@@ -21,7 +22,7 @@ from contactbench.scenes.driven import (
 )
 from contactbench.truth import decimal_context
 
-STEPPED = [method for method in cb.METHODS.values() if method.control == "step"]
+STEPPED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 CONTACT = [method for method in STEPPED if method.contact]
 
 

@@ -13,6 +13,7 @@ from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES
 from contactbench.measure.clock import Part, Visit
 from contactbench.measure.ladder import ENDS, work_ladder
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.store import read
 from contactbench.results.tables import DEFINITIONS, DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
@@ -229,7 +230,7 @@ def test_only_a_long_tight_run_turns_on_the_last_digit_of_its_data(method, scene
     assert spread > 0.1 if turns else spread == 0
 
 
-FIXED = [method.name for method in cb.METHODS.values() if method.control == "step"]
+FIXED = [method.name for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 
 
 @pytest.mark.parametrize("method", FIXED)
