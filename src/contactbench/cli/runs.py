@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from contactbench.cli.parsing import Command, assignments, print_json, writable
+from contactbench.cli.parsing import assignments, print_json, writable
 from contactbench.errors import BadInput, unknown_name
 from contactbench.files import replacing
 
@@ -209,44 +209,3 @@ def check(arguments: argparse.Namespace) -> int:
         print(f"contactbench: {broken}", file=sys.stderr)
         return 1
     return 0
-
-
-def add(command: Command) -> None:
-    one = command("list", listing)
-    one.add_argument("kind", nargs="?", choices=["scenes", "methods", "laws", "claims"], help="only these")
-
-    one = command("solve", solve)
-    one.add_argument("scene", help="its name (contactbench list scenes)")
-    one.add_argument("method", help="its name (contactbench list methods)")
-    plot = "motion, phase portrait and energies (.svg, .png, .pdf)"
-    add_common(one, plot=plot, out="the saved states as CSV")
-    step = "step size of a fixed-step method; or its steps: geometric:COUNT:A (growing as A + t), or a file of them"
-    one.add_argument("--step", help=step)
-    one.add_argument("--rtol", type=float, help="tolerance (adaptive methods; others choose a step from it)")
-    one.add_argument("--t-end", type=float, help="end time")
-    one.add_argument("--engine", help="numba, jax or python, where a method has several")
-    one.add_argument("--max-steps", type=int, help="step budget")
-    one.add_argument("--laws", action="store_true", help="how far the run is from every law of the scene")
-
-    one = command("compare", compare)
-    one.add_argument("scene", help="its name (contactbench list scenes)")
-    methods = "names (contactbench list methods); by default all"
-    one.add_argument("method", nargs="*", default=[], help=methods)
-    figure = "the figure alone (.svg, .png, .pdf)"
-    add_common(one, html="one page: tables and figure", plot=figure, csv="the rows")
-    errors = "errors asked for, relative to the motion"
-    one.add_argument("--error", default="1e-3,1e-6,1e-9", metavar="E,E,…", help=errors)
-    one.add_argument("--budget", default="60s", metavar="TIME", help="for everything (default: 60s)")
-    one.add_argument("--quiet", action="store_true", help="no progress on stderr")
-
-    one = command("check", check)
-    one.add_argument("name", help="of a method or a scene")
-    one.add_argument("--engine", action="append", help="of a method: only this one; may be repeated")
-
-
-def add_common(parser: argparse.ArgumentParser, **files: str) -> None:
-    about = "change a parameter: a number or a list [1,2]; may be repeated"
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=about)
-    for name, text in files.items():
-        parser.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
