@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import DECIDABLE, UNSURE
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
@@ -181,11 +181,7 @@ def structure(frame: pd.DataFrame) -> Figure | None:
         curves.append(Curve(*points, str(name), str(own["method"].iloc[0]), line=False))
     x = Axis("error of the solution (more accurate to the right)", "log", inverted=True)
     panel = Panel("", x, Axis("deviation of the contact form", "log"), tuple(curves), (ROUND_OFF,))
-    title = (
-        f"Contact methods keep the contact form at any error ({int(kept.sum())} of {len(kept)} runs), "
-        "others only as well as they solve"
-    )
-    return Figure("structure", title, (panel,), f"Every method and setting on `{SCENE}`. Shaded: round-off.")
+    return chart("structure", [panel], kept=int(kept.sum()), runs=len(kept), scene=SCENE)
 
 
 # -- along time ------------------------------------------------------------------------------------
@@ -205,7 +201,7 @@ ALONG_TIME = {
 }
 
 
-def along_time(frame: pd.DataFrame, scene: str) -> Figure:
+def along_time(frame: pd.DataFrame, scene: str) -> Figure | None:
     rows = frame[frame["scene"] == scene]
     panels = []
     for column, (title, label) in ALONG_TIME.items():
@@ -213,9 +209,6 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure:
             curves = best_of_each(by_method(rows, "t", column), lambda curve, _: -max(curve.y))
             panels.append(Panel(title, Axis("t"), Axis(label, "log"), curves, (ROUND_OFF,)))
     worst = rows.groupby("method")["energy_deviation"].max()
-    title = f"{scene}: {worst.idxmin()} stays closest to the true energy, to {decade(worst.min(), math.ceil)}"
-    caption = (
-        f"Settings: {', '.join(dict.fromkeys(rows['setting']))}. Shaded: round-off. Asterisk: the true motion. In "
-        "colour: in each panel, of each family the closest to the true motion."
-    )
-    return Figure(f"laws_{scene}", title, tuple(panels), caption)
+    closest = {"method": worst.idxmin(), "deviation": decade(worst.min(), math.ceil)}
+    settings = ", ".join(dict.fromkeys(rows["setting"]))
+    return chart("along_time", panels, f"laws_{scene}", scene=scene, settings=settings, **closest)

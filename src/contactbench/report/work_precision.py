@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
@@ -107,11 +107,8 @@ def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
         named = text if math.isnan(first.cost) else f"{first.method} {text}{factor}"
         return Cell(named, mark=MARKS.get(winner[first.scene, first.error]))
 
-    legend = (
-        f"{own.kind.about} In brackets the best contact method, where it is not the cheapest. "
-        "Bold: a contact method is the cheapest; italic: it ties with another, or is undecided."
-    )
-    return View(name, own.kind.title, matrix(reached, "scene", "error", cell, error_label), legend, source)
+    made = view("winners", matrix(reached, "scene", "error", cell, error_label), about=own.kind.about)
+    return replace(made, name=name, title=own.kind.title, source=source)
 
 
 def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE) -> View:
@@ -126,13 +123,7 @@ def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE
 
     every = pd.concat([own.assign(kind=title) for title, own in won.items()])
     lost = every[every["scene"].isin(every[every["winner"] == OTHER]["scene"])]
-    legend = (
-        "At how many errors another method is cheaper than every contact method, and where by most: at which error, "
-        "which method, how many times cheaper. `contact-exact`, a closed form that costs the same for any span, takes "
-        "no part in marginal time. [Why](../docs/reading.md#where-the-contact-methods-lose)."
-    )
-    title = "Where the contact methods lose"
-    return View(name, title, matrix(lost, "scene", "kind", cell), legend, source)
+    return replace(view("losses", matrix(lost, "scene", "kind", cell)), name=name, source=source)
 
 
 # -- scene by scene --------------------------------------------------------------------------------
@@ -166,7 +157,6 @@ AXES = {
     "time_min_s": ("time of a solve, ms", 1e3),
     "marginal_s": ("time per unit of simulated time, ms", 1e3),
 }
-IN_COLOUR = "Cheaper below. In colour: the cheapest of each family at most errors; thin and grey: the others."
 
 
 def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str] = ()) -> Panel:
@@ -191,9 +181,8 @@ def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
 def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     title, named = message(work, scene)
     found = {kind: compared(work, scene, kind) for kind in (COMPILED, EVALUATIONS)}
-    panels = tuple(panel(rows, kind, named) for kind, rows in found.items() if len(rows))
-    caption = f"{IN_COLOUR} Costs beyond 30 times the least of the contest are outside the panels."
-    return Figure(f"work_precision_{scene}", title, panels, caption) if panels else None
+    panels = [panel(rows, kind, named) for kind, rows in found.items() if len(rows)]
+    return chart("work_precision", panels, f"work_precision_{scene}", title=title)
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
