@@ -97,7 +97,7 @@ def main(argv: list[str] | None = None) -> int:
             for path in plugins.plugin:
                 load_file(path)
         arguments.line = sys.argv[1:] if argv is None else argv
-        status = arguments.run(arguments)
+        status: int = arguments.run(arguments)
         stdout.flush()
     except BrokenPipeError:  # the reader has left, as in `contactbench list | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())

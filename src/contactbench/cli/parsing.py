@@ -38,11 +38,11 @@ def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> Non
         path.unlink()
 
 
-def print_json(value: Any, arguments: argparse.Namespace) -> None:
+def print_json(value: object, arguments: argparse.Namespace) -> None:
     print(json.dumps(value, allow_nan=False), file=arguments.stdout)
 
 
-def assignments(pairs: list[str]) -> dict[str, Any]:
+def assignments(pairs: list[str]) -> dict[str, object]:
     """Return the changes that ``name=value`` arguments name; a value is JSON (a number or a list of numbers)."""
     changes = {}
     for pair in pairs:

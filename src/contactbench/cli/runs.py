@@ -8,7 +8,7 @@ import math
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from contactbench.cli.parsing import assignments, print_json, writable
 from contactbench.errors import BadInput, unknown_name
@@ -16,6 +16,8 @@ from contactbench.files import replacing
 
 if TYPE_CHECKING:
     import numpy as np
+    import pandas as pd
+    from matplotlib.figure import Figure
 
     from contactbench.methods.base import Method
     from contactbench.solution import Solution
@@ -26,12 +28,12 @@ PICTURES = (".svg", ".png", ".pdf")
 PRINTED, SOME = 64, 4
 
 
-def write_csv(frame: Any, path: Path) -> None:
+def write_csv(frame: pd.DataFrame, path: Path) -> None:
     with replacing(path) as file:
         frame.to_csv(file, index=False, lineterminator="\n")
 
 
-def write_picture(figure: Any, path: Path) -> None:
+def write_picture(figure: Figure, path: Path) -> None:
     with replacing(path, mode="wb") as file:
         figure.savefig(file, format=path.suffix[1:].lower())
 
@@ -87,7 +89,8 @@ def solve(arguments: argparse.Namespace) -> int:
             run["laws"] = {name: value if math.isfinite(value) else None for name, value in deviations}
         print_json(run, arguments)
     else:
-        if len(state := run.get("state", {})) > PRINTED:
+        state = run.get("state")
+        if isinstance(state, dict) and len(state) > PRINTED:
             some = ", ".join(f"{name!r}: {value!r}" for name, value in list(state.items())[:SOME])
             run["state"] = f"{some}, … {len(state)} numbers; all of them with --json or --out"
         print("\n".join(f"{key:8} {value}" for key, value in run.items() if value not in (None, "")))
@@ -116,8 +119,9 @@ def steps(text: str, t_end: float) -> float | list[float] | np.ndarray:
         raise BadInput(f"--step {text}: {allowed}") from None
 
 
-def summary(solution: Solution) -> dict[str, Any]:
-    scene, out = solution.scene, {}
+def summary(solution: Solution) -> dict[str, object]:
+    scene = solution.scene
+    out: dict[str, object] = {}
     if solution.ok:
         y = solution.y[-1].tolist()
         state = scene.unpack(scene.entries(solution.y[-1]), solution.carry)

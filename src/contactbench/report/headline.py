@@ -86,12 +86,12 @@ def mission_view(frames: Frames) -> View | None:
     claimed = set(momentum[momentum["claimed"]]["scene"])
     shown = [scene for scene in SHOWN_SCENES if scene in set(rows["scene"])]
     laws_of = {s: [law for law in SHOWN_LAWS if law != "momentum_law" or s in claimed] for s in shown}
-    by_pair = {(row["method"], row["scene"]): row for row in rows.to_dict("records")}
+    by_pair = {(row["method"], row["scene"]): row for _, row in rows.iterrows()}
     lines = []
     for method in sorted(set(rows["method"]), key=SHOWN_METHODS.index):
         cells: list[Cell] = []
         for scene, own in laws_of.items():
-            cells += cost_cells(frames, by_pair.get((method, scene), {"status": DASH}), own)
+            cells += cost_cells(frames, by_pair.get((method, scene), pd.Series({"status": DASH})), own)
         lines.append((method, *cells))
     heads = {scene: ("evaluations", "order", *map(law_label, own)) for scene, own in laws_of.items()}
     labels = [("", "method"), *((scene, label) for scene, own in heads.items() for label in own)]

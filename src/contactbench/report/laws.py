@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -59,7 +58,7 @@ def law_label(law: str) -> str:
     return known.label if known and known.label else law.replace("_", " ")
 
 
-def drift_cell(row: Any, law: str) -> Cell:
+def drift_cell(row: pd.Series, law: str) -> Cell:
     def number(name: str) -> float:
         value = row.get(name)
         return 0.0 if value is None or pd.isna(value) else float(value)
@@ -83,14 +82,14 @@ def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
     return Cell(text + sign, high, Mark.kept if kept else None)
 
 
-def cost_cells(frames: Frames, row: Any, laws: Sequence[str]) -> list[Cell]:
+def cost_cells(frames: Frames, row: pd.Series, laws: Sequence[str]) -> list[Cell]:
     if row["status"] != "ok":
         return [Cell(str(row["status"]), mark=Mark.none), *[Cell(DASH)] * (len(laws) + 1)]
     spent = as_cell(row["rhs_equivalents"], count)
     return [spent, order_cell(frames, row), *(drift_cell(row, law) for law in laws)]
 
 
-def order_cell(frames: Frames, row: Any) -> Cell:
+def order_cell(frames: Frames, row: pd.Series) -> Cell:
     if row["control"] != "step":
         return Cell({"rtol": "adaptive"}.get(row["control"], str(row["control"])))
     orders = frames["convergence"]
@@ -127,7 +126,7 @@ def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
     scene, cost = str(part["scene"].iloc[0]), part["cost"].iloc[0]
     laws = [law for law in laws_at_equal_cost() if law in part and part[law].notna().any()]
     rows = []
-    for row in part.to_dict("records"):
+    for _, row in part.iterrows():
         evaluations, order, *drifts = cost_cells(frames, row, laws)
         error = as_cell(row["solution_error"], scientific)
         rows.append((row["method"], row["engine"], row["setting"], evaluations, order, error, *drifts))

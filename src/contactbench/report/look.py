@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import tomllib
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from contactbench.registry import Registry
 
@@ -19,10 +19,10 @@ LOOK = tomllib.loads(files(__package__).joinpath("looks.toml").read_text(encodin
 MUTED = "#c4c8cc"
 FAMILIES: dict[str, str] = LOOK["families"]
 #: colours of contact methods, and dashes of all, by order
-SHADES = {int(order): color for order, color in LOOK["shades"].items()}
+SHADES: dict[int, str] = {int(order): color for order, color in LOOK["shades"].items()}
 DASHES = {int(order): tuple(lengths) for order, lengths in LOOK["dashes"].items()}
 #: what is no method, as matplotlib line properties
-ROLES: dict[str, dict[str, Any]] = LOOK["roles"]
+ROLES: dict[str, dict[str, object]] = LOOK["roles"]
 
 
 class Look(NamedTuple):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -43,8 +42,8 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
         yield Curve(*places, label, method, "" if method else role, line, markers)
 
 
-def flat(rows: pd.DataFrame, panel: str, title: str, x: Axis, y: Axis, **more: Any) -> Panel:
-    return Panel(title, x, y, tuple(curves(rows, panel)), **more)
+def flat(rows: pd.DataFrame, panel: str, title: str, x: Axis, y: Axis, equal: bool = False) -> Panel:
+    return Panel(title, x, y, tuple(curves(rows, panel)), equal=equal)
 
 
 # -- panels of single figures ----------------------------------------------------------------------

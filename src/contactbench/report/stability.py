@@ -75,7 +75,7 @@ def scene_view(here: pd.DataFrame, scene: str) -> View:
     laws = [n for n in laws_in(STABILITY, "stability") if n != "solution_error" and ok[n].notna().any()]
     lines = []
     for method, own in rows.groupby("method", sort=False):
-        runs = own.to_dict("records")
+        runs = [run for _, run in own.iterrows()]
         good = [run for run in runs if run["status"] == "ok"]
         ladder = [*map(ending, runs), *[Cell(DASH)] * (len(steps) - len(runs))]
         finest = own[own["status"] == "ok"]["rhs_equivalents"].max()
@@ -90,7 +90,7 @@ def scene_view(here: pd.DataFrame, scene: str) -> View:
     return View(f"hard_{scene}", scene, frame_of(lines, labels), notes.strip(), SOURCE)
 
 
-def worst_cell(runs: list[dict[str, object]], law: str) -> Cell:
+def worst_cell(runs: list[pd.Series], law: str) -> Cell:
     """Return the largest deviation of a method's runs; bold only where every one of them keeps the law."""
     cells = [drift_cell(run, law) for run in runs if not pd.isna(run[law])]
     if not cells:

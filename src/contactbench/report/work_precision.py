@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,9 +21,11 @@ from contactbench.results.contest import (
     EVALUATIONS,
     KINDS,
     OTHER,
+    Cost,
     Kind,
     contestants,
     contests,
+    cost_rows,
     costs,
     standings,
 )
@@ -83,14 +84,14 @@ def error_label(error: float) -> str:
     return f"error {power(error)}"
 
 
-def cost_text(row: Any, show: Callable[[float], str]) -> str:
+def cost_text(row: Cost, show: Callable[[float], str]) -> str:
     if math.isnan(row.cost):
         return row.reason or DASH
     return f"{'≤ ' if row.bound else ''}{show(row.cost)}{' °' if row.fixed > 0.5 else ''}"
 
 
 def cost_cell(rows: pd.DataFrame, show: Callable[[float], str] = duration) -> Cell:
-    row = next(rows.itertuples())
+    row = next(cost_rows(rows))
     return Cell(cost_text(row, show), None if math.isnan(row.cost) else row.cost, MARKS.get(row.verdict))
 
 
@@ -100,7 +101,7 @@ def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
     reached = reached[reached.groupby("scene")["cost"].transform("min").notna()]
 
     def cell(ranked: pd.DataFrame) -> Cell:
-        first = next(ranked.itertuples())
+        first = next(cost_rows(ranked))
         text = cost_text(first, duration if own.kind.timed else count)
         behind = ranked[ranked["family"] == CONTACT]["ratio"].min()
         factor = f" (contact {times(behind)})" if behind > 1 else ""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, cast
 
 import pandas as pd
 
@@ -120,6 +120,25 @@ CALLED_BACK = Kind(
 KINDS = (EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK)
 
 
+class Cost(Protocol):
+    """A row of `costs`, read by its columns."""
+
+    scene: str
+    method: str
+    error: float
+    cost: float
+    bound: bool
+    reason: str
+    fixed: float
+    halves: float
+    processes: float
+    verdict: str
+
+
+def cost_rows(frame: pd.DataFrame) -> Iterator[Cost]:
+    return cast("Iterator[Cost]", frame.itertuples())
+
+
 def contestants(work: pd.DataFrame) -> pd.DataFrame:
     """Return the rows that compete: one setting of one method, not chosen by pilots, no C loops."""
     return work[(work["family"] != LIMIT) & work["variant"].fillna("").isin(["", GROWING])]
@@ -190,10 +209,10 @@ def cut_off(rows: pd.DataFrame) -> str:
 
 
 def _floats(column: pd.Series) -> list[float]:
-    return column.to_numpy(dtype=float, na_value=math.nan).tolist()
+    return list(column.to_numpy(dtype=float, na_value=math.nan).tolist())
 
 
-def pair_margin(one: Any, other: Any) -> float:
+def pair_margin(one: Cost, other: Cost) -> float:
     return margin((one.halves, other.halves), max(one.processes, other.processes))
 
 
@@ -209,9 +228,9 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
     parts = []
     for _, part in costs.groupby(list(by), sort=False):
         part = part.sort_values("cost", kind="stable")
-        least = next(part.itertuples())
+        least = next(cost_rows(part))
         ratios = part["cost"] / least.cost
-        margins = [pair_margin(row, least) if row.cost == row.cost else math.nan for row in part.itertuples()]
+        margins = [pair_margin(row, least) if row.cost == row.cost else math.nan for row in cost_rows(part)]
         pairs = zip(ratios, margins, strict=True)
         verdicts = [str(verdict(ratio, most)) if ratio == ratio else "" for ratio, most in pairs]
         if verdicts[0]:
@@ -236,13 +255,13 @@ def contests(costs: pd.DataFrame) -> pd.DataFrame:
         for target, part in here.groupby("error", sort=False):
             part = part[part["cost"].notna()].sort_values("cost", kind="stable")
             contact = part["family"] == CONTACT
-            ours, theirs = (next(part[own].itertuples(), None) for own in (contact, ~contact))
+            ours, theirs = (next(cost_rows(part[own]), None) for own in (contact, ~contact))
             rows.append({"scene": scene, "error": target} | _contest(ours, theirs))
     names = "scene error contact contact_cost other other_cost ratio margin winner"
     return pd.DataFrame(rows, columns=names.split())
 
 
-def _contest(ours: Any, theirs: Any) -> Record:
+def _contest(ours: Cost | None, theirs: Cost | None) -> Record:
     row = {"contact": ours.method, "contact_cost": ours.cost} if ours else {"contact": ""}
     row |= {"other": theirs.method, "other_cost": theirs.cost} if theirs else {"other": ""}
     if ours is None or theirs is None:
