@@ -97,11 +97,11 @@ PROSE: dict[str, dict[str, Any]] = tomllib.loads(
 
 
 def gathered(kind: str) -> dict[str, dict[str, str]]:
-    """Take the entries of a kind out of all chapters; return them by name."""
+    """Return the entries of a kind, of all chapters, by name."""
     return {
         name: {"source": f"{chapter['tables'][0]}.csv"} | entry
         for chapter in PROSE.values()
-        for name, entry in chapter.pop(kind, {}).items()
+        for name, entry in chapter.get(kind, {}).items()
     }
 
 
@@ -114,10 +114,15 @@ def chapter(
     name: str, answers: Callable[[Frames], Iterable[Answer]] = lambda frames: ()
 ) -> Callable[[Parts], Parts]:
     """Return a decorator that registers the parts of a chapter of chapters.toml."""
-    own = PROSE[name] | {"tables": tuple(PROSE[name]["tables"])}
+    own = {
+        field: PROSE[name][field]
+        for field in ("title", "question", "order", "document")
+        if field in PROSE[name]
+    }
+    tables = tuple(PROSE[name]["tables"])
 
     def register(parts: Parts) -> Parts:
-        CHAPTERS.add(Chapter(name, parts=parts, answers=answers, **own))
+        CHAPTERS.add(Chapter(name, tables=tables, parts=parts, answers=answers, **own))
         return parts
 
     return register

@@ -9,7 +9,7 @@ from itertools import islice
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, structure, work_precision
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chapters, view
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chapters, view
 from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, how_often, names
 from contactbench.report.views import Cell, View, frame_of
@@ -22,17 +22,9 @@ PICTURED = "particle"
 #: a column of the result with the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 #: the scenes of the mission, the methods that a reader knows, and the laws; that of J where a method claims it
-SHOWN_SCENES = ("oscillator", "particle", "rigid_body")
-SHOWN_METHODS = [
-    "contact-printed",
-    "contact-strang",
-    "contact-rkn4",
-    "contact-rkn8",
-    "contact-o8",
-    "herglotz2",
-]
-SHOWN_METHODS += ["rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "diffrax-dopri8", "heyoka-taylor"]
-SHOWN_LAWS = ("energy_law", "momentum_law", "contact_drift")
+SHOWN_SCENES, SHOWN_METHODS, SHOWN_LAWS = (
+    PROSE[NAME]["shown"][what] for what in ("scenes", "methods", "laws")
+)
 
 
 # -- the answers -----------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import DECIDABLE, UNSURE
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chart, view
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
@@ -23,10 +23,7 @@ from contactbench.results.tables import LAWS_TABLE
 
 SOURCE = "laws.csv"
 DAGGER, DOUBLE_DAGGER = "†", "‡"
-LEGEND = (
-    f"Bold: kept to round-off. ≤ and ±: by differences of the solver, with their error bar. {DAGGER}: the quantity has "
-    f"all but vanished. {DOUBLE_DAGGER}: too ill-conditioned to tell. [How to read it](../docs/reading.md#laws)."
-)
+LEGEND: str = PROSE["laws"]["legend"]
 
 
 @lru_cache(2)

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chart, view
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
@@ -31,17 +31,9 @@ from contactbench.results.contest import (
 )
 
 SOURCE = "work_precision.csv"
-LEGEND = (
-    f"Bold: the cheapest; italic: it ties or is undecided. ≤: every setting is more accurate than asked. {DASH}: no "
-    "setting is as accurate; budget, timeout: our own limit. °: most of the time is spent however short the run. "
-    "[How to read it](../docs/reading.md#cost-at-an-error)."
-)
-QUESTIONS = {
-    "evaluations": "Does a contact method need the fewest evaluations at equal error?",
-    "compiled": "Is a contact method the fastest at equal error, compiled?",
-    "marginal": "Is it for one more unit of time, without what every call takes?",
-    "callbacks": "Is it with Python callbacks?",
-}
+LEGEND: str = PROSE["work_precision"]["legend"]
+#: by kind of cost
+QUESTIONS: dict[str, str] = PROSE["work_precision"]["questions"]
 MARKS = {"win": Mark.best, CONTACT: Mark.best, "tie": Mark.tie, "undecided": Mark.tie}
 
 

@@ -7,8 +7,10 @@ and time of solvers that call back into Python.  A method is of the family its r
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, Protocol, cast
 
 import pandas as pd
@@ -49,8 +51,9 @@ type Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of cost: its column, and those of the ratio of a cell's halves, and of a second process to the first.
+    """A kind of cost, declared in kinds.toml.
 
+    cost, halves, processes : its column, those of the ratio of a cell's halves, and of a second process to the first.
     resolved : neither a cost whose halves differ by more than `RESOLVED` takes part, nor a closed form.
     """
 
@@ -82,42 +85,12 @@ class Kind:
         return process_spread(*(sample[name].astype(float) for name in (self.processes, self.halves)))
 
 
-EVALUATIONS = Kind(
-    "evaluations",
-    "Evaluations",
-    "rhs_equivalents",
-    "any",
-    "Evaluations of the right-hand side or their equivalents, whatever the engine: a Taylor order counts as one, two "
-    f"rotations of the body as one, its free flow in closed form as {FREE_COST} rotations ({MOMENTUM_COST} where the "
-    "attitude is not carried). Jacobians are not counted.",
-    timed=False,
+DECLARED = tomllib.loads(Path(__file__).with_name("kinds.toml").read_text(encoding="utf-8"))
+ROTATIONS = {"free": FREE_COST, "momentum": MOMENTUM_COST}
+KINDS = tuple(
+    Kind(name, **given | {"about": given["about"].format(**ROTATIONS)}) for name, given in DECLARED.items()
 )
-COMPILED = Kind(
-    "compiled",
-    "Time, compiled",
-    "time_min_s",
-    "compiled",
-    "Time of a call (least round) that is compiled as a whole.",
-)
-MARGINAL = Kind(
-    "marginal",
-    "Marginal time, compiled",
-    "marginal_s",
-    "compiled",
-    "Time of one more unit of the scene's time, compiled: from runs over a fifth of the span and all of it.",
-    halves="marginal_halves_ratio",
-    processes="marginal_process_ratio",
-    resolved=True,
-)
-CALLED_BACK = Kind(
-    "callbacks",
-    "Time, Python callbacks",
-    "time_min_s",
-    "callbacks",
-    "Time of a call (least round) that evaluates the right-hand side in Python. It is written into the loops of this "
-    "suite and called back by SciPy and scikit-sundae, which favours the former.",
-)
-KINDS = (EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK)
+EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK = KINDS
 
 
 class Cost(Protocol):
