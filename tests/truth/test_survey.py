@@ -75,7 +75,7 @@ def test_two_solvers_that_agree_on_no_digit_are_refused(monkeypatch):
 
 
 def test_compare_refuses_a_reference_of_which_no_digit_is_confirmed(monkeypatch):
-    module = importlib.import_module("contactbench.race.comparison")
+    module = importlib.import_module("contactbench.study.schedule")
     monkeypatch.setattr(module, "confirmed", lambda truth, seconds: 0)
     assert "confirms none" in refusal(lambda: cb.compare("oscillator", methods=["rk4"], budget=5.0))
 

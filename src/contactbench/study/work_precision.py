@@ -16,27 +16,25 @@ from typing import Any
 
 import contactbench as cb
 from contactbench.measure.clock import Call, Part
-from contactbench.measure.ladder import (
-    BETWEEN,
-    ENDS,
-    GROWING,
-    LOOSEST,
-    carry_of,
-    control_of,
-    fields,
-    setting_to,
-    tolerances,
-    work_ladder,
-)
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
-from contactbench.solution import EXACT, Solution
+from contactbench.solution import EXACT, GROWING, Solution
 from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment
+from contactbench.study.settings import (
+    BETWEEN,
+    ENDS,
+    LOOSEST,
+    carry_of,
+    control_of,
+    setting_to,
+    steps,
+    tolerances,
+)
 
 #: of tolerances down to this a profile chooses some; tighter ones are all run
 TIGHT = 1e-13
@@ -58,7 +56,7 @@ def ladder(profile: Profile) -> list[Cell]:
                 elif scene.name == SMOKE:  # a step control that stops short shows at the tightest
                     values.append(rungs[-1])
             else:
-                values = profile.choose(work_ladder(scene, method.order))
+                values = profile.choose(steps(scene, method.order))
             rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
     return rows
 
@@ -100,7 +98,9 @@ def errors(cell: Cell, profile: Profile) -> Row:
     start = perf_counter()
     solution = run()
     row = {"compile_s": run.compile_s, "first_call_s": perf_counter() - start}
-    row |= {"carried": " ".join(fields(scene, method, run.request.carry))}
+    carried = scene.initial(run.request.carry)._asdict().items()
+    own = ("t",) if method.own_time else ()
+    row |= {"carried": " ".join(name for name, field in carried if field is not None and name not in own)}
     variant = GROWING if control == GROWING else ""
     if control == GROWING:
         row |= controlled(method.control, value, variant)
