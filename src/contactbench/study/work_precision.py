@@ -118,6 +118,8 @@ def errors(cell: Cell, profile: Profile) -> Row:
 #: a run with callbacks that takes longer has no second length: what is fixed is lost in it; and in one longer than
 #: SHORT what the public call adds
 LONG_CALLBACK, SHORT = 0.02, 5e-4
+#: rounds in which both calls are compared, and seconds of each
+PAIRS, BLOCK_SECONDS = 15, 1e-4
 
 
 def runs(scene: str, method: str, setting: Sequence[Any], given: dict[str, Any]) -> tuple[Row, Call]:
@@ -135,7 +137,11 @@ def runs(scene: str, method: str, setting: Sequence[Any], given: dict[str, Any])
     once = call.once[0]
     if "python" not in given["engine"] or once < LONG_CALLBACK:
         call = Call(bare, Part(lambda: shorter.bare(earlier), 1 / ENDS, end))
-    return {"call_s": added(run, bare)} if once < SHORT else {}, call
+    if once >= SHORT:
+        return {}, call
+    beside = Part(bare, 0.0, 1.0)
+    added = beside.marginal([Call(run, beside, BLOCK_SECONDS).visit(PAIRS)])
+    return {"call_s": max(0.0, added)}, call  # the difference may be lost in noise
 
 
 #: changes of the initial data, relative: a few roundings
@@ -160,15 +166,3 @@ def work_precision_errors(cell: Cell, profile: Profile) -> Recorded:
 @experiment(ladder, timed=True, errors=work_precision_errors)
 def work_precision(cell: Cell, profile: Profile) -> Timing:
     return Timing(WORK_PRECISION, runs, options(cell, profile))
-
-
-#: rounds in which `added` compares both calls, and seconds of each
-PAIRS, BLOCK_SECONDS = 15, 1e-4
-
-
-def added(run: Any, bare: Any) -> float:
-    """Seconds the public call takes more than the bare one, by the least of rounds in turns; 0 if lost in noise."""
-    call = Call(run, Part(bare, 0.0, 1.0), BLOCK_SECONDS)
-    call.warm_up()
-    visit = call.visit(PAIRS)
-    return max(0.0, min(visit.whole) - min(visit.part))
