@@ -79,7 +79,9 @@ def test_names_of_views_are_unique_and_a_figure_shown_twice_is_the_same():
 
 
 def test_every_table_but_that_of_definitions_is_read_by_a_chapter():
-    assert {name for chapter in discovered().values() for name in chapter.tables} == {*TABLES} - {"definitions"}
+    assert {name for chapter in discovered().values() for name in chapter.tables} == {*TABLES} - {
+        "definitions"
+    }
 
 
 # -- a contradicting row changes the answer --------------------------------------------------------
