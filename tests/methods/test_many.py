@@ -286,27 +286,6 @@ def spread(scene, n):
     return {f: getattr(scene, f)[:, None] + 0.1 * rng.normal(size=(len(scene.q), n)) for f in "qp"}
 
 
-@pytest.mark.parametrize("engine", ["numba", "jax"])
-@pytest.mark.parametrize("name", ["ring held", "free masses", "bodies 2D"])
-@pytest.mark.quick(engine="numba")
-@pytest.mark.quick(name="free masses")
-def test_an_ensemble_is_its_trajectories(name, engine):
-    scene, n = SMALL[name], 5
-    start, gammas = spread(scene, n), np.linspace(0.0, 0.4, n)
-    options = {"step": 0.1, "engine": engine, "measure_at": [0.5, 1.0]}
-    for method in ("contact-abc", "contact-rkn4"):
-        out = cb.ensemble(scene, method, start, parameters={"gamma": gammas}, **options)
-        assert out.ok.all()
-        for i in range(n):
-            one = scene.with_(q=start["q"][:, i], p=start["p"][:, i], gamma=gammas[i])
-            alone = cb.solve(one, method, step=0.1, save_at=[0.5, 1.0])
-            assert gap(np.array(scene.pack(out.final))[:, i], alone.y[-1]) < ROUND_OFF
-            law = cb.LAWS["hamiltonian_law"](alone)
-            assert out.measures["hamiltonian_law"][i] == pytest.approx(law, rel=1e-6, abs=1e-13)
-        again = cb.ensemble(scene, method, out.final, **options)
-        assert again.ok.all()
-
-
 def test_an_ensemble_notices_what_diverges_and_takes_one_start_for_all():
     scene = chain(6, onsite=lambda q: -q * q * q * q, t_end=4.0)
     out = cb.ensemble(scene, "contact-strang", {"q": spread(scene, 3)["q"] * [0.0, 0.1, 4.0]}, step=0.05)

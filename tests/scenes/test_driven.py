@@ -81,37 +81,6 @@ def test_published_zeros_of_the_lane_emden_functions(n, zero):
     assert t + d * (1 + d / t) == pytest.approx(zero, abs=2e-9)
 
 
-@pytest.mark.parametrize(
-    ("gamma", "t_end", "printed", "highest", "at"),
-    [(0.01, 100.0, (-3.214, -0.333), 0.0075, 67.3), (0.1, 50.0, (-1.495, -1.547), 0.0019, 48.2)],
-)
-def test_published_error_of_the_second_contact_variational_integrator(gamma, t_end, printed, highest, at):
-    """Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), Example 6: steady motion under 0.3 sin(πt/3), h = 0.1.
-
-    Initial data as printed above the figures of the authors' notebook DampedOscillatorWithForcing
-    (github.com/mseri/contact-variational-integrator); the highest error of "Contact (2nd)", |(10 + q)/(10 + q*) − 1|,
-    as read off them to about a hundredth of the axis.  The method is `herglotz2`.
-    """
-    drive, force = math.pi / 3, 0.3
-    lag = math.atan2(gamma * drive, drive**2 - 1)
-    size = -force / math.hypot(gamma * drive, 1 - drive**2)
-
-    def steady(t):
-        return size * np.sin(drive * t + lag)
-
-    begin = {"q": (steady(0.0),), "p": (size * drive * math.cos(lag),), "t": -math.pi / (2 * drive)}
-    # cos there is sin here
-    scene = FORCED_OSCILLATOR.with_(gamma=gamma, force=force, drive=drive, t_end=t_end, **begin)
-    assert (round(scene.p[0], 3), round(scene.q[0], 3)) == printed
-    t = 0.1 * np.arange(1, round(10 * t_end))
-    truth = cb.reference(scene, t[::100], ()).y[:, 0]
-    np.testing.assert_allclose(truth, steady(t[::100]), rtol=0, atol=1e-12)
-    q = cb.solve(scene, "herglotz2", step=0.1, save_at=t, carry=()).y[:, 0]
-    error = abs((10 + q) / (10 + steady(t)) - 1)
-    assert error.max() == pytest.approx(highest, abs=1e-4)
-    assert t[error.argmax()] == pytest.approx(at, abs=0.3)
-
-
 # -- γ(t) without a closed form of its integral --------------------------------------------------------
 @pytest.mark.parametrize(("size", "turn"), [(0.1, 1.0), (1.0, 2.0), (0.5, 4.0)])
 def test_integrals_of_the_damping_over_a_step_are_right_to_round_off(size, turn):
@@ -177,25 +146,7 @@ def test_order_of_the_others(name):
     assert math.log2(coarse / fine) == pytest.approx(cb.METHODS[name].order, abs=0.25)
 
 
-@pytest.mark.parametrize("scene", [FORCED_OSCILLATOR, LANE_EMDEN[1]], ids=lambda s: s.name)
-@pytest.mark.parametrize(
-    "name", ["scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-dop853", "heyoka-taylor"]
-)
-def test_solvers_with_a_tolerance_solve_them(scene, name):
-    rough, fine = (solution_error(scene, name, rtol=rtol) for rtol in (1e-4, 1e-8))
-    assert fine < min(1e-5, rough / 10)
-
-
 # -- contact form ----------------------------------------------------------------------------------
-@pairs(CONTACT, DRIVEN)
-@pytest.mark.quick(scene="forced_pulsating")
-def test_contact_methods_keep_the_contact_form_at_a_coarse_step(method, scene):
-    """Up to t = 20 at most: beyond, the tangents of the chaotic scene magnify roundings more."""
-    solution = cb.solve(scene, method.name, step=0.2, save_at=min(scene.t_end, 20.0) * np.arange(1, 6) / 5)
-    columns = row(solution)
-    for law in laws_of(scene):
-        if law.gate.value == "structure" and "attitude" not in law.name:
-            assert columns[law.name] < 1e-12, law.name
 
 
 @by_name([FORCED_PULSATING, LANE_EMDEN[1]])
@@ -230,18 +181,6 @@ def test_laws_of_h_are_not_claimed_where_time_is_in_it():
 
 
 # -- wherever a scene may go ---------------------------------------------------------------------------
-@by_name(DRIVEN)
-@pytest.mark.parametrize("engine", ["numba", "jax"])
-@pytest.mark.quick(scene="duffing")
-def test_ensembles_are_the_runs_one_by_one_and_go_on_from_where_they_ended(scene, engine):
-    q, h = np.linspace(0.95, 1.0, 3) * scene.q[0], scene.t_end / 200
-    first = cb.ensemble(scene, "contact-rkn4", {"q": (q,)}, step=h, engine=engine)
-    runs = [cb.solve(scene.with_(q=(x,)), "contact-rkn4", step=h, carry=()).y[-1] for x in q.tolist()]
-    np.testing.assert_allclose(
-        [first.final.q[0], first.final.p[0], first.final.t], np.transpose(runs), atol=1e-13
-    )
-    again = cb.ensemble(scene, "contact-rkn4", first.final, step=h, engine=engine)
-    np.testing.assert_allclose(again.final.t, scene.t + 2 * scene.t_end, rtol=1e-12)
 
 
 # -- mutants ---------------------------------------------------------------------------------------
@@ -440,11 +379,3 @@ def test_a_run_may_begin_at_a_break_or_behind_it(begin):
 )
 def test_breaks_are_refused_where_they_are_none_or_cannot_be_kept(ask, says):
     assert says in refusal(ask)
-
-
-def test_members_of_an_ensemble_take_the_steps_of_a_run():
-    scene = pulse(breaks=(13.0, 13.6), t_end=15.0)
-    found = cb.ensemble(scene, "contact-rkn6", {"q": [[0.0, 0.5]], "p": [[0.0, 0.1]]}, step=0.05, keep=True)
-    runs = cb.prepare(scene, "contact-rkn6", step=0.05, save_at=[15.0])
-    for k, start in enumerate(({"q": (0.0,), "p": (0.0,)}, {"q": (0.5,), "p": (0.1,)})):
-        assert found.final.q[0][k] == pytest.approx(runs(**start).q[-1, 0], abs=1e-13)
