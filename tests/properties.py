@@ -1,7 +1,4 @@
-"""What must hold of every subflow, composition and method, as functions that say whether it does.
-
-Used by the tests, and by the mutation check, which counts how many planted errors they notice.
-"""
+"""What must hold of every subflow, composition and method, as functions that say whether it does."""
 
 import math
 from functools import partial
@@ -10,7 +7,7 @@ import numpy as np
 from mpmath import mp
 
 import contactbench as cb
-from cases import TILTED, in_mp, random_state
+from cases import TILTED, in_mp, mine, random_state
 from contactbench.measure.order import local_order, order_at
 from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import Numbers, abilities
@@ -257,9 +254,7 @@ def cubic_flow(s, h, xp):
 
 GENERAL = cb.GeneralDamping(
     name="general",
-    potential=CENTRAL.potential,
-    gradient=CENTRAL.gradient,
-    parameters=CENTRAL.parameters,
+    **{name: getattr(CENTRAL, name) for name in ("potential", "gradient", "parameters")},
     q=(1.0, 0.0),
     p=(0.3, 0.8),
     s=0.7,
@@ -269,15 +264,8 @@ GENERAL = cb.GeneralDamping(
 )
 
 
-BENT = cb.GeneralDamping(
-    name="bent",
-    potential=lambda q: q[0] ** 2 / 2,
-    damping=lambda s: s / 2 + 0.3 * s * s,
-    damping_slope=lambda s: 0.5 + 0.6 * s,
-    q=(1.0,),
-    p=(0.0,),
-    t_end=1.0,
-)
+BENT = {"damping": lambda s: s / 2 + 0.3 * s * s, "damping_slope": lambda s: 0.5 + 0.6 * s}
+BENT = mine(lambda q: q[0] ** 2 / 2, kind=cb.GeneralDamping, **BENT)
 
 
 def general_damping_is_right():

@@ -55,12 +55,6 @@ def test_where_the_solver_chooses_the_steps_both_drifts_are_told_and_differ(meth
 
 
 # -- differences of the solver ---------------------------------------------------------------------
-def differenced(run):
-    """The pull-back by differences, whatever the engine could do instead."""
-    y0 = run.start
-    return pullback(run(), differences(run, y0, run.integrate(y0)))
-
-
 def bars(found):
     """The error bar of each column of a derivative."""
     return SAFETY * np.abs(np.diff(found.estimates, axis=0)).max(axis=(1, 2)).min(axis=0)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import pairs
+from cases import mine, pairs
 from chains import chain
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_until
@@ -111,8 +111,7 @@ def test_an_exponent_of_prescribed_steps():
 # -- how it ends -------------------------------------------------------------------------------------
 @pytest.mark.parametrize("plateau", [1, 40])
 def test_a_divergence_is_found_to_the_step(plateau):
-    data = {"gamma": 0.1, "q": (1.0,), "p": (1.0,), "t_end": 8.0}
-    escape = cb.Mechanical(name="escape", potential=lambda q: -(q[0] ** 4), **data)
+    escape = mine(lambda q: -(q[0] ** 4), 1.0, 1.0, 8.0, gamma=0.1)
     grid = cb.geometric_steps(8.0, 400, 2.0, plateau)
     every, last = (cb.solve(escape, "rk4", step=grid, save_at=times) for times in (np.cumsum(grid), [8.0]))
     assert every.status is last.status is cb.Status.diverged

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import by_name, pairs, refusal, saved
+from cases import after_pulse, by_name, mine, pairs, pulse, refusal, saved
 from contactbench.measure.laws import laws_of, row
-from contactbench.measure.order import error_at, order_at
+from contactbench.measure.order import order_at
 from contactbench.numbers import quadrature
 from contactbench.scenes.driven import (
     DETEST,
@@ -58,27 +58,6 @@ def test_published_solutions_of_detest(scene, published):
     np.testing.assert_allclose(cb.reference(scene, [scene.t_end], ()).y[0, :2], published, rtol=0, atol=2e-14)
     end = cb.solve(scene, "contact-rkn6", step=0.05, save_at=[scene.t_end], carry=()).y[0, :2]
     np.testing.assert_allclose(end, published, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize(("n", "zero"), [(1.5, 3.65375373621912608), (3.0, 6.896848619376960)])
-def test_published_zeros_of_the_lane_emden_functions(n, zero):
-    """Boyd, Numer. Math. Theor. Meth. Appl. 4, 142 (2011), as quoted by Dedalus's example; to nine digits.
-
-    From θ = 1 − t²/6 + n t⁴/120 − … at t = 0.01 to just before the zero, and on by a parabola, the force being none.
-    """
-    start = {"t": 0.01, "q": (1 - 1e-4 / 6 + n * 1e-8 / 120,), "p": (-0.01 / 3 + n * 1e-6 / 30,)}
-    scene = cb.Driven(
-        name="before_the_zero",
-        potential=lambda q, t: abs(q[0]) ** (n + 1) / (n + 1),
-        gradient=lambda q, t: (abs(q[0]) ** n,),
-        rate=LANE_EMDEN[0].rate,
-        span=spherical_span,
-        t_end=zero - 1e-3 - 0.01,
-        **start,
-    )
-    q, p, t = cb.solve(scene, "contact-rkn6", step=scene.t_end / 4000, carry=(), engine="python").y[-1]
-    d = -q / p  # a straight line's; the curvature is −2p/t
-    assert t + d * (1 + d / t) == pytest.approx(zero, abs=2e-9)
 
 
 # -- γ(t) without a closed form of its integral --------------------------------------------------------
@@ -183,18 +162,6 @@ def test_laws_of_h_are_not_claimed_where_time_is_in_it():
 # -- wherever a scene may go ---------------------------------------------------------------------------
 
 
-# -- mutants ---------------------------------------------------------------------------------------
-def test_a_clock_that_lags_loses_the_order(monkeypatch):
-    def lagging(scene, x, h, xp):
-        return right(scene, x, h, xp)._replace(t=x.t + h[0] * (1 - 1e-3))
-
-    table = FORCED_OSCILLATOR.flows
-    right = table["drift_damp"].apply
-    monkeypatch.setitem(table, "drift_damp", table["drift_damp"]._replace(apply=lagging))
-    coarse, fine = (error_at(cb.METHODS["contact-rkn4"], FORCED_OSCILLATOR, 2.0, n) for n in (32, 64))
-    assert coarse / fine < 2
-
-
 NOTHING = {"gamma": 0.0, "omega": 0.0, "drive": 0.0}
 #: no damping, critical damping, resonance, a constant force, without a spring
 VANISHING = [{"gamma": 0.0}, {"gamma": 2.0}, {"gamma": 0.0, "drive": 1.0}, {"omega": 0.0, "drive": 0.0}]
@@ -215,20 +182,8 @@ SECOND_ORDER = ("contact-rkn8", "contact-yoshida6", "contact-printed")
 
 def jumping(side="left", **changes):
     stiffness = SIDES[side]
-    own = {"gamma": 0.1, "q": (1.0,), "p": (0.0,), "t_end": 12.0, "breaks": (JUMP,)}
-    return cb.Driven(
-        name="jump",
-        potential=lambda q, t: stiffness(t) * q[0] * q[0] / 2,
-        gradient=lambda q, t: (stiffness(t) * q[0],),
-        **own | changes,
-    )
-
-
-def pulse(**changes):
-    """At rest until a pulse of width 0.05 at 13.3."""
-    own = {"gamma": 0.1, "q": (0.0,), "p": (0.0,), "t_end": 20.0}
-    bell = lambda t: cb.math.exp(-(((t - 13.3) / 0.05) ** 2))  # noqa: E731
-    return cb.Driven(name="pulse", potential=lambda q, t: q[0] * q[0] / 2 - q[0] * bell(t), **own | changes)
+    own = {"kind": cb.Driven, "gradient": lambda q, t: (stiffness(t) * q[0],), "breaks": (JUMP,)}
+    return mine(lambda q, t: stiffness(t) * q[0] * q[0] / 2, **own | {"gamma": 0.1, "t_end": 12.0} | changes)
 
 
 def damped(q, p, gamma, stiffness, t):
@@ -243,14 +198,7 @@ def damped(q, p, gamma, stiffness, t):
 AFTER_JUMP = damped(*damped(1.0, 0.0, 0.1, 1.0, JUMP), 0.1, 3.0, 12.0 - JUMP)
 
 
-def response(t):
-    """Return (q, p) at t after the pulse: its convolution with the motion after a push, by the trapezoidal rule."""
-    times = np.linspace(12.8, 13.8, 401)
-    pushed = np.array([damped(0.0, 1.0, 0.1, 1.0, t - time) for time in times.tolist()])
-    return np.exp(-(((times - 13.3) / 0.05) ** 2)) @ pushed * (times[1] - times[0])
-
-
-AFTER_PULSE = response(20.0)
+AFTER_PULSE = after_pulse()
 
 
 def end(run):
