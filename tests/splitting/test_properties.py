@@ -29,7 +29,7 @@ PROPERTIES = {
     "body flows": properties.body_flows_solve_their_equations,
     "anisotropic damping": properties.anisotropic_damping_solves_its_equation,
     "general damping": properties.general_damping_is_right,
-    "smoothness": properties.flows_are_smooth_where_they_choose,
+    "smoothness": properties.the_damped_time_is_smooth,
     "own factor": properties.flows_know_their_factors,
     "arrays": properties.flows_agree_on_arrays,
     "conformal factor": lambda: structured(properties.has_its_conformal_factor, PARTICLE),
