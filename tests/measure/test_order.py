@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.measure.ladder import carry_of, tolerances
+from contactbench.measure.ladder import carry_of, tolerances, work_ladder
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import ROUND_OFF, fit_order
 from contactbench.race.comparison import Attempt, Question, Scout, ends
@@ -210,3 +210,12 @@ def test_a_ladder_of_steps_begins_where_the_error_is_as_large_as_the_motion(erro
     list(scout.turns())
     assert max(a.value for a in scout.attempts) == longest
     assert scout.best(1e-6) is not None
+
+
+def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six_on():
+    """The latter by multiples of five steps near 6.25 · 2^(k/2)."""
+    body, particle = cb.SCENES["rigid_body"], cb.SCENES["particle"]
+    assert work_ladder(body, 2) == pytest.approx([4.0, 2.0, *(0.8 / 2**k for k in range(9))])
+    assert work_ladder(particle, 2) == pytest.approx([0.8 / 2**k for k in range(9)])
+    counts = [particle.t_end / step for step in work_ladder(particle, 6)]
+    assert counts == pytest.approx([5, 10, 20, 25, 35, 50, 70, 100, 140, 200])

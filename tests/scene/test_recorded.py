@@ -3,7 +3,7 @@
 import copy
 import math
 import pickle
-from functools import wraps
+from functools import partial, wraps
 from itertools import pairwise
 
 import numpy as np
@@ -56,7 +56,6 @@ def truth(k):
 
 @pytest.mark.parametrize(("method", "options"), RUNS)
 def test_a_function_that_changes_is_another_problem(method, options):
-    """For references, ensembles and step maps, and other ways to hold the stiffness: `test_values`."""
     potential, gradient, change = from_a_closure()
     scene = oscillator(potential, gradient)
     run = cb.prepare(scene, method, **options)
@@ -69,6 +68,60 @@ def test_a_function_that_changes_is_another_problem(method, options):
     assert run().q[-1, 0] == pytest.approx(truth(1.0), abs=1e-5)
     for solution in (before, after):
         assert solution.laws().loc["solution_error", "deviation"] < 1e-5
+
+
+class Spring:
+    def __init__(self):
+        self.k = 1.0
+
+    def potential(self, q):
+        return self.k * q[0] ** 2 / 2
+
+
+def from_an_attribute():
+    spring = Spring()
+    return spring.potential, None, partial(setattr, spring, "k")
+
+
+SHARED = {"k": 1.0}
+
+
+def from_a_global_number():
+    return (lambda q: SHARED["k"] * q[0] ** 2 / 2), None, partial(SHARED.__setitem__, "k")
+
+
+def by_steps(scene):
+    step = cb.step_map(scene, "contact-rkn6", carry=())
+    y = step.start
+    for _ in range(100):
+        y = step(y, scene.t_end / 100)
+    return y[0]
+
+
+def by_an_ensemble(scene):
+    return cb.ensemble(scene, "contact-rkn6", {"q": (np.ones(2),)}, step=0.05).final.q[0][1]
+
+
+CALLS = {
+    "solve": lambda scene: cb.solve(scene, "contact-rkn6", step=0.05).q[-1, 0],
+    "run": lambda scene: cb.prepare(scene, "cvode-adams", rtol=1e-9)().q[-1, 0],
+    "step": by_steps,
+    "ensemble": by_an_ensemble,
+    "reference": lambda scene: cb.reference(scene, [5.0], ()).y[0, 0],
+}
+
+
+@pytest.mark.parametrize("made", [from_a_closure, from_an_attribute, from_a_global_number])
+@pytest.mark.parametrize("call", CALLS)
+def test_so_it_is_wherever_the_stiffness_is_held_and_whoever_is_called(made, call):
+    potential, gradient, change = made()
+    scene = oscillator(potential, gradient)
+    for k in (1.0, 2.0, 1.0):
+        change(k)
+        assert CALLS[call](scene) == pytest.approx(truth(k), abs=1e-5)
+    own = oscillator(lambda q, k: k * q[0] ** 2 / 2, None, parameters={"k": 1.0})
+    for k in (1.0, 2.0, 1.0):
+        assert CALLS[call](own.with_(k=k)) == pytest.approx(truth(k), abs=1e-5)
 
 
 @pytest.fixture

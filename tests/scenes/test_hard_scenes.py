@@ -10,7 +10,7 @@ from cases import mine, saved
 from contactbench.measure.laws import laws_of
 from contactbench.scenes import scenes_of
 from contactbench.study import stability
-from contactbench.study.stability import rows_of
+from contactbench.study.stability import TOLERANCES, rows_of, settings
 from contactbench.truth import blow_up_time, condition_number
 
 HARD = scenes_of("stability")
@@ -78,6 +78,15 @@ def test_the_clock_decides_nothing(monkeypatch):
     assert row.pop("time_s") < 300.0
     assert slow == row
     assert math.isfinite(row["contact_drift"])
+
+
+@pytest.mark.parametrize("name", [name for name, m in cb.METHODS.items() if m.adaptive])
+def test_every_adaptive_method_gets_its_full_range(name):
+    method = cb.METHODS[name]
+    tolerances = [value for kind, value in settings(cb.SCENES["critical"], method) if kind == "rtol"]
+    assert tolerances[-1] == method.rtol_range[0] <= TOLERANCES[-1]
+    assert tolerances == sorted(set(tolerances), reverse=True)
+    assert tolerances[:3] == [1e-4, 1e-7, 1e-10]
 
 
 def test_after_a_spent_budget_no_tighter_tolerance_is_run():
