@@ -41,10 +41,9 @@ def write_picture(figure: Figure, path: Path) -> None:
 def listing(arguments: argparse.Namespace) -> int:
     import contactbench as cb
     from contactbench.claims import CLAIMS
-    from contactbench.measure.ladder import stepping
 
     def method(item: Method) -> str:
-        kind = {"fixed": "fixed step"}.get(stepping(item), stepping(item))
+        kind = {"fixed": "fixed step"}.get(item.stepping, item.stepping)
         order = [f"order {item.order}"] if item.order else ["variable order"] if item.adaptive else []
         return f"{', '.join([*order, kind, '/'.join(item.engines)])}: {item.about}"
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.registry import Registry
+from contactbench.registry import Registry, import_modules
 from contactbench.report.drawing import Figure, Panel
 from contactbench.report.views import Show, View
 
@@ -160,8 +160,14 @@ def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
             yield part
 
 
+def discovered() -> dict[str, Chapter]:
+    """Return every chapter; the modules of this package are imported for it."""
+    import_modules(__package__, without=("draw", "write"))  # these need matplotlib, which takes long to load
+    return CHAPTERS
+
+
 def chapters(frames: Frames) -> list[Chapter]:
-    return sorted((c for c in CHAPTERS.values() if len(frames[c.tables[0]])), key=lambda c: c.order)
+    return sorted((c for c in discovered().values() if len(frames[c.tables[0]])), key=lambda c: c.order)
 
 
 def every[P: Part](kind: type[P], parts: Iterable[Part | None]) -> Iterator[P]:

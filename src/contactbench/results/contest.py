@@ -15,7 +15,6 @@ from typing import Any, Literal, Protocol, cast
 
 import pandas as pd
 
-from contactbench.measure.ladder import GROWING
 from contactbench.measure.statistics import (
     COUNTED,
     Verdict,
@@ -26,6 +25,7 @@ from contactbench.measure.statistics import (
     verdict,
 )
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
+from contactbench.solution import GROWING
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
