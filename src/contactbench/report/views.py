@@ -83,7 +83,7 @@ class View:
 
     @property
     def labels(self) -> list[tuple[str, str]]:
-        """Group ("" for none) and label of each column."""
+        """Return group ("" for none) and label of each column."""
         return [name if isinstance(name, tuple) else ("", str(name)) for name in self.frame.columns]
 
 

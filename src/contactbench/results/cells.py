@@ -147,7 +147,7 @@ def _by_table(cells: Iterable[Rows]) -> dict[str, list[Row]]:
 
 
 def _fits(entry: Entry) -> bool:
-    """Whether the tables can take the rows; what another version, or a plug-in that is not here, made stays aside."""
+    """Return whether the tables can take the rows; of another version, or a plug-in not here, they stay aside."""
     try:
         for name, row in entry.rows:
             check(TABLES[name], row)
