@@ -6,9 +6,11 @@ length.  Every method has the setting that reaches the error on the short ring a
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -17,7 +19,6 @@ import numpy as np
 import contactbench as cb
 from contactbench.measure.clock import Call
 from contactbench.measure.isolation import usable_cores
-from contactbench.measure.memory import peak_memory
 from contactbench.results.tables import SCALING
 from contactbench.scene.many import Many
 from contactbench.solution import keywords
@@ -99,6 +100,28 @@ def value(name: str, method: str, n: int) -> float:
     return reached if chosen.adaptive else max(reached, step_at(chosen, sized(name, n), most))
 
 
+# -- memory, where the system says it: on Linux -------------------------------------------------------
+PROCESS = Path("/proc/self")
+
+
+def peak_memory(run: Callable[[], object]) -> float:
+    """Return by how many bytes the resident memory grows at most during a call; nan where the system does not say."""
+    try:
+        ctypes.CDLL(None).malloc_trim(0)  # what was given back before must not hide what is taken now
+        (PROCESS / "clear_refs").write_text("5")  # the peak begins anew
+    except (OSError, AttributeError):
+        return math.nan
+    before = resident("VmRSS")
+    run()
+    return float(resident("VmHWM") - before)
+
+
+def resident(which: str) -> int:
+    lines = (PROCESS / "status").read_text().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(f"{which}:"))
+
+
+# -- rows ------------------------------------------------------------------------------------------
 def loop(scene: Many, cores: int, chosen: float) -> tuple[Row, Callable[[], np.ndarray] | None]:
     """Return the row of the C loop and its run, None where there is no compiler."""
     assert isinstance(scene, cb.Lattice)
