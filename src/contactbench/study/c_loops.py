@@ -42,8 +42,8 @@ def constants(method: str, scene: Mechanical | Lattice, step: float) -> tuple[st
     n = round(scene.t_end / step)
     h = scene.t_end / n
     kicks = np.array([number(c, math) * h for f, c in composition.stages if f == "kick"])
-    flow, parts = Mechanical.flows["drift_damp"], [c for f, c in composition.stages if f == "drift_damp"]
-    drifts = [flow.constants(scene, number(c, math) * h, math) for c in parts]
+    flow, shares = Mechanical.flows["drift_damp"], [c for f, c in composition.stages if f == "drift_damp"]
+    drifts = [flow.constants(scene, number(c, math) * h, math) for c in shares]
     phi, _, keep, lose = (np.array(column) for column in zip(*drifts, strict=True))
     return name, n, [kicks, phi, keep, lose]
 

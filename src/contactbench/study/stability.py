@@ -29,7 +29,7 @@ from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import controlled, key, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
-from contactbench.study.search import right_hand_sides, tolerance_at
+from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import SAVES, times
 from contactbench.truth import blow_up_time, condition_number
 
@@ -265,9 +265,10 @@ def weak_row(name: str, method: str, t_end: float) -> Row:
         return right_hand_sides(solve(scene, method, rtol=rtol, save_at=[PILOT], carry=()))
 
     if chosen.adaptive:
-        setting = {"rtol": tolerance_at(pilot_cost, COST * PILOT, chosen.rtol_range)}
-    else:  # whole steps between samples
-        setting = {"step": times[0] / max(1, round(times[0] * COST / chosen.per_step(scene)))}
+        value = tolerance_at(pilot_cost, COST * PILOT, chosen.rtol_range)
+    else:
+        value = step_at(chosen, scene, COST * t_end, SAMPLES)
+    setting = keywords(chosen.control, value)
     solution = solve(scene, method, save_at=times, carry=(), **setting)
     row = rate_row("weak", solution, t_end, math.nan)
     if not solution.ok:

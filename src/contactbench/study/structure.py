@@ -146,7 +146,7 @@ def errors(cell: Cell) -> Row:
     return row | {name: float(value) for name, value in numbers.items()}
 
 
-def part(cell: Cell) -> tuple[Row, Call]:
+def beginning(cell: Cell) -> tuple[Row, Call]:
     """Return what is timed of a run: its beginning."""
     name, method, _, gamma, span, n, value = cell
     case, control = (name, gamma, span, n), cb.METHODS[method].control
@@ -164,4 +164,4 @@ def structure_errors(cell: Cell, profile: Profile) -> Recorded:
     structure_errors,
 )
 def structure(cell: Cell, profile: Profile) -> Timing:
-    return Timing(STRUCTURE_BUYS, part, (cell,))
+    return Timing(STRUCTURE_BUYS, beginning, (cell,))
