@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent import futures
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
@@ -19,25 +19,18 @@ from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import rolled
-from contactbench.methods.loops import identity, loop_of
-from contactbench.methods.many import SHARED, FieldLoop
-from contactbench.methods.many import loop_of as many_loop
+from contactbench.methods.loops import LANES, Loop, identity
+from contactbench.methods.many import SHARED, loop_on
 from contactbench.methods.prepared import Request
 from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Cache, key
-from contactbench.trace.compiled import compile_function
-from contactbench.trace.form import lines
+from contactbench.scene import Cache, Scene, key
 
 ENGINES = ("numba", "jax")
 #: trajectories in a task of an executor, whose number of workers is not known
 TASK = 2**14
 #: how often a chunk is given to an executor that loses it
 ATTEMPTS = 3
-#: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
-LANES = 32
-#: the same of a loop of more lines than that, which LLVM takes seconds to compile
-FEW_LANES, LONG = 4, 2000
 #: numbers that are kept of scenes of many sites at a time, for every core
 AT_ONCE = 2**22
 #: chunks begun for every core before the first of them is asked for
@@ -89,7 +82,7 @@ class Task:
         why = why or ("parameters differ from one trajectory to the next" if own and not many else "")
         if self.engine != "jax" and not why:
             try:
-                loop = (many_loop if many else loop_of)(run.method_, run.request.scene, run.request.carry)
+                loop = loop_on(run.method_, run.request.scene, run.request.carry)
             except CannotRecord as error:
                 why = str(error)
             else:
@@ -117,7 +110,7 @@ def results(
 # -- by the loop numba compiles, a thread on every core ------------------------------------------------
 def on_cores(
     run: FixedStepRun,
-    loop: Any,
+    loop: Loop,
     names: Sequence[str],
     y0: np.ndarray,
     cores: int,
@@ -126,18 +119,16 @@ def on_cores(
 ) -> Iterator[Result]:
     """Yield the results of chunks of one size, of which a few are begun ahead, so that no core waits for another."""
     scene: Any = run.request.scene
-    numbers, own = np.array(scene.numbers()), own or {}
+    own = own or {}
     work: Any
     if scene.by_sites:
         chunk = min(chunk, max(1, AT_ONCE // (len(run.n) * len(y0))))
         cores = cores if scene.sites < SHARED else 1
         work, share = partial(one_by_one, run, loop, names), equal_share(y0.shape[1], cores, chunk, 1)
     else:
-        lanes = lanes_of(loop)
-        many = compile_function(loop.program.many, lanes)
-        rows, shape = loop.rows(numbers, run.h, run.n)
-        work = partial(side_by_side, run, many, lanes, rows, shape, names)
-        share = equal_share(y0.shape[1], cores, chunk, lanes)
+        rows = loop.rows(np.array(scene.numbers()), run.h, run.n)
+        work = partial(side_by_side, run, loop, rows, names)
+        share = equal_share(y0.shape[1], cores, chunk, loop.lanes)
     ahead: deque[Future[Result]] = deque()
     threads = futures.ThreadPoolExecutor(cores)
     try:
@@ -153,11 +144,6 @@ def on_cores(
         threads.shutdown(cancel_futures=True)
 
 
-def lanes_of(loop: Any) -> int:
-    """Return how many trajectories its compiled loop integrates side by side."""
-    return LANES if sum(1 for _ in lines(loop.program.many.body)) <= LONG else FEW_LANES
-
-
 def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
     """Return the size of the fewest chunks of at most `chunk`, a multiple of `cores`; whole tiles if they fit."""
     share = -(-n // (cores * -(-n // (cores * chunk))))
@@ -166,51 +152,54 @@ def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
 
 
 def side_by_side(
-    run: FixedStepRun,
-    many: Any,
-    lanes: int,
-    rows: np.ndarray,
-    shape: np.ndarray,
-    names: Sequence[str],
-    y0: np.ndarray,
+    run: FixedStepRun, loop: Loop, rows: tuple[np.ndarray, np.ndarray], names: Sequence[str], y0: np.ndarray
 ) -> Result:
     """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core."""
-    r, m = run.request, y0.shape[1]
-    y = np.pad(y0, ((0, 0), (0, -m % lanes)), mode="edge")  # the last trajectory again and again
-    part, place = np.array([0, y.shape[1] // lanes]), len(shape) - len(run.n)
-    with np.errstate(all="ignore"):
-        watch = Watch(r.scene, r.carry, names, furthest(r.scene, r.carry, y0, run._end), y0)
-        marks = watch.begun
-        for which, t in zip(shape[place:], run.until.tolist(), strict=True):
-            after = np.empty((1, *y.shape))
-            many(y, rows, np.append(shape[:place], which), after, part)
-            y = after[0]
-            if math.isnan(t):
-                continue
-            x = r.scene.unpack(tuple(y[:, :m]), r.carry)
-            marks = watch.at(marks, x, y[:, :m], t)
-        return watch.result(marks, x, y[:, :m])
+    w, shape = rows
+    place = len(loop.program.shape)
+
+    def states() -> Iterator[np.ndarray]:
+        y = y0
+        for which in shape[place:]:
+            y = loop.side_by_side(y, w, np.append(shape[:place], which))[0]
+            yield y
+
+    return measured(run, run.request.scene, names, y0, states(), run.until)
 
 
 def one_by_one(
-    run: FixedStepRun, loop: FieldLoop, names: Sequence[str], y0: np.ndarray, own: Own | None = None
+    run: FixedStepRun, loop: Loop, names: Sequence[str], y0: np.ndarray, own: Own | None = None
 ) -> Result:
     """Return the same of scenes of many sites, one trajectory after the other, each with parameters of its own."""
-    r = run.request
-    numbers = np.tile(r.scene.numbers(), (y0.shape[1], 1))
+    base = run.request.scene
+    numbers = np.tile(base.numbers(), (y0.shape[1], 1))
     for place, values in (own or {}).items():
         numbers[:, place] = values
     paths = [
-        loop.paths(r.scene, row, start[None], run.h, run.n)[run.saved, 0]
+        loop.states(base.with_numbers(row), start, run.h, run.n)
         for row, start in zip(numbers, np.ascontiguousarray(y0.T), strict=True)
     ]
-    scene = r.scene.with_numbers(list(numbers.T)) if own else r.scene
+    scene = base.with_numbers(list(numbers.T)) if own else base
+    return measured(run, scene, names, y0, np.stack(paths, axis=-1), run.until)
+
+
+def measured(
+    run: FixedStepRun,
+    scene: Scene,
+    names: Sequence[str],
+    y0: np.ndarray,
+    states: Iterable[np.ndarray],
+    times: np.ndarray,
+) -> Result:
+    """Return the result from the states (d, m) after each interval, which are looked at where a time is saved."""
+    carry = run.request.carry
     with np.errstate(all="ignore"):
-        watch = Watch(scene, r.carry, names, furthest(scene, r.carry, y0, run._end), y0)
+        watch = Watch(scene, carry, names, furthest(scene, carry, y0, run._end), y0)
         marks = watch.begun
-        for y, t in zip(np.stack(paths, axis=-1), run.later, strict=True):
-            x = scene.unpack(y, r.carry)
-            marks = watch.at(marks, x, y, t)
+        for y, t in zip(states, times.tolist(), strict=True):
+            if not math.isnan(t):
+                x = scene.unpack(scene.components(y), carry)
+                marks = watch.at(marks, x, y, t)
         return watch.result(marks, x, y)
 
 

@@ -58,7 +58,7 @@ class ContactMethod(FixedStep):
         return modified_hamiltonian(scene, self.composition, x, h)
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        key = self, scene.kind, "R" in scene.carry(carry)
+        key = self, scene.kind, "R" in (scene.optional if carry is None else carry)
         if key not in _costs:
             kind = self.kind_on(scene)
             kinds = (kind, *(["attitude"] if kind == "rotation" and key[-1] else []))

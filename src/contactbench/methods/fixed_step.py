@@ -15,7 +15,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
+from contactbench.methods.loops import Plain, Recorded, StepLoop
 from contactbench.methods.many import SITE_LOOPS
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
@@ -114,8 +114,6 @@ class FixedStep(Method):
 
     def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:
         """Raise `BadInput` unless a user's step map takes a state of the scene to a state of the same fields."""
-        if is_fixed(self):  # what this package brings has tests of its own
-            return
         x, h, what = scene.initial(carry), TRIED * scene.t_end, f"method {self.name!r}"
         with their_code(what):
             try:

@@ -129,10 +129,6 @@ class Traced(StepLoop):
     def key(self) -> tuple[Any, ...]:
         return ()
 
-    @property
-    def seconds(self) -> float:  # type: ignore[override]
-        return self.xla.seconds
-
     def record_tangent(self) -> None:
         """Nothing: the program is differentiated."""
 
@@ -140,12 +136,13 @@ class Traced(StepLoop):
         if not hasattr(self.xla, "program"):
             room = self.xla.room(len(n))
             self.xla.compile(self.states, self.spans(h, n, room), room)
+            self.seconds = self.xla.seconds
         return len(n), self.spans(h, n, self.xla.capacity)
 
     def spans(self, h: np.ndarray, n: np.ndarray, room: int) -> Any:
         padded = np.zeros((2, room))
         padded[:, : len(n)] = h, n
-        return self.xla.place(self.xla.together(self.numbers, *padded))
+        return self.xla.place(self.xla.together(self.scene.numbers(), *padded))
 
     def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
         k, fixed = ready

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -59,18 +59,16 @@ class Request:
         return np.array(self.scene.pack(self.scene.initial(self.carry)), dtype=float)
 
     @property
-    def control(self) -> str:
-        return "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
-
-    @property
-    def value(self) -> float:
-        return self.step or self.rtol or 0.0
+    def asked(self) -> tuple[str, float]:
+        """Return what is set, "step", "rtol" or nothing, "exact", and its value."""
+        control = "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
+        return control, self.step or self.rtol or 0.0
 
     @cached_property
     def setting(self) -> str:
         if self.steps is not None:
             return f"{len(self.steps)} steps of {self.steps.min():.6g} to {self.steps.max():.6g}"
-        return setting_key(self.control, self.value)
+        return setting_key(*self.asked)
 
 
 @dataclass(slots=True)
@@ -147,15 +145,21 @@ class Prepared(ABC):
         #: the saved times > 0
         self.later = r.save_at[1:] if self.saves_start else r.save_at
 
+    #: the whole call from a packed state, of a loop that sees by itself whether anything can be wrong
+    at_once: ClassVar[Callable[[np.ndarray], Solution] | None] = None
+
     def __call__(self, **data: Any) -> Solution:
         y0 = self.packed(data) if data else self.start
-        if (solution := self.at_once(y0)) is not None:
-            return solution
-        if data:
+        at_once = self.at_once
+        return at_once(y0) if at_once else self.solved(y0, self.integrate)
+
+    def solved(self, y0: np.ndarray, integrate: Callable[[np.ndarray], Outcome]) -> Solution:
+        """Return the solution from a packed state, everything looked at that can be wrong."""
+        if y0 is not self.start:
             require_slope(self.request.scene, self.request.scene.unpack(y0.tolist(), self.request.carry))
             self.require_clock(y0)
         try:
-            out = self.integrate(y0)
+            out = integrate(y0)
         except BaseException as error:
             raise blame(f"{self.method} on scene {self.request.scene.name!r}", error) from error.__cause__
         out = self.audit(y0, out)
@@ -168,14 +172,11 @@ class Prepared(ABC):
     ) -> dict[str, Any]:
         """Return all of a `Solution` but its states."""
         r, (chosen, longest) = self.request, steps
-        settings = {"control": r.control, "value": r.value, "step_chosen": chosen, "step": longest}
+        control, value = r.asked
+        settings = {"control": control, "value": value, "step_chosen": chosen, "step": longest}
         ended = {"status": status, "message": message, "counts": counts, "end_time": end}
         run = {"scene": r.scene, "method": self.method, "engine": r.engine, "carry": r.carry, "t": r.save_at}
         return {**run, "run": self, **ended, **settings}
-
-    def at_once(self, y0: np.ndarray) -> Solution | None:
-        """Return a run that is known to be `ok`; None: it is to be looked at."""
-        return None
 
     def packed(self, data: Mapping[str, Any]) -> np.ndarray:
         """Return the initial state with other initial data, packed; raises `BadInput`."""

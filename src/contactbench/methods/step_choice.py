@@ -78,7 +78,7 @@ class ChosenStep(Prepared):
             evaluations = sum(pilot.evaluations for pilot in pilots)
             known = [pilot.y for pilot in pilots if pilot.steps == self.run.needed]
             if known:
-                out = self.run.judge(y0, known[0], self.run.totals)
+                out = self.run.outcome(y0, known[0], self.run.totals)
             else:
                 out = self.run.integrate(y0)
                 evaluations += out.counts.evaluations or 0
