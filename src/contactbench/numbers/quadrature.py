@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.protocol import abilities
+from contactbench.numbers.protocol import Namespace, has_digits
 
 STAGES = 8
 #: of the coefficients on doubles
@@ -46,15 +46,15 @@ def gauss_on_doubles() -> Rule:
     return [*map(float, nodes)], [*map(float, weights)], [[*map(float, row)] for row in matrix]
 
 
-def rule(xp: Any) -> Rule:
-    return gauss(xp.dps) if abilities(xp).digits else gauss_on_doubles()
+def rule(xp: Namespace) -> Rule:
+    return gauss(xp.dps) if has_digits(xp) else gauss_on_doubles()
 
 
 def weigh(weights: list[Any], values: list[Any]) -> Any:
     return sum(w * v for w, v in zip(weights, values, strict=True))
 
 
-def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> tuple[Any, Any]:
+def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> tuple[Any, Any]:
     """G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ of a rate γ(t), by one step on G' = γ, φ' = e^{−G}."""
     nodes, weights, matrix = rule(xp)
     values = [rate(t + c * h) for c in nodes]
@@ -62,7 +62,7 @@ def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> tuple[Any,
     return h * weigh(weights, values), h * weigh(weights, kept)
 
 
-def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> Any:
+def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> Any:
     """∫_t^{t+h} γ over a span of any length, on plain numbers or arrays: halved until it no longer changes."""
     nodes, weights, _ = rule(xp)
     before = None
