@@ -75,7 +75,7 @@ class FixedStepRun(Prepared):
                 return of(ended, date(y0, y) if dated else y, y0)
             return self.solved(y0, lambda y0: self.outcome(y0, y[first:], self.totals))
 
-        self.at_once = at_once  # type: ignore[misc]
+        self.at_once = at_once
 
     def divide(self, step: float) -> None:
         #: which intervals of equal steps end at saved times: all of them, but of prescribed steps

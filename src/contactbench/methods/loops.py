@@ -315,7 +315,8 @@ class Recorded(StepLoop):
             y = self.loop.states(self.scene, start, h, n)
         else:
             y = np.empty((len(n), len(start)))
-            self.loop.execute(start, *rows, y.reshape(-1), total(n))
+            w, shape = rows
+            self.loop.execute(start, w, shape, y.reshape(-1), total(n))
         return spent(y) if self.counted else (y, None)
 
     def last(self, ready: Any) -> Callable[[np.ndarray], np.ndarray]:

@@ -215,7 +215,7 @@ class FieldLoop(Loop):
 
     def states(self, scene: Any, y0: np.ndarray, h: Any, n: Any) -> np.ndarray:
         """Return packed states after each interval, (k, d), each maybe with its tangent after it."""
-        return self.steps(scene, y0, h, n, watch=False)[:, : y0.size]
+        return self.steps(scene, y0, h, n, False)[:, : y0.size]
 
     def steps(self, scene: Any, y: np.ndarray, h: Any, n: Any, watch: bool) -> np.ndarray:
         """Return the states, each followed by what was seen of the first start and of every end."""
@@ -296,16 +296,16 @@ class Sweeps(StepLoop):
 
     def watched(self, ready: Any, steps: int, starts: bool) -> Watched | None:
         """As in `StepLoop`: looking at the states once more takes as long as a few steps."""
-        loop, bounds = self.loop, self.scene.bounds_energy
+        loop, bounds, (h, n) = self.loop, self.scene.bounds_energy, ready
         if not loop.seen:
             return None
 
         def watched(y0: np.ndarray) -> tuple[np.ndarray, bool]:
-            found = loop.steps(self.scene, y0, *ready, watch=True)
+            found = loop.steps(self.scene, y0, h, n, True)
             y, start, end = np.split(found, [len(y0), len(y0) + SEEN], axis=1)
             with np.errstate(over="ignore"):
                 small, rises = end[:, 0] <= DIVERGENCE**2, end[-1, 1] > start[0, 1] + start[0, 2]
-            fine = small.all() and np.isfinite(end[:, 1]).all() and not (rises and bounds)
+            fine = bool(small.all() and np.isfinite(end[:, 1]).all() and not (rises and bounds))
             return np.concatenate([y0[None], y]) if starts else y, fine
 
         return watched

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from contactbench.checks import finite, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.registry import Registry
-from contactbench.scene import Cache, Scene, key, norm
+from contactbench.scene import AnyState, Cache, Scene, key, norm, verify
 from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
 
 #: name → method, each a `base.Method`
@@ -139,14 +139,13 @@ class Prepared(ABC):
         self.start = r.start
         self._motion, self._clock, self._end = r.scene.motion, r.scene.clock, float(r.save_at[-1])
         self._saves = len(r.save_at)
+        #: the whole call from a packed state, of a loop that sees by itself whether anything can be wrong
+        self.at_once: Callable[[np.ndarray], Solution] | None = None
         #: times since the start that no step straddles, and how exact they are
         self.breaks = r.scene.breaks_until(self._end)
         self.saves_start = r.save_at[0] == 0
         #: the saved times > 0
         self.later = r.save_at[1:] if self.saves_start else r.save_at
-
-    #: the whole call from a packed state, of a loop that sees by itself whether anything can be wrong
-    at_once: ClassVar[Callable[[np.ndarray], Solution] | None] = None
 
     def __call__(self, **data: Any) -> Solution:
         y0 = self.packed(data) if data else self.start
@@ -401,7 +400,9 @@ _started: Cache[bool] = Cache(1024)
 
 
 def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
-    """Raise as `require_slope` does of the scene's own start, once for each."""
+    """Raise `BadInput` for a scene that no solver can start from, once for each."""
+    if scene.has_users_functions:
+        verify(scene)
 
     def passes() -> bool:
         require_slope(scene, scene.initial(carry))
