@@ -16,6 +16,10 @@ from contactbench.scene import Scene, rotation_matrix
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
+
+    from contactbench.methods.prepared import Prepared
+    from contactbench.truth.reference import Reference
 
 
 class Status(StrEnum):
@@ -114,7 +118,7 @@ class Differential(NamedTuple):
         if not self.taken:
             raise BadInput(f"no derivative of the numerical map: {self.source}")
         if len(self.estimates) == 1:
-            return self.estimates[0]
+            return np.asarray(self.estimates[0])
         gaps = np.abs(np.diff(self.estimates, axis=0)).max(axis=(1, 2))
         return np.stack([self.estimates[best, :, :, j] for j, best in enumerate(closest(gaps))], axis=-1)
 
@@ -172,7 +176,7 @@ class Solution:
     counts: Counts = field(default_factory=Counts)
     end_time: float = float("nan")
     #: the `Prepared` that made it, which can be differentiated
-    run: Any = None
+    run: Prepared | None = None
     #: what was set, "step" or "rtol", and its value
     control: str = EXACT
     value: float = 0.0
@@ -180,7 +184,7 @@ class Solution:
     step_chosen: float = float("nan")
     step: float = float("nan")
     #: the `Reference` at its times, where it is known already; else the laws ask for it
-    truth: Any = None
+    truth: Reference | None = None
 
     @staticmethod
     def of(ending: dict[str, Any], y: np.ndarray, y0: np.ndarray) -> Solution:
@@ -224,7 +228,7 @@ class Solution:
             rows["end"] = ", ".join(f"{name} = {y:.6g}" for name, y in last)
         return html_table(rows, self.scene.name)
 
-    def plot(self) -> Any:
+    def plot(self) -> Figure:
         """Draw the run and return the matplotlib figure: the motion over time, its phase portrait, the energies.
 
         H0, and where the scene has a contact Hamiltonian with a known decay H beside its law H(0) e^{−∫Γ'}.

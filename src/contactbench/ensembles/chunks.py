@@ -9,11 +9,11 @@ from concurrent import futures
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.ensembles.members import Watch, furthest
+from contactbench.ensembles.members import Array, Marks, Watch, furthest
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
@@ -24,7 +24,12 @@ from contactbench.methods.many import SHARED, loop_on
 from contactbench.methods.prepared import Request
 from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Cache, Scene, key
+from contactbench.scene import AnyState, Cache, Scene, key
+
+if TYPE_CHECKING:
+    from jaxtyping import PyTree
+
+    from contactbench.xla import jax
 
 ENGINES = ("numba", "jax")
 #: trajectories in a task of an executor, whose number of workers is not known
@@ -46,7 +51,7 @@ AXIS = "trajectories"
 Result = tuple[np.ndarray, np.ndarray, np.ndarray]
 #: values (n,) of parameters that differ from one trajectory to the next, by their place among the scene's numbers
 Own = dict[int, np.ndarray]
-_programs: Cache[Callable[..., Any]] = Cache(256)
+_programs: Cache[Callable[..., tuple[jax.Array, ...]]] = Cache(256)
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,7 @@ def on_cores(
     """Yield the results of chunks of one size, of which a few are begun ahead, so that no core waits for another."""
     scene: Any = run.request.scene
     own = own or {}
-    work: Any
+    work: Callable[..., Result]
     if scene.by_sites:
         chunk = min(chunk, max(1, AT_ONCE // (len(run.n) * len(y0))))
         cores = cores if scene.sites < SHARED else 1
@@ -200,7 +205,8 @@ def measured(
             if not math.isnan(t):
                 x = scene.unpack(scene.components(y), carry)
                 marks = watch.at(marks, x, y, t)
-        return watch.result(marks, x, y)
+        y, measures, end = map(np.asarray, watch.result(marks, x, y))
+    return y, measures, end
 
 
 # -- by JAX ------------------------------------------------------------------------------------------
@@ -224,7 +230,7 @@ def on_devices(
 
     cut, whole = PartitionSpec(None, AXIS), PartitionSpec()
 
-    def make() -> Callable[..., Any]:
+    def make() -> Callable[..., tuple[jax.Array, ...]]:
         share = share_of(run, names, places, tile)
         taken, given = (cut, cut, cut, whole, whole), (cut, cut, PartitionSpec(AXIS))
         return jax.jit(jax.shard_map(share, mesh=mesh, in_specs=taken, out_specs=given, check_vma=False))
@@ -234,9 +240,9 @@ def on_devices(
     individual = np.array([*own.values()]).reshape(len(own), n)
     numbers = np.array(r.scene.numbers())
 
-    def begin(part: slice) -> Any:
+    def begin(part: slice) -> tuple[jax.Array, ...]:
         filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
-        values: list[Any] = list(r.scene.numbers())
+        values: list[float | np.ndarray] = list(r.scene.numbers())
         for place, each in own.items():
             values[place] = each[part]
         bound = furthest(r.scene.with_numbers(values), r.carry, y0[:, part], run._end)
@@ -252,23 +258,27 @@ def on_devices(
         yield tuple(np.asarray(a)[..., : part.stop - part.start] for a in out)  # type: ignore[misc]
 
 
-def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], tile: int) -> Callable[..., Any]:
+def share_of(
+    run: FixedStepRun, names: Sequence[str], places: Sequence[int], tile: int
+) -> Callable[..., tuple[jax.Array, ...]]:
     """Return the function of one device: its part of a chunk, tile by tile."""
     from contactbench.xla import jax, jnp, lax
 
     base, carry, xp = run.request.scene, run.request.carry, XlaNumbers()
 
-    def packed(scene: Any, x: Any) -> Any:
+    def packed(scene: Scene, x: AnyState) -> Any:
         return jnp.stack(list(scene.pack(x))) if not scene.by_sites else scene.pack(x)
 
-    def one_tile(y0: Any, bound: Any, own: Any, numbers: Any, spans: Any) -> Any:
+    def one_tile(
+        y0: jax.Array, bound: jax.Array, own: jax.Array, numbers: jax.Array, spans: PyTree
+    ) -> tuple[Array, Array, Array]:
         values = list(numbers)
         for place, value in zip(places, own, strict=True):
             values[place] = value
         scene = base.with_numbers(values)
         watch = Watch(scene, carry, names, bound, y0, jnp)
 
-        def span(carried: Any, interval: Any) -> Any:
+        def span(carried: tuple[AnyState, Marks], interval: PyTree) -> tuple[tuple[AnyState, Marks], None]:
             (x, marks), (h, n, t) = carried, interval
             # parameters of its own give every trajectory stage constants of its own
             h = jnp.broadcast_to(h, tile) if places else h
@@ -279,7 +289,9 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
         (x, marks), _ = lax.scan(span, (watch.start, watch.begun), spans)
         return watch.result(marks, x, packed(scene, x))
 
-    def share(y0: Any, bound: Any, own: Any, numbers: Any, spans: Any) -> Any:
+    def share(
+        y0: jax.Array, bound: jax.Array, own: jax.Array, numbers: jax.Array, spans: PyTree
+    ) -> tuple[jax.Array, ...]:
         tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, bound, own)]
         y, measures, end = lax.map(lambda a: one_tile(a[0], a[1], a[2], numbers, spans), tiles)
         return *(a.swapaxes(0, 1).reshape(a.shape[1], -1) for a in (y, measures)), end.reshape(-1)
@@ -288,10 +300,12 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
 
 
 # -- by an executor ------------------------------------------------------------------------------------
-def spread(executor: Executor, task: Any, y0: Any, own: Own, size: int) -> Iterator[tuple[int, Result]]:
+def spread(
+    executor: Executor, task: Task, y0: np.ndarray, own: Own, size: int
+) -> Iterator[tuple[int, Result]]:
     """Yield (first trajectory, result) of chunks; one that its worker lost is given again, `ATTEMPTS` times in all."""
     lost: Counter[int] = Counter()
-    pending: dict[Future[Any], int] = {}
+    pending: dict[Future[Result | Exception], int] = {}
 
     def begin(first: int) -> None:
         part = slice(first, first + size)

@@ -31,7 +31,7 @@ from contactbench.peers.cyrk import Cyrk
 from contactbench.scene import Scene
 
 #: ``(x, v) -> (x, v, evaluations)``: states (d, n) and tangents (m, d, n) over one interval, and what it cost, (n,)
-TangentMap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, Any]]
+TangentMap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, float | np.ndarray]]
 MOST_INTERVALS = 10**7
 #: log of how many times as much one tangent may grow as another in an interval: rounding takes e^16 ε = 2·10⁻⁹ of
 #: what grows least
@@ -227,10 +227,10 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
 
     def ends(starts: np.ndarray) -> np.ndarray:
         if rows is not None:
-            return loop.side_by_side(starts, *rows)[-1]
+            return np.asarray(loop.side_by_side(starts, *rows)[-1])
         return np.stack([loop.states(r.scene, start, run.h, run.n)[-1] for start in starts.T], axis=-1)
 
-    def follow(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
+    def follow(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float | np.ndarray]:
         m, d, n = v.shape
         end = ends(np.concatenate([np.tile(x, m), np.concatenate(v, axis=1)]))
         return end[:d, :n], np.array(np.split(end[d:], m, axis=1)), evaluations
@@ -242,7 +242,7 @@ def one_by_one(run: PeerRun) -> TangentMap:
     larger: Any = run.variational().call
     clock = larger.scene.clock
 
-    def follow(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
+    def follow(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float | np.ndarray]:
         m, d, n = v.shape
         moved = v if clock is None else np.delete(v, clock, axis=1)
         outcomes = larger.many(np.ascontiguousarray(np.concatenate([x, moved.reshape(-1, n)]).T))

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactbench.methods.loops import StepLoop, is_fixed, total
 from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.methods.prescribed import EQUAL, GRID_ULPS, plateaus
+from contactbench.numbers.protocol import Arithmetic
+from contactbench.scene import AnyState
 from contactbench.solution import Counts, Solution, Status
+
+if TYPE_CHECKING:
+    from contactbench.methods.fixed_step import FixedStep
 
 #: more steps than any budget allows are counted as this many
 UNCOUNTED = 2**50
 
 
-def steps_in(span: Any, until: Any, step: float) -> Any:
+def steps_in(span: float | np.ndarray, until: float | np.ndarray, step: float) -> np.ndarray:
     """The fewest equal steps ≤ `step` that cover each span, but for round-off of the time `until` at which it ends."""
     longest = np.maximum(step, span / (2 * UNCOUNTED))
     ratio = (span * (1 - 1e-12) - GRID_ULPS * np.spacing(until)) / longest
@@ -38,8 +43,8 @@ class FixedStepRun(Prepared):
         What takes the steps; without one the run only divides time.
     """
 
-    method_: Any
-    loop: StepLoop = None  # type: ignore[assignment]
+    method_: FixedStep
+    loop: StepLoop[Any] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -59,7 +64,7 @@ class FixedStepRun(Prepared):
                 self.loop.record_tangent()
             self.shorten(self.loop)
 
-    def shorten(self, loop: StepLoop) -> None:
+    def shorten(self, loop: StepLoop[Any]) -> None:
         """Make of the calls for these steps, where nothing else is to be done, closures of all they need."""
         self.bare = loop.last(self.ready)  # type: ignore
         simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
@@ -79,7 +84,7 @@ class FixedStepRun(Prepared):
 
     def divide(self, step: float) -> None:
         #: which intervals of equal steps end at saved times: all of them, but of prescribed steps
-        self.saved: Any = slice(None)
+        self.saved: slice | np.ndarray = slice(None)
         if self.request.steps is not None:
             self.h, self.n, self.saved = plateaus(self.request.steps, self.ends)
         else:
@@ -198,7 +203,7 @@ class FixedStepRun(Prepared):
             return None
         return np.append([0.0] if self.saves_start else [], np.cumsum(known)[self.saved])
 
-    def modified_hamiltonian(self, x: Any) -> Any | None:
+    def modified_hamiltonian(self, x: AnyState) -> Arithmetic | None:
         """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
         if np.ptp(self.h) > EQUAL * self.h[0]:
             return None

@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from contactbench.blame import is_ours
 from contactbench.methods.prepared import NO_NUMBER, Request, stopwatch
+from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Cache, Scene, key
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Function, execute, lines
@@ -37,6 +38,11 @@ FEW_LANES, LONG_PROGRAM = 4, 2000
 
 #: all states of a run from the first one, and whether nothing can be wrong with them
 Watched = Callable[[np.ndarray], tuple[np.ndarray, bool]]
+#: intervals of n steps of size h: as they are; and as arrays, with the arguments of the loop unless they are too many
+Spans = list[tuple[float, int]]
+Rows = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]
+#: how many steps: a loop of an engine of its own counts in numbers of its own
+Count = int | Arithmetic
 
 
 def total(n: np.ndarray) -> int:
@@ -44,7 +50,18 @@ def total(n: np.ndarray) -> int:
     return int(np.add.reduce(n, dtype=float))
 
 
-class StepLoop(ABC):
+class Steps(Hashable, Protocol):
+    """What a loop asks of a method, which is usually a `FixedStep`."""
+
+    iterates: ClassVar[bool]
+
+    def advance(
+        self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = ...
+    ) -> AnyState:
+        """Return the state after n ≥ 1 steps of size h."""
+
+
+class StepLoop[Ready](ABC):
     """Take the steps of a method on a scene, by one engine.
 
     1. ``ready(h, n)`` is all that depends on the steps alone, intervals of n[k] of size h[k].
@@ -68,23 +85,23 @@ class StepLoop(ABC):
     #: spent on recording and compiling
     seconds = 0.0
 
-    def __init__(self, method: Any, request: Request) -> None:
+    def __init__(self, method: Steps, request: Request) -> None:
         self.method, self.scene, self.carry = method, request.scene, request.carry
         self.counted = method.iterates
 
     @abstractmethod
-    def ready(self, h: np.ndarray, n: np.ndarray) -> Any:
+    def ready(self, h: np.ndarray, n: np.ndarray) -> Ready:
         """Return what depends on the steps alone."""
 
     @abstractmethod
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+    def take(self, y0: np.ndarray, ready: Ready) -> tuple[np.ndarray, int | None]:
         """Return the states after each interval and the evaluations made."""
 
-    def last(self, ready: Any) -> Callable[[np.ndarray], np.ndarray]:
+    def last(self, ready: Ready) -> Callable[[np.ndarray], np.ndarray]:
         """Return the function from the first state to the last."""
         return lambda y0: self.take(y0, ready)[0][-1]
 
-    def watched(self, ready: Any, steps: int, starts: bool) -> Watched | None:
+    def watched(self, ready: Ready, steps: int, starts: bool) -> Watched | None:
         """Return the function that gives all states, and whether nothing can be wrong with them."""
         return None
 
@@ -104,7 +121,7 @@ class StepLoop(ABC):
         return self.tangents.states(self.scene, np.concatenate([y0, v]), h, n)[:, len(y0) :]
 
 
-def interruptible(work: Callable[[], None], stop: Callable[[], None], long: bool) -> None:
+def interruptible(work: Callable[[], object], stop: Callable[[], None], long: bool) -> None:
     """Call `work`; where that takes long in a thread of its own, which ends by `stop` with what comes over this one."""
     if not long or threading.current_thread() is not threading.main_thread():
         work()
@@ -122,7 +139,7 @@ def interruptible(work: Callable[[], None], stop: Callable[[], None], long: bool
 
 # -- the loop over steps, recorded from a method on a scene ------------------------------------------
 def program_of(
-    method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
+    method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
 ) -> Program:
     """Return the recorded loop of a method on a scene; raises `CannotRecord` where one of them branches on values.
 
@@ -130,21 +147,28 @@ def program_of(
     """
     d = len(scene.labels(carry))
 
-    def interval(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+    def interval(
+        numbers: Sequence[Arithmetic],
+        h: Arithmetic,
+        n: Count,
+        y: Sequence[Arithmetic],
+        xp: Namespace,
+        repeat: Repeat,
+    ) -> list[Arithmetic]:
         if tangent:
-            y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)
+            y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)  # type: ignore[arg-type]
         start, twin = scene.unpack(y[:d], carry), scene.with_numbers(numbers)
         if counted:
-            x, spent = method.advance_counted(twin, start, h, n, xp, repeat)
+            x, spent = method.advance_counted(twin, start, h, n, xp, repeat)  # type: ignore[attr-defined]
             return [*scene.pack(x), y[d] + spent]
         end = scene.pack(method.advance(twin, start, h, n, xp, repeat))
         return [*map(value, end), *map(slope, end)] if tangent else end
 
-    def slope_at(numbers: Any, y: Any) -> list[Any]:
+    def slope_at(numbers: Sequence[Arithmetic], y: Sequence[Arithmetic]) -> list[Arithmetic]:
         twin = scene.with_numbers(numbers)
         return twin.pack(twin.rhs(twin.unpack(y[:d], carry)))
 
-    def energy_at(numbers: Any, y: Any) -> tuple[Any, Any]:
+    def energy_at(numbers: Sequence[Arithmetic], y: Sequence[Arithmetic]) -> tuple[Arithmetic, Arithmetic]:
         twin = scene.with_numbers(numbers)
         x = twin.unpack(y[:d], carry)
         return twin.energy(x), twin.energy_terms(x)
@@ -161,7 +185,7 @@ def is_fixed(method: Any) -> bool:
     return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
 
 
-def identity(method: Any, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
+def identity(method: Steps, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
     """What a compiled loop depends on besides the numbers, by recording a user's map; None where nobody can tell."""
     if (own := scene.identity) is None:
         return None
@@ -182,23 +206,24 @@ class Loop:
         self.seconds = seconds
         self._rows: Cache[tuple[np.ndarray, np.ndarray]] = Cache(KEPT)
 
-    def compiled(self, function: Function, **options: Any) -> Any:
+    def compiled(self, function: Function, **options: Any) -> Callable[..., int]:
         elapsed = stopwatch()
-        made = compile_function(function, **options)
+        made: Callable[..., int] = compile_function(function, **options)
         self.seconds += elapsed()
         return made
 
     @cached_property
-    def run(self) -> Any:
+    def run(self) -> Callable[..., int]:
         return self.compiled(self.program.run)
 
     @cached_property
-    def setup(self) -> Any:
+    def setup(self) -> Callable[..., int]:
         return self.compiled(self.program.setup, fused=False)
 
     @cached_property
-    def setup_in_python(self) -> Any:
-        return execute(self.program.setup)
+    def setup_in_python(self) -> Callable[..., None]:
+        made: Callable[..., None] = execute(self.program.setup)
+        return made
 
     @cached_property
     def lanes(self) -> int:
@@ -206,7 +231,7 @@ class Loop:
         return LANES if sum(1 for _ in lines(self.program.many.body)) <= LONG_PROGRAM else FEW_LANES
 
     @cached_property
-    def many(self) -> Any:
+    def many(self) -> Callable[..., int]:
         return self.compiled(self.program.many, lanes=self.lanes)
 
     @cached_property
@@ -274,7 +299,7 @@ _loops: Cache[Loop] = Cache(1024)
 
 
 def loop_of(
-    method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
+    method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
 ) -> Loop:
     """Return the recorded loop of a method on a scene; one for all scenes of one identity.  Raises `CannotRecord`."""
 
@@ -287,12 +312,12 @@ def loop_of(
 
 
 # -- by numba ----------------------------------------------------------------------------------------
-class Recorded(StepLoop):
+class Recorded(StepLoop[Rows]):
     """By the recorded loop, compiled."""
 
     derivative = "forward-mode AD through the numerical map"
 
-    def __init__(self, method: Any, request: Request) -> None:
+    def __init__(self, method: Steps, request: Request) -> None:
         super().__init__(method, request)
         self.numbers = np.array(self.scene.numbers())
         self.loop = loop_of(method, self.scene, self.carry, counted=self.counted)
@@ -301,14 +326,14 @@ class Recorded(StepLoop):
     def divides_often(self) -> None:
         self.loop.setup  # noqa: B018, compiled now
 
-    def ready(self, h: np.ndarray, n: np.ndarray) -> Any:
+    def ready(self, h: np.ndarray, n: np.ndarray) -> Rows:
         """Return the steps, and the arguments of the loop where they are not too many to be kept."""
         few = len(n) * self.loop.program.width <= AHEAD
         rows = self.loop.rows(self.numbers, h, n) if few else None
         self.seconds = self.loop.seconds
         return h, n, rows
 
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+    def take(self, y0: np.ndarray, ready: Rows) -> tuple[np.ndarray, int | None]:
         h, n, rows = ready
         start = np.append(y0, 0.0) if self.counted else y0
         if rows is None:
@@ -319,7 +344,7 @@ class Recorded(StepLoop):
             self.loop.execute(start, w, shape, y.reshape(-1), total(n))
         return spent(y) if self.counted else (y, None)
 
-    def last(self, ready: Any) -> Callable[[np.ndarray], np.ndarray]:
+    def last(self, ready: Rows) -> Callable[[np.ndarray], np.ndarray]:
         _, n, rows = ready
         if rows is None or self.counted:
             return super().last(ready)
@@ -334,7 +359,7 @@ class Recorded(StepLoop):
 
         return last
 
-    def watched(self, ready: Any, steps: int, starts: bool) -> Watched | None:
+    def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
         _, n, rows = ready
         if rows is None or self.counted or not self.loop.program.watched or self.loop.is_long(steps):
             return None
@@ -359,7 +384,7 @@ def spent(y: np.ndarray) -> tuple[np.ndarray, int | None]:
 
 
 # -- by Python ---------------------------------------------------------------------------------------
-class Plain(StepLoop):
+class Plain(StepLoop[Spans]):
     """Plain Python floats: the loop numba compiles, or where it cannot be recorded the step map, ten times as slow.
 
     Of many sites the step map on NumPy's arrays.
@@ -367,7 +392,7 @@ class Plain(StepLoop):
 
     program: Program | None = None
 
-    def __init__(self, method: Any, request: Request, recorded: bool = True) -> None:
+    def __init__(self, method: Steps, request: Request, recorded: bool = True) -> None:
         super().__init__(method, request)
         if not recorded or self.scene.by_sites:
             return
@@ -377,10 +402,10 @@ class Plain(StepLoop):
             self.setup, self.run = execute(program.setup), execute(program.run)
             self.program, self.seconds = program, elapsed()
 
-    def ready(self, h: np.ndarray, n: np.ndarray) -> list[tuple[float, int]]:
+    def ready(self, h: np.ndarray, n: np.ndarray) -> Spans:
         return list(zip(h.tolist(), n.tolist(), strict=True))
 
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+    def take(self, y0: np.ndarray, ready: Spans) -> tuple[np.ndarray, int | None]:
         y = None
         if self.program is not None:
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
@@ -392,9 +417,7 @@ class Plain(StepLoop):
                     y[k] = after
         return spent(y) if self.counted else (y, None)
 
-    def run_program(
-        self, program: Program, y: list[float], spans: list[tuple[float, int]]
-    ) -> list[list[float]]:
+    def run_program(self, program: Program, y: list[float], spans: Spans) -> list[list[float]]:
         numbers, data, shape = self.scene.numbers(), program.data.tolist(), program.shape.tolist()
         rows, w, last = [], [[0.0] * program.width], None
         y = [*y, 0.0] if self.counted else y
@@ -407,19 +430,21 @@ class Plain(StepLoop):
             rows.append(y := after)
         return rows
 
-    def states(self, y0: np.ndarray, spans: list[tuple[float, int]]) -> Iterator[Any]:
+    def states(self, y0: np.ndarray, spans: Spans) -> Iterator[Sequence[float]]:
         x = self.scene.unpack(self.scene.entries(y0), self.carry)
         if not self.counted:
             yield from map(self.scene.pack, trajectory(self.method, self.scene, x, spans, math))
             return
         made = 0
         for h, n in spans:
-            x, more = self.method.advance_counted(self.scene, x, h, n, math)
+            x, more = self.method.advance_counted(self.scene, x, h, n, math)  # type: ignore[attr-defined]
             made += more
             yield [*self.scene.pack(x), made]
 
 
-def trajectory(method: Any, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
+def trajectory(
+    method: Steps, scene: Scene, x: AnyState, spans: Iterable[tuple[Arithmetic, Count]], xp: Namespace
+) -> Iterator[AnyState]:
     """Return the states after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
     for h, n in spans:
         x = method.advance(scene, x, h, n, xp)

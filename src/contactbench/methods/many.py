@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, cached_property
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Loop, Plain, StepLoop, Watched, interruptible, is_fixed, loop_of
+from contactbench.methods.loops import (
+    Loop,
+    Plain,
+    StepLoop,
+    Steps,
+    Watched,
+    interruptible,
+    is_fixed,
+    loop_of,
+)
 from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.scene import Cache, Scene, State, key
 from contactbench.scene.many import Many
 from contactbench.solution import DIVERGENCE
@@ -35,6 +45,10 @@ from contactbench.trace.sweeps import (
     stride_of,
 )
 from contactbench.xla import jax, lax
+
+if TYPE_CHECKING:
+    from jax.sharding import Mesh, NamedSharding
+    from numpy.typing import ArrayLike
 
 #: sites from which on all cores share a sweep
 SHARED = 50_000
@@ -60,8 +74,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
             f, s, xp = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else [], DualNumbers(xp)
         twin = scene.with_numbers(numbers)._replaced(**dict(zip(names, constants, strict=True)))
 
-        def see(k: int, x: Any) -> list[Any]:
-            def look(_: Any) -> list[Any]:
+        def see(k: int, x: State) -> list[Arithmetic]:
+            def look(_: object) -> list[Arithmetic]:
                 return [twin.product(x.q, x.q) + twin.product(x.p, x.p), twin.energy(x), twin.energy_terms(x)]
 
             return repeat(xp.tape.looks[k], look, [0.0] * SEEN) if watch else []
@@ -78,10 +92,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
 
 
 @cache
-def others(count: int) -> Any:
+def others(count: int) -> Executor:
     """Threads beside this one."""
-    from concurrent.futures import ThreadPoolExecutor
-
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
 
 
@@ -153,15 +165,14 @@ class FieldLoop(Loop):
         return data
 
     def arrays(
-        self, scene: Many, numbers: np.ndarray, h: Any = (0.0,), n: Any = (1,)
+        self, scene: Many, numbers: np.ndarray, h: ArrayLike = (0.0,), n: ArrayLike = (1,)
     ) -> dict[str, np.ndarray]:
         """The arrays that the compiled function works on, by name; fields has the constants after the state."""
         program, sites, constants = self.program, scene.sites, scene.constants.values()
         w, shape = self.rows(numbers, np.asarray(h, dtype=float), np.asarray(n))
-        fields: Any = None
-        with suppress(IndexError):
+        try:
             fields = self.spare.get(sites, []).pop()
-        if fields is None:
+        except IndexError:
             fields = np.zeros((program.rows, stride_of(sites)))
         first = 2 * self.packing.dimensions * self.packing.blocks
         for row, constant in zip(fields[first:, : sites + 2 * PAD], constants, strict=False):
@@ -188,7 +199,7 @@ class FieldLoop(Loop):
         arrays = arrays | {"sync": np.zeros(LINE * threads, dtype=np.int64)}
         data = [self.data(scene, arrays, rank, threads) for rank in range(threads)]
 
-        def work(each: np.ndarray, *_: Any) -> None:
+        def work(each: np.ndarray, *_: object) -> None:
             self.run(out.ctypes.data, 0.0, y.ctypes.data, each.ctypes.data)
 
         for each in data[1:]:
@@ -213,11 +224,11 @@ class FieldLoop(Loop):
         shared = self.shares.get((scene.sites, most), False) and monotonic() > REST.until
         return most if shared else 1
 
-    def states(self, scene: Any, y0: np.ndarray, h: Any, n: Any) -> np.ndarray:
+    def states(self, scene: Any, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Return packed states after each interval, (k, d), each maybe with its tangent after it."""
         return self.steps(scene, y0, h, n, False)[:, : y0.size]
 
-    def steps(self, scene: Any, y: np.ndarray, h: Any, n: Any, watch: bool) -> np.ndarray:
+    def steps(self, scene: Any, y: np.ndarray, h: np.ndarray, n: np.ndarray, watch: bool) -> np.ndarray:
         """Return the states, each followed by what was seen of the first start and of every end."""
         numbers = np.array(scene.numbers())
         arrays, out = self.arrays(scene, numbers, h, n), np.empty((len(n), y.size + self.seen))
@@ -242,12 +253,12 @@ class FieldLoop(Loop):
 _loops: Cache[FieldLoop] = Cache(256)
 
 
-def loop_on(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
+def loop_on(method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
     """Return the compiled loop of a method on a scene of any kind; raises `CannotRecord`."""
     return (field_loop if scene.by_sites else loop_of)(method, scene, carry, tangent)
 
 
-def field_loop(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
+def field_loop(method: Steps, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
     """The loop of a method; `CannotRecord`, also where numba is told not to compile."""
     packing = Packing(scene.dimensions, "s" in carry, 1 + tangent)
     known = (method, scene.equations) if is_fixed(method) and scene.identity is not None else None
@@ -275,12 +286,12 @@ class Arrays(Plain):
         return field_loop(self.method, self.scene, self.carry, tangent=True)
 
 
-class Sweeps(StepLoop):
+class Sweeps(StepLoop[tuple[np.ndarray, np.ndarray]]):
     """By sweeps over the sites, compiled by LLVM."""
 
     derivative = "forward-mode AD through the numerical map"
 
-    def __init__(self, method: Any, request: Request) -> None:
+    def __init__(self, method: Steps, request: Request) -> None:
         super().__init__(method, request)
         self.loop = field_loop(method, self.scene, self.carry)
         self.loop.sweeps  # noqa: B018, compiled now
@@ -291,10 +302,10 @@ class Sweeps(StepLoop):
     def ready(self, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return h, n
 
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+    def take(self, y0: np.ndarray, ready: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, int | None]:
         return self.loop.states(self.scene, y0, *ready), None
 
-    def watched(self, ready: Any, steps: int, starts: bool) -> Watched | None:
+    def watched(self, ready: tuple[np.ndarray, np.ndarray], steps: int, starts: bool) -> Watched | None:
         """As in `StepLoop`: looking at the states once more takes as long as a few steps."""
         loop, bounds, (h, n) = self.loop, self.scene.bounds_energy, ready
         if not loop.seen:
@@ -315,7 +326,7 @@ class Meshes(Traced):
     """By JAX; many sites are divided evenly among all devices, on one CPU where threads would do so."""
 
     @cached_property
-    def mesh(self) -> Any:
+    def mesh(self) -> Mesh | None:
         from jax.sharding import Mesh
 
         devices, sites = jax.devices(), self.scene.sites  # type: ignore[attr-defined]
@@ -323,28 +334,29 @@ class Meshes(Traced):
         alone = jax.process_count() == 1 and devices[0].platform == "cpu" and threads_for(sites) == 1
         return Mesh(np.array(devices), ("sites",)) if even and not alone else None
 
-    def along(self, *axes: str) -> Any:
+    def along(self, *axes: str) -> NamedSharding | None:
         from jax.sharding import NamedSharding, PartitionSpec
 
-        return self.mesh and NamedSharding(self.mesh, PartitionSpec(*axes))
+        return None if self.mesh is None else NamedSharding(self.mesh, PartitionSpec(*axes))
 
     @cached_property
-    def everywhere(self) -> Any:  # type: ignore[override]
+    def everywhere(self) -> NamedSharding | None:  # type: ignore[override]
         return self.along()
 
-    def key(self) -> tuple[Any, ...]:
+    def key(self) -> tuple[Hashable, ...]:
         return (self.mesh,)
 
-    def start_of(self, scene: Any, y0: Any) -> Any:
-        x, divided = super().start_of(scene, y0), self.along("sites")
+    def start_of(self, scene: Scene, y0: jax.Array) -> Any:
+        x: Any = super().start_of(scene, y0)
+        divided = self.along("sites")
         if self.mesh is None:
             return x
         q, p = (tuple(lax.with_sharding_constraint(c, divided) for c in part) for part in (x.q, x.p))
         return x._replace(q=q, p=p)
 
-    def states(self, y0: Any, fixed: Any) -> Any:
+    def states(self, y0: jax.Array, fixed: jax.Array) -> jax.Array:
         y = super().states(y0, fixed)
         return y if self.mesh is None else lax.with_sharding_constraint(y, self.everywhere)
 
 
-SITE_LOOPS: dict[str, type[StepLoop]] = {"numba": Sweeps, "jax": Meshes, "python": Arrays}
+SITE_LOOPS: dict[str, type[StepLoop[Any]]] = {"numba": Sweeps, "jax": Meshes, "python": Arrays}

@@ -16,7 +16,7 @@ import numpy as np
 from contactbench.blame import blame, is_ours
 from contactbench.checks import finite, vector
 from contactbench.errors import BadInput, excerpt
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.registry import Registry
 from contactbench.scene import AnyState, Cache, Scene, key, norm, verify
 from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
@@ -33,7 +33,7 @@ class Request:
     """A validated question to a method: what to solve, how finely, and what to save.
 
     steps : those that are prescribed, of which `step` is the longest; None: equal ones between saved times.
-    atol : one number, or one for every component but the time.  scales : what rtol was multiplied by, see `scales_of`;
+    atol : one number, or one for every component but the time.  scales : what rtol was multiplied by, see `to_scale`;
     None where atol was given.
     """
 
@@ -43,14 +43,16 @@ class Request:
     save_at: np.ndarray
     step: float | None = None
     rtol: float | None = None
-    atol: Any = None
+    atol: float | np.ndarray | None = None
     max_steps: int = 10**8
     steps: np.ndarray | None = None
-    scales: Any = None
+    scales: float | np.ndarray | None = None
 
-    def to_scale(self, start: Any, takes_atol: bool) -> Request:
+    def to_scale(self, start: AnyState, takes_atol: bool) -> Request:
         """Return the request with the scales of the motion from a state, and the atol that follows from them."""
-        scales = scales_of(self.scene, start, float(self.save_at[-1]))
+        assert self.rtol is not None
+        each = self.scene.scales(start, float(self.save_at[-1]))
+        scales = 1.0 if (each == 1).all() else each
         return replace(self, scales=scales, atol=self.rtol * scales if takes_atol else None)
 
     @cached_property
@@ -131,7 +133,7 @@ class Prepared(ABC):
         saved = f"{len(r.save_at)} states to t = {r.save_at[-1]:g}"
         return f"<{self.method} on {r.scene.name} ({r.engine}, {r.setting}), prepared: a call gives {saved}>"
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self) -> tuple[object, ...]:
         return prepare_again, (self.method, self.request)
 
     def __post_init__(self) -> None:
@@ -224,7 +226,7 @@ class Prepared(ABC):
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         """Make the solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
-        return self.integrate(y0).y[-1]
+        return np.asarray(self.integrate(y0).y[-1])
 
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.concatenate([y0[None], y]) if self.saves_start else y
@@ -338,7 +340,7 @@ class Prepared(ABC):
         """Saved states (k, d), maybe of a run made anew, and their derivative (k, d, m), of one and the same map."""
         return y, self.sensitivity(y0)
 
-    def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
+    def differential(self, y0: np.ndarray, out: Outcome | Solution, frozen: bool) -> Differential:
         """dΦ of the map its user gets, or with the steps frozen.
 
         To round-off where the engine can, else by differences of the solver.
@@ -355,19 +357,14 @@ class Prepared(ABC):
         """Log of the product of the conformal factors up to each saved time, (k,); None without contact maps."""
         return None
 
-    def modified_hamiltonian(self, x: Any) -> Any | None:
+    def modified_hamiltonian(self, x: AnyState) -> Arithmetic | None:
         """H̃ at x (see `splitting.modified`), None where the run is not known to be the flow of one."""
         return None
 
 
-def scales_of(scene: Any, x: Any, end: float) -> Any:
-    """Return the scale of every component but the time of a motion from x, one number where all are 1."""
-    scales = scene.scales(x, end)
-    return 1.0 if (scales == 1).all() else scales
-
-
 def prepare_again(method: str, request: Request) -> Prepared:
-    return METHODS[method].prepare(request)
+    run: Prepared = METHODS[method].prepare(request)
+    return run
 
 
 class Refused(Prepared):
@@ -380,7 +377,7 @@ class Refused(Prepared):
         return Outcome(nothing, Counts(), Status.unsupported, self.why, 0.0)
 
 
-def require_slope(scene: Scene, start: Any) -> None:
+def require_slope(scene: Scene, start: AnyState) -> None:
     """Raise `BadInput` unless the slope at a state is finite: some solvers never return from a first step of nan."""
     try:
         slope = [float(component) for component in scene.pack(scene.rhs(start))]
@@ -413,7 +410,7 @@ def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
     _started.get(known, passes)
 
 
-def stopwatch() -> Any:
+def stopwatch() -> Callable[[], float]:
     start = perf_counter()
     return lambda: perf_counter() - start
 
@@ -445,7 +442,7 @@ def scale(x: Any, v: Any, units: Any) -> float:
     return 1.0
 
 
-def differences(run: Any, y0: np.ndarray, out: Any) -> Differential:
+def differences(run: Prepared, y0: np.ndarray, out: Outcome | Solution) -> Differential:
     """dΦ at y0 by differences of `run.integrate`, run a `Prepared` and out its `Outcome` there.
 
     The only thing asked of an engine is that it runs from another initial state.  Where a solver chooses its
@@ -478,7 +475,7 @@ def differences(run: Any, y0: np.ndarray, out: Any) -> Differential:
         return run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
 
     def quotient(v: object, amount: float) -> np.ndarray:
-        return (end(v, amount) - end(v, -amount)) / (2 * amount)
+        return np.asarray((end(v, amount) - end(v, -amount)) / (2 * amount))
 
     units = scene.unpack(scene.with_clock(run.scales(y0).tolist(), 1.0), run.request.carry)
     scales = [scale(x, v, units) for v in tangents]

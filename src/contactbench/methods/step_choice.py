@@ -55,7 +55,7 @@ class ChosenStep(Prepared):
 
     #: a `FixedStep`
     method_: Any
-    loop: StepLoop
+    loop: StepLoop[Any]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -8,7 +8,7 @@ import inspect
 import math
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
@@ -194,7 +194,7 @@ class System(ABC):
         return tuple(y)
 
     @staticmethod
-    def pack(state: Sequence[Any]) -> list[Any]:
+    def pack(state: Iterable[Any]) -> list[Any]:
         """Return a state, numbers and tuples of them, as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
         for part in state:
