@@ -205,8 +205,7 @@ def measured(
             if not math.isnan(t):
                 x = scene.unpack(scene.components(y), carry)
                 marks = watch.at(marks, x, y, t)
-        y, measures, end = map(np.asarray, watch.result(marks, x, y))
-    return y, measures, end
+        return watch.result(marks, x, y)
 
 
 # -- by JAX ------------------------------------------------------------------------------------------
@@ -270,7 +269,7 @@ def share_of(
         return jnp.stack(list(scene.pack(x))) if not scene.by_sites else scene.pack(x)
 
     def one_tile(
-        y0: jax.Array, bound: jax.Array, own: jax.Array, numbers: jax.Array, spans: PyTree
+        y0: Array, bound: Array, own: Array, numbers: Array, spans: PyTree
     ) -> tuple[Array, Array, Array]:
         values = list(numbers)
         for place, value in zip(places, own, strict=True):
@@ -289,9 +288,7 @@ def share_of(
         (x, marks), _ = lax.scan(span, (watch.start, watch.begun), spans)
         return watch.result(marks, x, packed(scene, x))
 
-    def share(
-        y0: jax.Array, bound: jax.Array, own: jax.Array, numbers: jax.Array, spans: PyTree
-    ) -> tuple[jax.Array, ...]:
+    def share(y0: Array, bound: Array, own: Array, numbers: Array, spans: PyTree) -> tuple[jax.Array, ...]:
         tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, bound, own)]
         y, measures, end = lax.map(lambda a: one_tile(a[0], a[1], a[2], numbers, spans), tiles)
         return *(a.swapaxes(0, 1).reshape(a.shape[1], -1) for a in (y, measures)), end.reshape(-1)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Union
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from contactbench.checks import array, finite
 from contactbench.errors import BadInput, excerpt, unknown_name
@@ -15,13 +16,8 @@ from contactbench.numbers.protocol import ArrayNamespace
 from contactbench.scene import AnyState, BodyState, DrivenState, Scene, State, quaternion_of
 from contactbench.solution import DIVERGENCE, Status
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from contactbench.xla import jax
-
-#: of NumPy, or of JAX
-Array = Union[np.ndarray, "jax.Array"]
+#: of NumPy, or of JAX, which are used alike
+Array = np.ndarray
 #: the largest deviation from each law, which trajectories have not diverged, and the last time each reached
 Marks = tuple[dict[str, Array], Array, Array]
 

@@ -379,7 +379,7 @@ def Contact(method: str) -> ContactSolver:
     return ContactSolver(chosen.composition)
 
 
-def terms_of(scene: Scene | str) -> tuple[Term, Term]:
+def terms_of(scene: Scene | str) -> Terms:
     """Return the terms of a scene; ``args`` are its parameters by name, or None for its own.
 
     Parameters

@@ -70,7 +70,7 @@ class FixedStep(Method):
 
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
-    ) -> AnyState:
+    ) -> Any:
         """n ≥ 1 steps of size h."""
         after: AnyState = repeat(n, lambda x: self.step(scene, x, h, xp), x)
         return after

@@ -11,7 +11,6 @@ import numpy as np
 from contactbench.methods.loops import StepLoop, is_fixed, total
 from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.methods.prescribed import EQUAL, GRID_ULPS, plateaus
-from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import AnyState
 from contactbench.solution import Counts, Solution, Status
 
@@ -203,7 +202,7 @@ class FixedStepRun(Prepared):
             return None
         return np.append([0.0] if self.saves_start else [], np.cumsum(known)[self.saved])
 
-    def modified_hamiltonian(self, x: AnyState) -> Arithmetic | None:
+    def modified_hamiltonian(self, x: AnyState) -> Any | None:
         """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
         if np.ptp(self.h) > EQUAL * self.h[0]:
             return None

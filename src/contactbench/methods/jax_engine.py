@@ -52,7 +52,7 @@ class Xla:
         self.borders = np.cumsum([len(vector) for vector in vectors])[:-1].tolist()
         return np.concatenate(vectors, dtype=float)
 
-    def apart(self, fixed: jax.Array) -> list[jax.Array]:
+    def apart(self, fixed: jax.Array) -> list[Any]:
         return [fixed[i:j] for i, j in pairwise([0, *self.borders, len(fixed)])]
 
     def room(self, saves: int) -> int:

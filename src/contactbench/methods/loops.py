@@ -444,7 +444,7 @@ class Plain(StepLoop[Spans]):
 
 def trajectory(
     method: Steps, scene: Scene, x: AnyState, spans: Iterable[tuple[Arithmetic, Count]], xp: Namespace
-) -> Iterator[AnyState]:
+) -> Iterator[Any]:
     """Return the states after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
     for h, n in spans:
         x = method.advance(scene, x, h, n, xp)

@@ -16,7 +16,7 @@ import numpy as np
 from contactbench.blame import blame, is_ours
 from contactbench.checks import finite, vector
 from contactbench.errors import BadInput, excerpt
-from contactbench.numbers.protocol import Arithmetic, CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.registry import Registry
 from contactbench.scene import AnyState, Cache, Scene, key, norm, verify
 from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
@@ -43,10 +43,10 @@ class Request:
     save_at: np.ndarray
     step: float | None = None
     rtol: float | None = None
-    atol: float | np.ndarray | None = None
+    atol: Any = None
     max_steps: int = 10**8
     steps: np.ndarray | None = None
-    scales: float | np.ndarray | None = None
+    scales: Any = None
 
     def to_scale(self, start: AnyState, takes_atol: bool) -> Request:
         """Return the request with the scales of the motion from a state, and the atol that follows from them.
@@ -362,7 +362,7 @@ class Prepared(ABC):
         """Log of the product of the conformal factors up to each saved time, (k,); None without contact maps."""
         return None
 
-    def modified_hamiltonian(self, x: AnyState) -> Arithmetic | None:
+    def modified_hamiltonian(self, x: AnyState) -> Any | None:
         """H̃ at x (see `splitting.modified`), None where the run is not known to be the flow of one."""
         return None
 
