@@ -155,7 +155,7 @@ class Solution:
         What it cost.
     step_chosen, step
         Of a method with fixed steps, the step that was asked for, or chosen from rtol, and the longest one taken,
-        shorter where no whole number of steps leads from one saved time, the end included, to the next.
+        shorter where no whole number of steps leads from one saved time, the end included, to the next; nan of others.
     control, value
         What was set, "step", "rtol" or "exact", and its value.
     run
@@ -175,15 +175,11 @@ class Solution:
     message: str = ""
     counts: Counts = field(default_factory=Counts)
     end_time: float = float("nan")
-    #: the `Prepared` that made it, which can be differentiated
     run: Prepared | None = None
-    #: what was set, "step" or "rtol", and its value
     control: str = EXACT
     value: float = 0.0
-    #: of fixed steps: the step asked for or chosen from rtol, and the longest taken; nan for other methods
     step_chosen: float = float("nan")
     step: float = float("nan")
-    #: the `Reference` at its times, where it is known already; else the laws ask for it
     truth: Reference | None = None
 
     @staticmethod

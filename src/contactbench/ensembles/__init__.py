@@ -1,9 +1,4 @@
-"""Ensembles: many trajectories of one scene at once, with a fixed-step method.
-
-Every process cuts its trajectories into chunks, so that memory stays bounded, and divides each among its devices:
-the cores of a CPU, by the loop numba compiles, or its GPUs.  GPUs, parameters of each trajectory's own and methods
-that cannot be recorded go to JAX, tile by tile.  Processes meet once, for the statistics.
-"""
+"""Ensembles: many trajectories of one scene at once, with a fixed-step method, in chunks of bounded memory."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.ensembles.members import Array, Marks, Watch, furthest
+from contactbench.ensembles.members import Array, Marks, Watch
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
@@ -21,7 +21,7 @@ from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import rolled
 from contactbench.methods.loops import LANES, Loop, identity
 from contactbench.methods.many import SHARED, loop_on
-from contactbench.methods.prepared import Request
+from contactbench.methods.prepared import Request, furthest
 from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState, Cache, Scene, key

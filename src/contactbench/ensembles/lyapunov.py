@@ -1,10 +1,7 @@
 """Lyapunov exponents of a numerical map, and averages along it, from an ensemble of trajectories.
 
-Tangent vectors are carried along with every trajectory, by the derivative of the very steps that are taken, and made
-orthonormal again after every interval: A_k Q_{k−1} = Q_k R_k.  The exponents are the means of log diag R_k over time:
-Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980), doi:10.1007/BF02128236; Geist, Parlitz, Lauterborn,
-Prog. Theor. Phys. 83, 875 (1990), doi:10.1143/PTP.83.875; Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995),
-doi:10.1016/0168-9274(95)00033-Q.  R is that of the modified Gram–Schmidt process, which for R is as good as any.
+Tangents follow by the derivative of the very steps that are taken, and are made orthonormal after every interval,
+A_k Q_{k−1} = Q_k R_k; the exponents are the means of log diag R_k over time.
 """
 
 from __future__ import annotations
@@ -17,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from contactbench.checks import positive, whole
-from contactbench.ensembles.members import furthest, members, within
+from contactbench.ensembles.members import members, within
 from contactbench.errors import BadInput
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.base import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.many import loop_on
-from contactbench.methods.prepared import Refused
+from contactbench.methods.prepared import Refused, furthest
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import PeerRun
 from contactbench.peers.compiled import FACTS, KNOWN, SUCCESS

@@ -14,7 +14,7 @@ from contactbench.measure.law import conformal_deviation
 from contactbench.measure.laws import LAWS
 from contactbench.numbers.protocol import ArrayNamespace
 from contactbench.scene import AnyState, BodyState, DrivenState, Scene, State, quaternion_of
-from contactbench.solution import DIVERGENCE, Status
+from contactbench.solution import Status
 
 #: of NumPy, or of JAX, which are used alike
 Array = np.ndarray
@@ -110,14 +110,6 @@ def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
         return []
     laws = {name: LAWS[name] for name in DECAYING}
     return [name for name, law in laws.items() if law.applies(scene) and {*law.needs_on(scene)} <= {*carry}]
-
-
-def furthest(scene: Scene, carry: tuple[str, ...], y0: np.ndarray, end: float) -> np.ndarray:
-    """Return how large the motion of each trajectory may become, (motion, m), from packed states (d, m)."""
-    with np.errstate(all="ignore"):
-        scales = scene.scales(scene.unpack(scene.components(y0), carry), end)[: scene.motion]
-        most = np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion], axis=0)))
-    return np.asarray(DIVERGENCE * most)
 
 
 def within(y: Array, bound: Array, xp: ArrayNamespace = np) -> Array:

@@ -23,7 +23,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.loops import Count, Loop, identity
 from contactbench.methods.one_step import OneStep, step_map
-from contactbench.methods.prepared import NO_NUMBER
+from contactbench.methods.prepared import NO_NUMBER, furthest
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
@@ -166,9 +166,7 @@ class ContactSolver(OdeSolver):
         self.max_step = span / self.steps
         self.motion = self.step_map.scene.motion
         start = self.packed(t0, self.y)
-        state = self.step_map.scene.unpack(self.step_map.scene.entries(start), self.step_map.carry)
-        scales = self.step_map.scene.scales(state, span)[: self.motion]
-        self.bound = DIVERGENCE * np.fmax(scales, max(1.0, float(np.linalg.norm(self.y[: self.motion]))))
+        self.bound = furthest(self.step_map.scene, self.step_map.carry, start, span)
         self.cost = self.step_map.method.per_step(self.step_map.scene, self.step_map.carry)
         if span:
             self.run = Run(self.step_map, self.direction * self.max_step, start)

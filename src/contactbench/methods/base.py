@@ -1,8 +1,4 @@
-"""The contract of a method, and the way from a question to a prepared solver.
-
-`METHODS` holds everything that is compared.  What a method must be, and what experiments, laws and tables rely
-on, are the numbered rules of `Method`; `contactbench.testing.check_method` tests every one of them.
-"""
+"""The contract of a method, and the way from a question to a prepared solver."""
 
 from __future__ import annotations
 

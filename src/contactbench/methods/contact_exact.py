@@ -1,13 +1,7 @@
-"""The isotropically damped rigid body in closed form: one evaluation for any time, no steps.
-
-Every saved state comes from the initial one by the flow `free_damp`, so that errors do not add up.  There is
-neither step nor tolerance to be set: the result has the digits that round-off of the phase leaves.  An
-evaluation counts as the rotations it costs, few where the attitude is not carried (see `MOMENTUM_COST`).
-"""
+"""The isotropically damped rigid body in closed form: every saved state from the initial one, no steps."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,15 +101,6 @@ class ExactMethod(Method):
     ) -> Any:
         """The state after the time nh, for engines that write loops of steps."""
         return evolve(scene, x, n * h, xp)
-
-    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        return n * FREE_COST
-
-    def per_step(self, scene: Scene, carry: Sequence[str] | None = None) -> int:
-        return FREE_COST
-
-    def kind_on(self, scene: Scene) -> str:
-        return "rotation"
 
     def prepare(self, request: Request) -> Prepared:
         if request.engine == "python":  # its series end where nothing changes: they are not recorded

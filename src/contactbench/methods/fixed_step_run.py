@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from contactbench.methods.loops import StepLoop, is_fixed, total
 from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.methods.prescribed import EQUAL, GRID_ULPS, plateaus
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
 from contactbench.solution import Counts, Solution, Status
 
@@ -59,8 +61,9 @@ class FixedStepRun(Prepared):
         self.divide(r.step or math.nan)  # a fixed-step request always has one
         if self.loop is not None:
             self.sensitivity_source, self.compile_s = self.loop.derivative, self.loop.seconds
-            if not is_fixed(self.method_):
-                self.loop.record_tangent()
+            if not is_fixed(self.method_):  # a user's map may be another when its derivative is asked for
+                with suppress(CannotRecord):
+                    self.loop.tangents  # noqa: B018, recorded now
             self.shorten(self.loop)
 
     def shorten(self, loop: StepLoop[Any]) -> None:

@@ -1,14 +1,8 @@
 """Contact variational integrators: discrete Herglotz principles, as one-step maps (q, p, s) → (q, p, s).
 
-A discrete Lagrangian gives the action of one step, s₁ = s₀ + h L(q₀, q₁, s₀, s₁).  Its differential,
-with the discrete Legendre transforms p₀ = −h D₁L / (1 + h ∂L/∂s₀) and p₁ = h D₂L / (1 − h ∂L/∂s₁),
-reads ds₁ − p₁·dq₁ = σ (ds₀ − p₀·dq₀): every step is a conformal contact map with factor
-σ = (1 + h ∂L/∂s₀) / (1 − h ∂L/∂s₁).  That p at the end of one step is p at the start of the next is the
-discrete contact Euler–Lagrange (Herglotz) equation, for L without s₁
-D₁L(q_k, q_{k+1}, s_k) + (1 + h ∂L/∂s_k) D₂L(q_{k−1}, q_k, s_{k−1}) = 0.
-
-Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767, arXiv:1902.00436;
-the paper, §5.1, eq. (79).
+From s₁ = s₀ + h L(q₀, q₁, s₀, s₁) and the discrete Legendre transforms p₀ = −h D₁L / (1 + h ∂L/∂s₀) and
+p₁ = h D₂L / (1 − h ∂L/∂s₁) follows ds₁ − p₁·dq₁ = σ (ds₀ − p₀·dq₀), σ = (1 + h ∂L/∂s₀) / (1 − h ∂L/∂s₁).
+Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767; the paper, §5.1, eq. (79).
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Implicit steps, solved by fixed-point iteration to round-off, every evaluation counted.
 
-The iteration ends when the increments are zero or no longer decrease (Hairer, Lubich, Wanner, Geometric Numerical
-Integration, §VIII.6.2), which leaves an error of the size of one rounding: what a method conserves it then conserves to
-round-off.  A step that is too long for the iteration to converge has no result.
+It ends when the increments are zero or no longer decrease (Hairer, Lubich, Wanner, Geometric Numerical Integration,
+§VIII.6.2); a step that is too long for it to converge has no result.
 """
 
 from __future__ import annotations

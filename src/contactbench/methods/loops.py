@@ -105,14 +105,6 @@ class StepLoop[Ready](ABC):
         """Return the function that gives all states, and whether nothing can be wrong with them."""
         return None
 
-    def divides_often(self) -> None:  # noqa: B027
-        """Prepare what makes `ready` fast."""
-
-    def record_tangent(self) -> None:
-        """Record what differentiates now: a user's map may be another when its derivative is asked for."""
-        with suppress(CannotRecord):
-            self.tangents  # noqa: B018
-
     @cached_property
     def tangents(self) -> Loop:
         return loop_of(self.method, self.scene, self.carry, tangent=True)
@@ -322,9 +314,8 @@ class Recorded(StepLoop[Rows]):
         self.numbers = np.array(self.scene.numbers())
         self.loop = loop_of(method, self.scene, self.carry, counted=self.counted)
         self.loop.run  # noqa: B018, compiled now
-
-    def divides_often(self) -> None:
-        self.loop.setup  # noqa: B018, compiled now
+        if request.step is None:  # chosen at every call: the time is divided often
+            self.loop.setup  # noqa: B018
 
     def ready(self, h: np.ndarray, n: np.ndarray) -> Rows:
         """Return the steps, and the arguments of the loop where they are not too many to be kept."""

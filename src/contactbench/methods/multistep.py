@@ -1,18 +1,11 @@
-"""Linear multistep methods for second-order equations: one gradient a step.
+"""Linear multistep methods in z = e^{γt/2} q, z'' = γ²z/4 − e^{γt/2} ∇V(q)/m: one gradient a step.
 
-In z = e^{γt/2} q a linearly damped motion has no damping term, z'' = γ²z/4 − e^{γt/2} ∇V(q)/m (docs/mathematics), and
+    z_{n+1} + α₁ z_n + … + α_k z_{n+1−k} = h² (β₁ z''_n + … + β_K z''_{n+1−K}),
 
-    z_{n+1} + α₁ z_n + … + α_k z_{n+1−k} = h² (β₁ z''_n + … + β_K z''_{n+1−K})
-
-is explicit.  The α are the method; the β follow from them: the formula is exact on polynomials of the highest degree.
-With symmetric α it is time-symmetric, so that the energy of z has no drift: Quinlan, Tremaine, Astron. J. 100,
-1694 (1990), doi:10.1086/115629.  With z_{n+1} − 2z_n + z_{n−1} alone it is Störmer's method: Hairer, Nørsett, Wanner,
-Solving Ordinary Differential Equations I, §III.10, eq. (10.8).  What is added up are the increments z_n − z_{n−1}.
-
-Every interval between saved times starts afresh: the K points before its beginning are found going back, by Strang
-steps of h, h/2, h/3, … that are extrapolated (Hairer, Nørsett, Wanner I, §II.9), and counted.  The momentum at its end
-comes from z_n − z_{n−1} and the forces, the action from s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V), which
-holds along every motion, by an Adams formula; both of an order above that of the method.
+the β exact on polynomials of the highest degree; with symmetric α the energy of z has no drift.  Quinlan, Tremaine,
+Astron. J. 100, 1694 (1990), doi:10.1086/115629; z_{n+1} − 2z_n + z_{n−1} is Störmer's: Hairer, Nørsett, Wanner, Solving
+Ordinary Differential Equations I, §III.10.  Every interval starts afresh: its K points before are found going back, by
+extrapolated Strang steps (§II.9 there); the action is s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V).
 """
 
 from __future__ import annotations

@@ -253,7 +253,7 @@ class Prepared(ABC):
         largest = math.hypot(*y.ravel().tolist()) if y.size <= FEW else np.abs(y).max()
         if largest <= bound:  # nan fails every comparison
             return None
-        bounds = np.fmax(bound, DIVERGENCE * self.scales(y0)[: self._motion])
+        bounds = furthest(self.request.scene, self.request.carry, y0, self._end)
         bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, : self._motion]) <= bounds).all(axis=1))
         return int(np.argmax(bad)) if bad.any() else None
 
@@ -365,6 +365,14 @@ class Prepared(ABC):
     def modified_hamiltonian(self, x: AnyState) -> Any | None:
         """H̃ at x (see `splitting.modified`), None where the run is not known to be the flow of one."""
         return None
+
+
+def furthest(scene: Scene, carry: tuple[str, ...], y0: np.ndarray, end: float) -> np.ndarray:
+    """Return beyond what the motion from a packed state has diverged, (motion,), or from several, (d, m)."""
+    with np.errstate(all="ignore"):
+        scales = scene.scales(scene.unpack(scene.components(y0), carry), end)[: scene.motion]
+        most = np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion], axis=0)))
+    return np.asarray(DIVERGENCE * most)
 
 
 def prepare_again(method: str, request: Request) -> Prepared:

@@ -63,7 +63,6 @@ class ChosenStep(Prepared):
         times = [0.0, *(time for time, _ in self.breaks if 0 < time < self._end), self._end]
         self.first = float(np.diff(times).min()) / FIRST
         first = replace(self.request, step=self.first)
-        self.loop.divides_often()
         self.run = FixedStepRun(self.method, first, self.method_, self.loop)
         self.compile_s = self.run.compile_s
         self.alone = Lock()  # one run to divide: calls from several threads take turns
