@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contactbench.checks import array, finite
+from contactbench.checks import finite, real_array
 from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.measure.law import conformal_deviation
 from contactbench.measure.laws import LAWS
@@ -58,7 +58,7 @@ def members(
 def components(name: str, value: Any, default: object) -> dict[str, np.ndarray]:
     """Return the columns of an initial value by the names of its components; `default` : the scene's own."""
     if isinstance(default, np.ndarray):
-        rows = array(name, value, f"{len(default)} numbers, or {len(default)} × n of them")
+        rows = real_array(name, value, f"{len(default)} numbers, or {len(default)} × n of them")
         if rows.ndim > 2 or len(np.atleast_1d(rows)) != len(default):
             raise BadInput(f"{name} has shape {rows.shape}: must be ({len(default)},) or ({len(default)}, n)")
         return {f"{name}[{i}]": column(f"{name}[{i}]", row) for i, row in enumerate(rows)}
@@ -76,7 +76,7 @@ def components(name: str, value: Any, default: object) -> dict[str, np.ndarray]:
 
 def column(name: str, value: object) -> np.ndarray:
     """Return a number or a one-dimensional array of finite numbers, or `BadInput`."""
-    numbers = array(name, value, "a number or an array of numbers")
+    numbers = real_array(name, value, "a number or an array of numbers")
     if numbers.ndim > 1:
         raise BadInput(f"{name}: must be a number or an array (n,), got shape {numbers.shape}")
     if not np.isfinite(numbers).all():

@@ -20,10 +20,10 @@ from scipy.integrate._ivp.common import warn_extraneous
 
 from contactbench.checks import positive
 from contactbench.errors import BadInput, excerpt
-from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.loops import Count, Loop, identity
 from contactbench.methods.one_step import OneStep, step_map
 from contactbench.methods.prepared import NO_NUMBER, furthest
+from contactbench.methods.prescribed import steps_in
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace

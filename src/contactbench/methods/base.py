@@ -12,12 +12,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from contactbench.blame import blame
-from contactbench.checks import array, positive, text, whole
+from contactbench.checks import positive, text, whole
 from contactbench.errors import BadInput, excerpt
-from contactbench.methods.fixed_step_run import steps_in
-from contactbench.methods.loops import is_fixed
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_start
-from contactbench.methods.prescribed import end_times, steps_of, steps_until
+from contactbench.methods.prescribed import SHORTEST_RUN, default_times, saved_times, steps_of, steps_until
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
@@ -46,14 +44,6 @@ DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
 #: the largest budget: a year at ten steps in a microsecond is less
 MOST_STEPS = 10**14
-#: saved times when the caller names none: every k-th step with at most this many for fixed steps,
-#: this many equal intervals for adaptive methods
-DEFAULT_SAVES = 1000
-ADAPTIVE_SAVES = 200
-#: numbers in all saved states at most, where the caller names no times: 128 MB
-MOST_SAVED = 2**24
-#: parts of a shorter run are no longer normal numbers
-SHORTEST_RUN = 1e-290
 
 
 class Method(ABC):
@@ -139,9 +129,6 @@ class Method(ABC):
     def refuses(self, scene: Scene) -> str | None:
         """Return why the scene is out of reach, or None."""
         return None
-
-    def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:  # noqa: B027
-        """Raise `BadInput` for a user's step map that is none; other methods have no step to be tried."""
 
     @abstractmethod
     def prepare(self, request: Request) -> Prepared:
@@ -306,9 +293,7 @@ def make_request(
         return Refused(chosen.name, request, why)
     require_start(scene, request.carry)
     if chosen.adaptive and atol is None and (chosen.takes_atol or chosen.own_time):
-        request = request.to_scale(scene.initial(request.carry), chosen.takes_atol)
-    if not is_fixed(chosen):  # what this package brings has tests of its own
-        chosen.try_step(scene, request.carry, step)
+        request = request.to_scale(chosen.takes_atol)
     return request
 
 
@@ -362,32 +347,6 @@ def tolerance(method: Method, rtol: object) -> float:
     if not low <= value <= high:
         raise BadInput(f"rtol = {value!r}: {method.name} takes {low:g} to {high:g}")
     return value
-
-
-def default_times(scene: Scene, step: float | np.ndarray | None, budget: int) -> np.ndarray:
-    most = max(1, MOST_SAVED // scene.motion)
-    if step is None:
-        return np.linspace(0.0, scene.t_end, min(ADAPTIVE_SAVES, most) + 1)
-    n = len(step) if isinstance(step, np.ndarray) else int(steps_in(scene.t_end, scene.t_end, step))
-    if n > budget:  # will end as `budget`; no grid of that size is needed
-        return np.array([scene.t_end])
-    stride = -(-n // min(DEFAULT_SAVES, most))
-    marks = np.arange(0, n + stride, stride)
-    marks[-1] = n
-    if isinstance(step, np.ndarray):
-        return np.concatenate([[0.0], end_times(step)[marks[1:-1] - 1], [scene.t_end]])
-    return marks * (scene.t_end / n)
-
-
-def saved_times(save_at: object) -> np.ndarray:
-    times = np.array(array("save_at", save_at, "increasing times"), ndmin=1)  # a copy
-    if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
-        raise BadInput(f"save_at = {excerpt(save_at)}: must be finite times, at least one")
-    if times[0] < 0 or np.any(np.diff(times) <= 0):
-        raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
-    if len(times) == 1 and times[0] == 0:
-        raise BadInput("save_at: at least one time must be > 0")
-    return times
 
 
 @cache

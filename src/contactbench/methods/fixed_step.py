@@ -15,7 +15,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Count, Plain, Recorded, StepLoop
+from contactbench.methods.loops import Count, Plain, Recorded, StepLoop, is_fixed
 from contactbench.methods.many import SITE_LOOPS
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
@@ -62,6 +62,8 @@ class FixedStep(Method):
     )
 
     def prepare(self, request: Request) -> Prepared:
+        if not is_fixed(self):  # what this package brings has tests of its own
+            self.try_step(request.scene, request.carry, request.step)
         loops = SITE_LOOPS if request.scene.by_sites else LOOPS
         loop = loops[request.engine](self, request)
         if request.step is not None:

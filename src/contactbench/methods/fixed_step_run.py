@@ -11,23 +11,13 @@ import numpy as np
 
 from contactbench.methods.loops import StepLoop, is_fixed, total
 from contactbench.methods.prepared import Outcome, Prepared
-from contactbench.methods.prescribed import EQUAL, GRID_ULPS, plateaus
+from contactbench.methods.prescribed import EQUAL, UNCOUNTED, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
 from contactbench.solution import Counts, Solution, Status
 
 if TYPE_CHECKING:
     from contactbench.methods.fixed_step import FixedStep
-
-#: more steps than any budget allows are counted as this many
-UNCOUNTED = 2**50
-
-
-def steps_in(span: float | np.ndarray, until: float | np.ndarray, step: float) -> np.ndarray:
-    """The fewest equal steps ≤ `step` that cover each span, but for round-off of the time `until` at which it ends."""
-    longest = np.maximum(step, span / (2 * UNCOUNTED))
-    ratio = (span * (1 - 1e-12) - GRID_ULPS * np.spacing(until)) / longest
-    return np.minimum(np.maximum(np.ceil(ratio), 1), UNCOUNTED).astype(np.int64)
 
 
 @dataclass

@@ -48,13 +48,14 @@ class Request:
     steps: np.ndarray | None = None
     scales: Any = None
 
-    def to_scale(self, start: AnyState, takes_atol: bool) -> Request:
-        """Return the request with the scales of the motion from a state, and the atol that follows from them.
+    def to_scale(self, takes_atol: bool, **data: Any) -> Request:
+        """Return the request with the scales of the motion from its start, or other data, and the atol of these.
 
         Coordinates and momenta have one, the largest of theirs, as the error of a run is measured: with a scale each,
         tolerances would hold the small ones to digits that nobody asks for, at a fifth more evaluations.
         """
         assert self.rtol is not None
+        start = self.scene.initial(self.carry, **data)
         each = self.scene.scales(start, float(self.save_at[-1]))
         each[: self.scene.motion] = each[: self.scene.motion].max()
         scales = 1.0 if (each == 1).all() else each
