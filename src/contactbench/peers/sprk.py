@@ -1,17 +1,12 @@
 """SUNDIALS' symplectic partitioned Runge–Kutta methods: ARKODE's SPRKStep, by its own bindings, sundials4py.
 
-In z = e^{γt/2} q a linearly damped motion is the motion of a Hamiltonian that depends on time, z'' = γ²z/4 −
-e^{γt/2} ∇V(q)/m: momenta change by coordinates alone, coordinates by momenta alone.  So does S = e^{γt} (s − q·p/2), by
-S' = e^{γt} (q·∇V/2 − V), and every step is a contact map with the factor of the exact flow.  The time is a coordinate
-of its own: at the times that SPRKStep passes to its two functions a force that depends on time is of order one
-(measured).
+In z = e^{γt/2} q a linearly damped motion is Hamiltonian, z'' = γ²z/4 − e^{γt/2} ∇V(q)/m: coordinates change momenta,
+and momenta coordinates.  So does S = e^{γt} (s − q·p/2) change, by e^{γt} (q·∇V/2 − V), and every step is a contact map
+with the factor of the exact flow.  The time is a coordinate: at the times that SPRKStep passes to its two functions a
+force that depends on time is met at order one.
 
-Engine "c": the library, with the scene as C functions (abi/arkode.py).  Engine "c+python": sundials4py as it is,
-calling back into Python.
-
-Hairer, Lubich, Wanner, Geometric Numerical Integration, §II.2; the methods: McLachlan, Atela, Nonlinearity 5, 541
-(1992), doi:10.1088/0951-7715/5/2/011; Suzuki, Umeno (1993), doi:10.1007/978-3-642-78448-4_7; Sofroniou, Spaletta,
-Optim. Methods Softw. 20, 597 (2005), doi:10.1080/10556780500140664.
+McLachlan, Atela, Nonlinearity 5, 541 (1992), doi:10.1088/0951-7715/5/2/011; Sofroniou, Spaletta, Optim. Methods
+Softw. 20, 597 (2005), doi:10.1080/10556780500140664.
 """
 
 from __future__ import annotations
@@ -97,7 +92,7 @@ class Part(System):
 
 
 class Callbacks:
-    """sundials4py as it is; the interface of `abi.arkode.Memory`."""
+    """sundials4py as it is, with the interface of `abi.arkode.Memory`."""
 
     def __init__(self, method: str, functions: Sequence[Callable[[float, Any], Any]], size: int) -> None:
         from sundials4py import arkode, core
@@ -116,22 +111,17 @@ class Callbacks:
         core.SUNContext_ClearErrHandlers(self.context)
         self.vector = core.N_VMake_Serial(size, self.y, self.context)
         self.view = arkode.SPRKStepCreate(*map(calling, functions), 0.0, self.vector, self.context)
-        self.memory = self.view.get()
-        arkode.SPRKStepSetMethodName(self.memory, method)
-        arkode.ARKodeSetInterpolantType(self.memory, arkode.ARK_INTERP_NONE)
-        arkode.ARKodeSetMaxNumSteps(self.memory, -1)
+        arkode.SPRKStepSetMethodName(self.view.get(), method)
+        arkode.ARKodeSetInterpolantType(self.view.get(), arkode.ARK_INTERP_NONE)
+        arkode.ARKodeSetMaxNumSteps(self.view.get(), -1)
 
-    def take(self, y: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        ark, memory, rows = self.library, self.memory, np.empty((len(h), len(y)))
-        self.y[:] = y
-        for k, (each, end) in enumerate(zip(h.tolist(), (h * n).tolist(), strict=True)):
-            ark.ARKodeReset(memory, 0.0, self.vector)
-            ark.ARKodeSetFixedStep(memory, each)
-            ark.ARKodeSetStopTime(memory, end)
-            if ark.ARKodeEvolve(memory, end, self.vector, ark.ARK_NORMAL)[0] < 0:
-                self.y[:] = np.nan
-            rows[k] = self.y
-        return rows
+    def take(self, h: float, n: int) -> None:
+        ark, memory = self.library, self.view.get()
+        ark.ARKodeReset(memory, 0.0, self.vector)
+        ark.ARKodeSetFixedStep(memory, h)
+        ark.ARKodeSetStopTime(memory, n * h)
+        if ark.ARKodeEvolve(memory, n * h, self.vector, ark.ARK_NORMAL)[0] < 0:
+            self.y[:] = np.nan
 
 
 class Steps(LibrarySteps):
@@ -144,61 +134,62 @@ class Steps(LibrarySteps):
 
         super().__init__(method, request)
         self.abi, scene = arkode, self.scene.unrolled() if isinstance(self.scene, Many) else self.scene
-        self.parts = [
-            Part(name=scene.name, t_end=scene.t_end, base=scene, kick=kick) for kick in (True, False)
-        ]
-        self.size = len(self.parts[0].labels(self.carry))
+        same = {"name": scene.name, "t_end": scene.t_end}
+        self.parts = [Part(base=scene, kick=kick, **same) for kick in (True, False)]
         over_m = np.array(scaled(scene.inverse_mass, (1.0,) * len(scene.q)))
         self.place = over_m, scene.gamma, -1 if scene.clock is None else scene.clock
+        self.memory: Any = None
         if request.engine in CALLBACKS:
-            functions = [
-                record_function(p, "rhs", self.carry) or partial(p.slopes, carry=self.carry)
-                for p in self.parts
-            ]
-            self.memory: Any = Callbacks(method.solver, functions, self.size)
+            calls = (record_function(each, "rhs", self.carry) for each in self.parts)
+            given = [c or partial(p.slopes, carry=self.carry) for c, p in zip(calls, self.parts, strict=True)]
+            self.memory = Callbacks(method.solver, given, self.size)
         else:
             self.memory = self.compiled(self.parts, self.size)
+
+    @property
+    def size(self) -> int:
+        return len(self.parts[0].labels(self.carry))
 
     def compiled(self, parts: Sequence[Any], size: int) -> Any:
         kick, drift = (c_functions(part, self.carry, jacobian=False) for part in parts)
         self.seconds += kick.compile_s + drift.compile_s
         return self.abi.Memory(self.method.solver, kick, drift, self.parts[0].numbers(), size)
 
-    def stretched(self, y0: np.ndarray) -> np.ndarray:
-        y = np.empty(self.size)
-        self.abi.stretch(y0, *self.place, y)
-        return y
+    def stretched(self, y: np.ndarray) -> np.ndarray:
+        return self.abi.stretch(y, *self.place, np.empty(self.size))
 
     def back(self, y: np.ndarray) -> np.ndarray:
-        state = np.empty(len(self.scene.labels(self.carry)))
-        self.abi.unstretch(y, *self.place, state)
-        return state
+        return self.abi.unstretch(y, *self.place, np.empty(len(self.scene.labels(self.carry))))
 
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
-        rows = self.march(self.memory, self.stretched(y0), ready)
-        return np.array([self.back(y) for y in rows]), None
+    def advance(self, y: np.ndarray, h: float, n: int) -> np.ndarray:
+        self.abi.stretch(y, *self.place, self.memory.y)
+        self.memory.take(h, n)
+        return self.back(self.memory.y)
 
-    def last(self, ready: Any) -> Callable[[np.ndarray], np.ndarray]:
-        h, n, _ = ready
-        memory, end = self.memory, self.abi.to_end
-        if isinstance(memory, Callbacks):
+    def last(self, ready: list[tuple[float, int]]) -> Callable[[np.ndarray], np.ndarray]:
+        memory, advance, (h, n) = self.memory, self.abi.advance, ready[0]
+        if len(ready) > 1 or isinstance(memory, Callbacks):
             return super().last(ready)
-        rest = *self.place, memory.y, h, n, memory.memory, memory.vector
-        return lambda y0: end(y0, *rest)
+        rest = *self.place, h, n, memory.y, memory.memory, memory.vector
+        return lambda y0: advance(y0, *rest)
 
     @cached_property
     def tangents(self) -> Any:  # type: ignore[override]
-        larger: Any = [
-            Variational(name=part.name, t_end=part.t_end, base=part, count=1) for part in self.parts
-        ]
-        return self.compiled(larger, 2 * self.size)
+        same = {"name": self.scene.name, "t_end": self.scene.t_end, "count": 1}
+        return self.compiled([Variational(base=part, **same) for part in self.parts], 2 * self.size)  # type: ignore[arg-type]
 
     def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Both changes of coordinates are of degree two, and central differences exact."""
-        d = self.size
-        w = (self.stretched(y0 + v) - self.stretched(y0 - v)) / 2
-        y = self.march(self.tangents, np.concatenate([self.stretched(y0), w]), self.ready(h, n))
-        return np.array([(self.back(row[:d] + row[d:]) - self.back(row[:d] - row[d:])) / 2 for row in y])
+        memory, d, y, rows = self.tangents, self.size, y0, []
+        with self.alone:
+            for step, steps in self.ready(h, n):
+                memory.y[:d] = self.stretched(y)
+                memory.y[d:] = (self.stretched(y + v) - self.stretched(y - v)) / 2
+                memory.take(step, steps)
+                z, w = memory.y[:d], memory.y[d:]
+                y, v = self.back(z), (self.back(z + w) - self.back(z - w)) / 2
+                rows.append(v)
+        return np.array(rows)
 
 
 class Sprk(Stepper):

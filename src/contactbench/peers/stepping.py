@@ -22,7 +22,7 @@ PIECE = 10**6
 
 
 class LibrarySteps(StepLoop):
-    """Take the steps of a library, whose memory all calls share."""
+    """Take the steps of a library by calls ``advance(y, h, n)``, which share its memory."""
 
     derivative = ""
 
@@ -30,24 +30,21 @@ class LibrarySteps(StepLoop):
         super().__init__(method, request)
         self.alone = Lock()
 
-    def ready(self, h: np.ndarray, n: np.ndarray) -> Any:
-        """Return the steps in intervals that are not too long, and which of their ends are asked for."""
-        parts = np.maximum(1, -(-n * self.method.stages // PIECE))
-        last = np.cumsum(parts) - 1
-        each = np.repeat(n // parts, parts)
-        each[last] += n - parts * (n // parts)
-        return np.repeat(h, parts), each, last
+    @abstractmethod
+    def advance(self, y: np.ndarray, h: float, n: int) -> np.ndarray:
+        """Return the packed state n steps of h after another."""
 
-    def march(self, memory: Any, y: np.ndarray, ready: Any) -> np.ndarray:
-        """Return what `memory.take` gives from y on, with a look at signals between intervals that are long."""
-        h, n, last = ready
+    def ready(self, h: np.ndarray, n: np.ndarray) -> list[tuple[float, int]]:
+        return list(zip(h.tolist(), n.tolist(), strict=True))
+
+    def take(self, y0: np.ndarray, ready: list[tuple[float, int]]) -> tuple[np.ndarray, int | None]:
+        rows, y, most = [], y0, max(1, PIECE // self.method.stages)
         with self.alone:
-            if len(last) == len(h):
-                return memory.take(y, h, n)
-            rows = np.empty((len(h), len(y)))
-            for k in range(len(h)):
-                y = rows[k] = memory.take(y, h[k : k + 1], n[k : k + 1])[0]
-        return rows[last]
+            for h, n in ready:
+                for done in range(0, n, most):
+                    y = self.advance(y, h, min(most, n - done))
+                rows.append(y)
+        return np.array(rows), None
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class Stepper(Method):
     name: str
     order: int
     about: str
-    loop: Callable[[Stepper, Request], StepLoop]
+    loop: Callable[[Any, Request], StepLoop]
     package: str
     stages: int = 1
     solver: str = ""

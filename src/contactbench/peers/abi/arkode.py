@@ -79,6 +79,7 @@ def stretch(state, over_m, gamma, clock, y):  # type: ignore[no-untyped-def]
         y[n + 1] = state[clock]
     if len(state) > 2 * n + timed:
         y[-1] = state[-1] - product / 2
+    return y
 
 
 @kept
@@ -95,30 +96,24 @@ def unstretch(y, over_m, gamma, clock, state):  # type: ignore[no-untyped-def]
         state[clock] = y[n + 1] + y[n]
     if len(state) > 2 * n + timed:
         state[-1] = shrunk * shrunk * y[-1] + product / 2
+    return state
 
 
 @kept
-def take(y, h, n, rows, memory, vector):  # type: ignore[no-untyped-def]
-    """n[k] steps of h[k], one interval after the other, from y on, into rows."""
-    reached = np.zeros(1)
-    for k in range(len(h)):
-        end = n[k] * h[k]
-        reset(memory, 0.0, vector)
-        set_fixed_step(memory, h[k])
-        set_stop_time(memory, end)
-        if evolve(memory, end, vector, reached.ctypes.data, NORMAL) < 0:
-            y[:] = np.nan
-        for i in range(len(y)):
-            rows[k, i] = y[i]
+def take(h, n, y, memory, vector):  # type: ignore[no-untyped-def]
+    """n steps of h from y, the array of the vector, on."""
+    reset(memory, 0.0, vector)
+    set_fixed_step(memory, h)
+    set_stop_time(memory, n * h)
+    if evolve(memory, n * h, vector, np.zeros(1).ctypes.data, NORMAL) < 0:
+        y[:] = np.nan
 
 
 @kept
-def to_end(state, over_m, gamma, clock, y, h, n, memory, vector):  # type: ignore[no-untyped-def]
-    rows, end = np.empty((len(h), len(y))), np.empty(len(state))
+def advance(state, over_m, gamma, clock, h, n, y, memory, vector):  # type: ignore[no-untyped-def]
     stretch(state, over_m, gamma, clock, y)
-    take(y, h, n, rows, memory, vector)
-    unstretch(y, over_m, gamma, clock, end)
-    return end
+    take(h, n, y, memory, vector)
+    return unstretch(y, over_m, gamma, clock, np.empty(len(state)))
 
 
 class Memory:
@@ -142,7 +137,5 @@ class Memory:
         library.ARKodeSetInterpolantType(self.memory, NO_INTERPOLANT)
         library.ARKodeSetMaxNumSteps(self.memory, -1)
 
-    def take(self, y: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        self.y[:], rows = y, np.empty((len(h), len(y)))
-        take(self.y, h, n, rows, self.memory, self.vector)
-        return rows
+    def take(self, h: float, n: int) -> None:
+        take(h, n, self.y, self.memory, self.vector)
