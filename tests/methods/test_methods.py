@@ -9,12 +9,8 @@ import contactbench as cb
 from cases import few_slow, mine
 from contactbench.methods import jax_engine
 from contactbench.methods.base import tolerance
-<<<<<<< HEAD
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import steps_in
-=======
 from contactbench.methods.prescribed import steps_in
->>>>>>> main
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 from contactbench.xla import jax

@@ -8,12 +8,8 @@ import pytest
 import contactbench as cb
 from cases import after_pulse, by_name, mine, pairs, pulse, refusal, saved
 from contactbench.measure.laws import laws_of, row
-<<<<<<< HEAD
-from contactbench.measure.order import error_at, order_at
-from contactbench.methods.fixed_step import FixedStep
-=======
 from contactbench.measure.order import order_at
->>>>>>> main
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers import quadrature
 from contactbench.scenes.driven import (
     DETEST,
