@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from contactbench.blame import their_code
-from contactbench.checks import array, finite, function, items_of, positive, switch
+from contactbench.checks import finite, function, items_of, positive, real_array, switch
 from contactbench.errors import BadInput, excerpt
 from contactbench.measure.laws import laws_of
 from contactbench.measure.statistics import PROCESSES
@@ -117,7 +117,7 @@ def users_reference(scene: Scene, given: Callable[[np.ndarray], ArrayLike]) -> R
     labels = ", ".join(scene.labels(carry)[:8])
     wanted = f"a function of the times that gives a row of {labels} for each"
     with their_code("reference"):
-        y = array("reference", given(t.copy()), wanted)
+        y = real_array("reference", given(t.copy()), wanted)
     if y.shape != (shape := (len(t), len(scene.labels(carry)))) or not np.isfinite(y).all():
         raise BadInput(f"reference: gives shape {y.shape}: must be {shape}, finite, for each time {labels}")
     return Reference(scene, carry, t, y, [], np.finfo(float).precision, "given")
