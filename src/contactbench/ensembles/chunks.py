@@ -69,10 +69,10 @@ class Task:
             chosen = METHODS[self.method]
             assert isinstance(chosen, FixedStep)
             run = FixedStepRun(self.method, self.request, chosen)
-            parts = list(self.chunks(run, y0, own, y0.shape[1], cores=1))
+            made = list(self.chunks(run, y0, own, y0.shape[1], cores=1))
         except Exception as error:
             return error
-        y, measures, end_time = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
+        y, measures, end_time = (np.concatenate(arrays, axis=-1) for arrays in zip(*made, strict=True))
         return y, measures, end_time
 
     def chunks(
@@ -245,9 +245,9 @@ def on_devices(
         arrays = (np.pad(a, filled, mode="edge") for a in (y0[:, part], bound, individual[:, part]))
         return program(*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.until))
 
-    parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
-    ahead = begin(parts[0])
-    for part, following in zip(parts, [*parts[1:], None], strict=True):
+    slices = [slice(first, min(first + count, n)) for first in range(0, n, count)]
+    ahead = begin(slices[0])
+    for part, following in zip(slices, [*slices[1:], None], strict=True):
         out = ahead
         if following is not None:  # begun before this one is waited for: no device idles at its end
             ahead = begin(following)

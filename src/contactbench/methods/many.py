@@ -83,8 +83,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
         start = State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None)
         before = see(0, start)
         x = advance(twin, start, h, n, xp, repeat)
-        parts = [*x.q, *x.p], [x.s] if with_s else []
-        end = [number(c) for part in parts for number in (value, slope)[:blocks] for c in part]
+        components = [*x.q, *x.p], [x.s] if with_s else []
+        end = [number(c) for part in components for number in (value, slope)[:blocks] for c in part]
         return [*end, *before, *see(1, x)]
 
     seen = 2 * SEEN * watch
