@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Hashable
-from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, cached_property
 from time import monotonic
@@ -47,6 +46,8 @@ from contactbench.trace.sweeps import (
 from contactbench.xla import jax, lax
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from jax.sharding import Mesh, NamedSharding
     from numpy.typing import ArrayLike
 
@@ -94,6 +95,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
 @cache
 def others(count: int) -> Executor:
     """Threads beside this one."""
+    from concurrent.futures import ThreadPoolExecutor
+
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
 
 
