@@ -13,7 +13,6 @@ from contactbench.numbers import quadrature
 from contactbench.scenes.driven import (
     DETEST,
     DRIVEN,
-    DUFFING,
     FORCED_OSCILLATOR,
     FORCED_PULSATING,
     LANE_EMDEN,
@@ -142,15 +141,6 @@ def test_a_negative_factor_has_no_logarithm_and_no_number_stands_for_it():
     columns = row(cb.solve(LANE_EMDEN[1], "herglotz1", step=0.8, save_at=saved(LANE_EMDEN[1])))
     assert math.isnan(columns["own_factor_drift"])
     assert columns["distribution_drift"] < 1e-13
-
-
-@by_name([FORCED_PULSATING, LANE_EMDEN[1], DUFFING])
-@pytest.mark.parametrize("step", [0.4, 0.1])
-def test_pairs_under_a_damping_that_changes_with_time_have_the_product_of_its_integral(scene, step):
-    """On the chaotic scene too, at any step; and not for other methods."""
-    law = cb.LAWS["pairing_drift"]
-    assert law(cb.solve(scene, "contact-rkn4", step=step, save_at=saved(scene))) < 1e-12
-    assert law(cb.solve(scene, "rk4", step=step, save_at=saved(scene))) > 1e-7
 
 
 def test_laws_of_h_are_not_claimed_where_time_is_in_it():

@@ -285,24 +285,3 @@ def test_a_step_as_long_as_the_decay_is_no_trouble(engine):
     scene = UNDERFLOW.with_(M=(0.1, 0.2, 0.3))
     solution = cb.solve(scene, "contact-o8", step=50.0, save_at=[50.0, 100.0], engine=engine)
     assert cb.LAWS["solution_error"](solution) < 1e-12
-
-
-@pytest.mark.parametrize("method", EXACT_DRIFT)
-@pytest.mark.parametrize("engine", ["numba", "python"])
-def test_the_printed_scheme_on_a_body_is_exact_but_for_its_clock(method, engine):
-    """A_τ and C commute up to the clock of A: M and R are those of the true body at a time of its own.
-
-    Printed, right to left, C comes before A: n steps run the free body for h (e^{−γh} + e^{−2γh} + …); the
-    palindrome has half a step before and half after each C.
-    """
-    h, n = 0.4, 50
-    solution = cb.solve(BODY, method, step=h, save_at=[h * n], engine=engine)
-    ticks = np.exp(-BODY.gamma * h * np.arange(n + 1))
-    weights = {"contact-printed": [0.0] + [1.0] * n, "contact-abc": [0.5] + [1.0] * (n - 1) + [0.5]}
-    clock = h * np.dot(weights[method], ticks)
-    free_time = -np.log1p(-BODY.gamma * clock) / BODY.gamma  # φ(t) = clock
-    exact = cb.solve(BODY, "contact-exact", save_at=[free_time], engine=engine)
-    grown = np.exp(BODY.gamma * np.array([h * n, free_time]))
-    np.testing.assert_allclose(grown[0] * solution.M, grown[1] * exact.M, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(solution.R, exact.R, rtol=0, atol=1e-13)
-    assert abs(free_time - h * n) > 1e-3
