@@ -11,7 +11,7 @@ import contactbench as cb
 from contactbench.numbers.functions import cos, cosh, exp, sin, tanh
 
 #: one of each kind in the quick run
-QUICK, ALL = 7, 240
+QUICK, ALL = (0, 1, 2, 3, 5, 6, 11), 240
 
 
 def bell(x):
@@ -102,7 +102,7 @@ def followed(scene, force, rate, places):
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(n, marks=[pytest.mark.slow] * (n >= QUICK)) for n in range(ALL)]
+    "seed", [pytest.param(n, marks=[pytest.mark.slow] * (n not in QUICK)) for n in range(ALL)]
 )
 def test_no_reference_of_a_driven_scene_is_wrong(seed):
     made, *known = scene(seed)
