@@ -16,7 +16,6 @@ from contactbench.scenes.driven import (
     FORCED_OSCILLATOR,
     FORCED_PULSATING,
     LANE_EMDEN,
-    spherical_span,
 )
 from contactbench.truth import decimal_context
 
@@ -87,19 +86,6 @@ def test_the_rule_integrates_polynomials_with_all_digits_of_its_numbers():
         for c, row_of in zip(nodes, matrix, strict=True):
             for k in range(8):
                 assert abs(quadrature.weigh(row_of, [c**k for c in nodes]) * (k + 1) - c ** (k + 1)) < bound
-
-
-def test_integrals_of_the_damping_are_those_in_closed_form_where_there_is_one():
-    """γ = 2/t by Gauss's rule and by its formula: order 16 in h/t, round-off at h = t/4."""
-    scene = LANE_EMDEN[1].with_(span=None)
-    for t, rel in ((4.0, 1e-14), (1.0, 1e-8)):
-        np.testing.assert_allclose(scene.spent(t, 1.0, math), spherical_span(t, 1.0, math), rtol=rel)
-    a, b = (cb.solve(s, "contact-rkn4", step=0.05, save_at=saved(s)).y for s in (scene, LANE_EMDEN[1]))
-    np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
-    start = scene.initial(("s",))
-    np.testing.assert_allclose(
-        scene.damped_by(start, saved(scene), np), 2 * np.log1p(saved(scene)), rtol=1e-14, atol=0
-    )
 
 
 # -- order -----------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import contactbench as cb
 from contactbench.measure.pullback import growth
 from contactbench.scene import BodyState, free_body, rotate, rotation_matrix
 from contactbench.scene.free_body import carlson, free, jacobi
-from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST, rotation
+from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
 from contactbench.truth import decimal_context
 from properties import MOTIONS, Fixed
 
@@ -115,48 +115,6 @@ def test_the_compiled_method_is_right_to_what_the_data_determine(kind):
         run = cb.prepare(scene, "contact-exact", save_at=[abs(t)], carry=("R",), engine="numba")
         found = scene.unpack(run.bare(run.start).tolist(), ("R",))
         assert_determined(found, [*inertia], [*M], abs(t))
-
-
-class Counted(np.lib.mixins.NDArrayOperatorsMixin):
-    """A number that counts square roots, transcendental functions, and divisions of and by what is no power of two."""
-
-    count = 0
-    short = ("add", "subtract", "multiply", "negative", "absolute", "floor")
-
-    def __init__(self, value):
-        self.value = value
-
-    def __bool__(self):
-        return bool(self.value)
-
-    def __array_ufunc__(self, ufunc, method, *inputs):
-        values = [getattr(x, "value", x) for x in inputs]
-        other = values[inputs[0] is self and len(values) > 1]
-        scaling = ufunc is np.divide and math.frexp(other)[0] == 0.5
-        comparison = ufunc.types[0].endswith("->?")
-        Counted.count += not (scaling or comparison or ufunc.__name__ in self.short)
-        return Counted(ufunc(*values))
-
-
-class Counting(Fixed):
-    """Functions of plain numbers count as well: those of the moments of inertia."""
-
-    def __getattr__(self, name):
-        function = getattr(np, name)
-        if not callable(function):
-            return function
-        return lambda x: function(x if isinstance(x, Counted) else Counted(x))
-
-
-@pytest.mark.parametrize(("R", "cost"), [((1, 0, 0, 0), FREE_COST), (None, MOMENTUM_COST)])
-def test_the_cost_is_counted(R, cost, monkeypatch):
-    """In rotations, of two long operations each; loops of fixed length."""
-    monkeypatch.setattr(Counted, "count", 0)
-    x = BodyState(tuple(map(Counted, BODY.M)), R and tuple(map(Counted, R)), Counted(0.0))
-    rotation(x, 0, Counted(0.3), Counting(np))
-    assert Counted.count == 2
-    free(BODY, x, Counted(0.3), Counting(np))
-    assert (Counted.count - 2) / 2 == pytest.approx(cost, abs=0.5)
 
 
 # -- the method ------------------------------------------------------------------
