@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import after_pulse, by_name, mine, pairs, pulse, refusal, saved
+from cases import after_pulse, by_name, few_slow, mine, pairs, pulse, refusal, saved
 from contactbench.measure.laws import laws_of, row
 from contactbench.measure.order import order_at
 from contactbench.numbers import quadrature
@@ -224,9 +224,11 @@ def test_peers_with_callbacks_take_jumps(name):
 
 
 PEERS = [m for m in cb.METHODS.values() if m.own_time and m.refuses(pulse()) is None]
+#: XLA compiles for seconds; one of its methods stands for all
+LONG = [m for m in PEERS if m.name in ("diffrax-dopri8", "diffrax-kvaerno5")]
 
 
-@pytest.mark.parametrize("method", PEERS, ids=lambda m: m.name)
+@pytest.mark.parametrize("method", few_slow(PEERS, *LONG), ids=lambda m: m.name)
 def test_every_peer_ends_steps_at_breaks_and_sees_the_pulse(method):
     """At rest before it, nearly all step over it otherwise; equal saved states however many are saved."""
     scene = pulse(breaks=(13.0, 13.3, 13.6))
