@@ -70,7 +70,7 @@ def test_an_interrupted_race_prints_what_it_has(capsys, monkeypatch):
     def stopped(self):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("contactbench.race.comparison.Comparison.time", stopped)
+    monkeypatch.setattr("contactbench.study.schedule.Schedule.time", stopped)
     assert main(RACE) == 130
     out = capsys.readouterr().out
     assert "not timed" in out

@@ -8,11 +8,11 @@ import pytest
 
 import contactbench as cb
 from cases import FIXED, by_name, pairs, saved
-from contactbench.measure.ladder import save_times
 from contactbench.measure.law import JUDGEMENT, conformal_deviation, relative_deviation
 from contactbench.measure.laws import LAWS, laws_of, row
 from contactbench.scenes.driven import DRIVEN
 from contactbench.solution import Solution, Status
+from contactbench.study.settings import times as save_times
 
 TIMES = np.linspace(0.0, 20.0, 41)
 STANDARD = [

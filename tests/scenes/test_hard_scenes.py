@@ -122,3 +122,12 @@ def test_momentum_law_where_strong_damping_cancels_it():
     assert cb.LAWS["momentum_law"](solution) < 1e-12
     solution.y[:, 2] += 1e-3 * np.abs(solution.y[:, 0])  # a momentum across the force: J where there is none
     assert cb.LAWS["momentum_law"](solution) > 1e-3
+
+
+def test_a_solver_that_calls_python_steps_back_from_a_wall_as_its_compiled_twin_does():
+    """In Python e^x raises where it is inf elsewhere, and the step is refused that led there."""
+    wall = cb.SCENES["steep_wall"].with_(p=(0.5,))
+    one, other = (cb.solve(wall, f"{library}-dop853", rtol=1e-7) for library in ("scipy", "cyrk"))
+    assert one.ok
+    assert one.counts.rejected
+    assert one.y[-1] == pytest.approx(other.y[-1], rel=1e-9)

@@ -284,9 +284,9 @@ def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
     module, steps = importlib.import_module("contactbench.truth.engines"), []
     attempt = module.extrapolated
 
-    def count(slope, y, step, *more):
+    def count(slope, t, y, step, *more):
         steps.append(step)
-        return attempt(slope, y, step, *more)
+        return attempt(slope, t, y, step, *more)
 
     monkeypatch.setattr(module, "extrapolated", count)
     ((q, p),) = truth.extrapolation(bounce, ["8.0"], (), 8)
@@ -354,12 +354,12 @@ def test_functions_end_where_an_argument_is_beyond_any_scale():
 def test_a_step_ends_where_the_state_is_beyond_any_scale():
     seen = []
 
-    def slope(y):
+    def slope(t, y):
         seen.append(abs(y[0]))
         return y**2
 
     y, step = (truth.decimal_context(40).mpf(x) for x in ("1e3", "10"))
-    engines.extrapolated(slope, np.array([y]), step, 12, 1e-20, lambda: None)
+    engines.extrapolated(slope, 0, np.array([y]), step, 12, 1e-20, lambda: None)
     assert max(seen) < 1e4 * engines.BEYOND
 
 
@@ -368,7 +368,7 @@ def test_extrapolation_looks_at_the_clock_before_every_slope(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(engines, "perf_counter", lambda: now[0])
 
-    def slope(y):
+    def slope(t, y):
         now[0] += 1.0
         return -y
 

@@ -1,5 +1,6 @@
 """The survey of a motion: what an engine would step over is found, and a wrong truth is refused."""
 
+import bisect
 import importlib
 import itertools
 
@@ -59,7 +60,7 @@ def test_two_solvers_that_agree_on_no_digit_are_refused(monkeypatch):
 
 
 def test_compare_refuses_a_reference_of_which_no_digit_is_confirmed(monkeypatch):
-    module = importlib.import_module("contactbench.race.comparison")
+    module = importlib.import_module("contactbench.study.schedule")
     monkeypatch.setattr(module, "confirmed", lambda truth, seconds: 0)
     assert "confirms none" in refusal(lambda: cb.compare("oscillator", methods=["rk4"], budget=5.0))
 
@@ -101,6 +102,25 @@ def test_stops_come_before_a_step_could_be_many_times_too_long():
     for a, b in zip([0.0, *stops], [*stops, 5.0], strict=True):
         inside = [y - x for x, y in itertools.pairwise(ends) if a <= x and y <= b]
         assert len(inside) == 1 or b - a <= 8.0 * min(inside) * (1 + 1e-12)
+
+
+def test_two_solvers_reach_a_jump_to_round_off():
+    """Their steps do not sum up the time: a few roundings late, ten digits would agree."""
+    at = [0.7 + 1.9 * k for k in range(10)]
+    side = lambda t: float(bisect.bisect(at, float(t)) % 2)  # noqa: E731  # float() refuses to be recorded
+    scene = cb.Driven(
+        name="switched",
+        potential=lambda q, t: q[0] ** 2 / 2 - q[0] * side(t),
+        gradient=lambda q, t: (q[0] - side(t),),
+        gamma=0.1,
+        q=(0.3,),
+        p=(0.0,),
+        t_end=20.0,
+        breaks=at,
+    )
+    found = cb.reference(scene, [20.0], ())
+    assert found.source == "two solvers"
+    assert found.digits >= 12
 
 
 # -- fast motion is no blow-up -----------------------------------------------------------------------

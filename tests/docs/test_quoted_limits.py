@@ -1,0 +1,48 @@
+"""The limits that the documentation quotes are those of the code."""
+
+from pathlib import Path
+
+import pytest
+
+import contactbench as cb
+from contactbench.gate import compare, speed
+from contactbench.measure import clock, law, statistics
+from contactbench.methods.many import SHARED
+from contactbench.scene.many import ALL_TANGENTS
+from contactbench.study.compare import BUDGET
+
+DOCS = Path(__file__).parents[2] / "docs"
+QUOTED = {
+    "compare.md": [
+        f"budget ({BUDGET:.0f} s by default)",
+        f"{clock.VISITS} times or more",
+        f"wider than {statistics.WIDEST - 1:.0%}",
+    ],
+    "gate.md": [
+        f"by a factor of {compare.FACTOR:.0f}",
+        f"by {compare.SLOPE}; slopes",
+        f"by {compare.VALUE:.0%}",
+        f"above {speed.LIMIT}",
+    ],
+    "many.md": [
+        f"From {SHARED // 1000} 000 sites on",
+        f"more than {cb.METHODS['scipy-radau'].most} components",
+        f"more than {ALL_TANGENTS} numbers",
+    ],
+    "mathematics.md": [f"up to {ALL_TANGENTS} numbers"],
+    "project.md": [f"at most {1e3 * speed.LONGEST:.0f} ms"],
+    "reading.md": [f"more than {law.WRECKED:.0%}"],
+    "timing.md": [
+        f"visited {clock.VISITS} times",
+        f"{clock.ROUNDS} rounds of at least {1e3 * clock.ROUND_SECONDS} ms",
+        f"more than {1e3 * clock.LONG:.0f} ms",
+        f"{statistics.FLOOR - 1:.0%} at least",
+        f"wider than {statistics.WIDEST - 1:.0%}",
+    ],
+}
+
+
+@pytest.mark.parametrize("page", QUOTED)
+def test_quoted_limits_are_those_of_the_code(page):
+    text = (DOCS / page).read_text().replace(" %", "%")
+    assert [quote for quote in QUOTED[page] if quote not in text] == []
