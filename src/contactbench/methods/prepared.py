@@ -363,11 +363,12 @@ class Prepared(ABC):
 def scales_of(scene: Any, x: Any, end: float) -> Any:
     """Return the scale of every component but the time of a motion from x, one number where all are 1.
 
-    Coordinates and momenta have one, the largest of theirs, as the error of a run is measured: with a scale each,
-    tolerances would hold the small ones to digits that nobody asks for, at a fifth more evaluations.
+    Coordinates have one, and momenta, the largest of theirs: with one for every component, the momenta of light bodies
+    would be held to digits that nobody asks for, at a fifth more evaluations (planets).
     """
     scales = scene.scales(x, end)
-    scales[: scene.motion] = scales[: scene.motion].max()
+    for part in np.split(scales[: scene.motion], 2 if scene.canonical else 1):
+        part[:] = part.max()
     return 1.0 if (scales == 1).all() else scales
 
 
