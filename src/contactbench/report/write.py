@@ -12,7 +12,6 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
-from contactbench.measure.ladder import stepping
 from contactbench.report import draw, headline, markdown, page
 from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, every
 from contactbench.report.drawing import Figure
@@ -52,11 +51,11 @@ def documents(
 
 
 def with_answers(readme: Path, frames: Frames) -> str:
-    parts = computed_part(readme)
-    if parts is None:
+    around = computed_part(readme)
+    if around is None:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    return f"{parts[0]}\n{markdown.answers(headline.answers(frames))}\n\n{parts[1]}"
+    return f"{around[0]}\n{markdown.answers(headline.answers(frames))}\n\n{around[1]}"
 
 
 def computed_part(readme: Path) -> tuple[str, str] | None:
@@ -89,7 +88,7 @@ def report(
 # -- the glossary: what the registries say of methods, scenes and columns ----------------------------
 def glossary(registries: Registries) -> tuple[Part, ...]:
     methods = [
-        (name, m.family, str(m.order or "variable"), stepping(m), ", ".join(m.engines), m.about)
+        (name, m.family, str(m.order or "variable"), m.stepping, ", ".join(m.engines), m.about)
         for name, m in registries["methods"].items()
     ]
     labels = ["method", "family", "order", "steps", "engines", "what it is"]

@@ -1,12 +1,8 @@
-"""Finished cells: a file each, there as a whole or not at all, and merged into the tables.
+"""Finished cells: a file each in ``results/.cells/PROFILE``, there as a whole or not at all, merged into the tables.
 
-A process that has finished a cell puts all rows of it into a file of its own in ``results/.cells/PROFILE``, which
-takes its name last: a kill leaves a cell finished or not.  A merge rewrites the tables under a lock and only then
-renames the files it has read; to merge a file twice does no harm, so that a kill of the merge loses nothing either.
-The files stay, and say which cells are done.
-
-Once all cells of an experiment are done, the rows of its tables that none of them has made are dropped: their
-benchmark no longer exists.
+A merge rewrites the tables under a lock and only then renames the files it has read; to merge a file twice does no
+harm, so that no kill loses anything.  The files stay, and say which cells are done.  Once all cells of an experiment
+are, rows of its tables that none of them has made are dropped: their benchmark no longer exists.
 """
 
 from __future__ import annotations
@@ -15,7 +11,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +22,7 @@ from filelock import FileLock
 from contactbench.errors import BadInput
 from contactbench.files import replacing
 from contactbench.results.provenance import save_run
-from contactbench.results.schema import PROFILES, TABLES, Table
+from contactbench.results.schema import PROFILES, TABLES, Row, Table
 from contactbench.results.store import check, keys, merge, note, read
 
 FOLDER = ".cells"
@@ -34,7 +30,7 @@ FOLDER = ".cells"
 NEW, DONE, BEGUN = ".new", ".done", ".begun"
 
 type Cell = tuple[str, str]  #: the file of an experiment and the name of one of its cells
-type Rows = list[tuple[str, dict[str, Any]]]  #: each with the name of its table
+type Rows = list[tuple[str, Row]]  #: each with the name of its table
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,7 @@ class DiskFull(BadInput):
 
 @contextlib.contextmanager
 def disk() -> Iterator[None]:
-    """Say in one line where a disk takes no more."""
+    """Raise `DiskFull`, in one line, in place of any `OSError` of the body."""
     try:
         yield
     except OSError as error:
@@ -74,9 +70,7 @@ class Cells:
 
     # -- one cell ----------------------------------------------------------------------------------
     @disk()
-    def save(
-        self, rows: Iterable[tuple[Table, Mapping[str, Any]]], cell: Cell, finished: bool = True
-    ) -> None:
+    def save(self, rows: Iterable[tuple[Table, Row]], cell: Cell, finished: bool = True) -> None:
         """Keep the rows of a cell: no kill takes them away when this returns (a failure of power may)."""
         named = [[table.name, dict(row)] for table, row in rows]
         entry = {"run": self.run, "cell": cell if finished else None, "rows": named}
@@ -91,7 +85,7 @@ class Cells:
         return None
 
     # -- all of them -------------------------------------------------------------------------------
-    def begin(self, record: Mapping[str, Any]) -> None:
+    def begin(self, record: Row) -> None:
         """Keep where and with what the run is made, and merge what killed runs have left."""
         with replacing(self._record(self.run)) as file:
             json.dump(record, file)
@@ -132,7 +126,7 @@ class Cells:
                 else:
                     entry.path.unlink()
 
-    def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
+    def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[Row]]:
         done = self.done() if expected else {}
         done |= {e.cell: e.rows for e in entries if e.cell and e.path.parent == self.folder}
         unfinished = {file for file, name in expected if (file, name) not in done}
@@ -145,15 +139,15 @@ class Cells:
         return self.mark.stat().st_mtime if self.mark.exists() else 0.0
 
 
-def _by_table(cells: Iterable[Rows]) -> dict[str, list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = {}
+def _by_table(cells: Iterable[Rows]) -> dict[str, list[Row]]:
+    found: dict[str, list[Row]] = {}
     for name, row in (each for rows in cells for each in rows):
         found.setdefault(name, []).append(row)
     return found
 
 
 def _fits(entry: Entry) -> bool:
-    """Whether the tables can take the rows; what another version, or a plug-in that is not here, made stays aside."""
+    """Return whether the tables can take the rows; of another version, or a plug-in not here, they stay aside."""
     try:
         for name, row in entry.rows:
             check(TABLES[name], row)

@@ -1,18 +1,11 @@
-"""What is kept at equal cost?  One cell: a method on a scene, its errors and decay laws at equal evaluations.
-
-Thirty evaluations per unit of time are about what the motions of these scenes take to be followed to three
-digits by the better methods; a hundred, where high orders show.  Fixed steps follow from the evaluations of
-a step, tolerances from a bisection.  The cost is that of a run to the end; the errors and laws are the
-largest at five times, which are step boundaries of every step taken.
-"""
+"""What is kept at equal cost?  One cell: a method on a scene, its errors and decay laws at equal evaluations."""
 
 from __future__ import annotations
-
-import numpy as np
 
 import contactbench as cb
 from contactbench.measure.laws import row as law_columns
 from contactbench.methods.base import Method
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
@@ -20,10 +13,11 @@ from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import contestants, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
+from contactbench.study.settings import times
 
 #: of the scenes of every experiment
 FEW = ("oscillator", "particle", "central", "rigid_body")
-#: evaluations per unit of time, on the scale of one right-hand side
+#: right-hand sides per unit of time: what the better methods take to follow these motions to three digits, and more
 COSTS = (30.0, 100.0)
 SAVES = 5
 #: where the momentum is not kept but for its decay, it is compared with the truth's
@@ -41,13 +35,9 @@ def ladder(profile: Profile) -> list[Cell]:
     ]
 
 
-def save_times(scene: Scene) -> np.ndarray:
-    return scene.t_end * np.arange(1, SAVES + 1) / SAVES
-
-
 def to_the_end(scene: Scene, method: Method, value: float, budget: int | None) -> Solution:
     """Return a run to the end, saved there alone; of diffrax, where that changes nothing, as the laws' program does."""
-    saves = save_times(scene) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
+    saves = times(scene, SAVES) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
     return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **keywords(method.control, value))
 
 
@@ -62,12 +52,13 @@ def value_at(scene: Scene, method: Method, target: float, budget: int | None = N
         return 0.0
     if method.adaptive:
         return tolerance_at(lambda rtol: evaluations(scene, method, rtol, budget), target, method.rtol_range)
+    assert isinstance(method, FixedStep)
     return step_at(method, scene, target, SAVES)
 
 
 def laws_row(scene: Scene, method: Method, value: float, budget: int | None) -> Row:
     setting = keywords(method.control, value)
-    solution = cb.solve(scene, method.name, save_at=save_times(scene), max_steps=budget, **setting)
+    solution = cb.solve(scene, method.name, save_at=times(scene, SAVES), max_steps=budget, **setting)
     if not solution.ok:
         return {"status": str(solution.status), "message": solution.message}
     columns = law_columns(solution)
