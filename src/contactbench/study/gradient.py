@@ -67,7 +67,7 @@ def program(scene: str, method: str, how: str) -> Compiled:
     terms, d, chosen = cb.diffrax.terms_of(scene), len(cb.SCENES[scene].q), cb.METHODS[method]
     velocity, (force, damping) = terms[0], terms[1].terms
 
-    def field(t: object, y: Array, args: Given) -> Array:
+    def field(t: Any, y: Array, args: Given) -> Array:
         q, p = y[:d], y[d:]
         return jnp.concatenate([velocity.vf(t, p, args), force.vf(t, q, args) + damping.vf(t, p, args)])
 
