@@ -18,7 +18,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from ctypes import addressof
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -111,7 +111,8 @@ class Ias15(Compiled):
     def connect(self, clock: int) -> tuple[ModuleType, tuple[Any, ...]]:
         from contactbench.peers.abi import rebound as abi
 
-        r, scene = self.request, self.scene
+        r, scene = self.request, cast(Any, self.scene)
+        assert r.rtol is not None
         size, n = len(self.split_clock(r.start)[1]), scene.motion // 2
         unit = scene.velocity(tuple(1.0 + 0 * c for c in scene.initial(()).p))
         over_m = np.array(scene.pack(State(unit, unit)), dtype=float)[:n]

@@ -134,9 +134,8 @@ class Steps(LibrarySteps):
 
         super().__init__(method, request)
         self.abi, scene = arkode, self.scene.unrolled() if isinstance(self.scene, Many) else self.scene
-        same = {"name": scene.name, "t_end": scene.t_end}
-        self.parts = [Part(base=scene, kick=kick, **same) for kick in (True, False)]
-        over_m = np.array(scaled(scene.inverse_mass, (1.0,) * len(scene.q)))
+        self.parts = [Part(name="", t_end=1.0, base=scene, kick=kick) for kick in (True, False)]
+        over_m = np.array(list(scaled(scene.inverse_mass, (1.0,) * len(scene.q))), dtype=float)
         self.place = over_m, scene.gamma, -1 if scene.clock is None else scene.clock
         self.memory: Any = None
         if request.engine in CALLBACKS:
@@ -175,8 +174,8 @@ class Steps(LibrarySteps):
 
     @cached_property
     def tangents(self) -> Any:  # type: ignore[override]
-        same = {"name": self.scene.name, "t_end": self.scene.t_end, "count": 1}
-        return self.compiled([Variational(base=part, **same) for part in self.parts], 2 * self.size)  # type: ignore[arg-type]
+        parts: list[Any] = [Variational(name="", t_end=1.0, base=part, count=1) for part in self.parts]  # type: ignore[arg-type]
+        return self.compiled(parts, 2 * self.size)
 
     def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Both changes of coordinates are of degree two, and central differences exact."""

@@ -21,12 +21,14 @@ from contactbench.scene import Scene
 PIECE = 10**6
 
 
-class LibrarySteps(StepLoop):
+class LibrarySteps(StepLoop[list[tuple[float, int]]]):
     """Take the steps of a library by calls ``advance(y, h, n)``, which share its memory."""
 
     derivative = ""
+    method: Any
+    scene: Any
 
-    def __init__(self, method: Stepper, request: Request) -> None:
+    def __init__(self, method: Any, request: Request) -> None:
         super().__init__(method, request)
         self.alone = Lock()
 
@@ -54,7 +56,7 @@ class Stepper(Method):
     name: str
     order: int
     about: str
-    loop: Callable[[Any, Request], StepLoop]
+    loop: Callable[[Any, Request], LibrarySteps]
     package: str
     stages: int = 1
     solver: str = ""
@@ -75,7 +77,8 @@ class Stepper(Method):
 
     def prepare(self, request: Request) -> Prepared:
         try:
-            return FixedStepRun(self.name, request, self, self.loop(self, request))
+            own: Any = self
+            return FixedStepRun(self.name, request, own, self.loop(self, request))
         except ImportError as why:
             return Refused(self.name, request, str(why))
 

@@ -159,7 +159,7 @@ def order_by_runs(case: MethodCase) -> float:
 
 
 def is_controlled_by_its_setting(case: MethodCase) -> None:
-    method = case.method
+    method: Any = case.method
     if method.control == "step":
         if case.first:
             own = isinstance(method, FixedStep)
@@ -219,7 +219,8 @@ def with_counter(scene: Any, kind: str) -> tuple[Any, list[int]]:
 
 
 def counts(case: MethodCase) -> None:
-    method, scene = case.method, case.scene
+    method: Any = case.method
+    scene = case.scene
     found = case.run()().counts
     require(found.evaluations is None or found.evaluations > 0, f"evaluations = {found.evaluations!r}")
     if method.control == "step":

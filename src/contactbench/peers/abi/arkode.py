@@ -10,6 +10,7 @@ import weakref
 from ctypes import byref, c_void_p
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,6 @@ from contactbench.peers.abi.cvode import (
     real,
     require_major,
 )
-from contactbench.peers.compiled import CFunctions
 
 #: no interpolation: a run ends on a step
 NO_INTERPOLANT = -1
@@ -119,9 +119,7 @@ def advance(state, over_m, gamma, clock, h, n, y, memory, vector):  # type: igno
 class Memory:
     """ARKODE's memory, freed with the object; y : the vector it works on."""
 
-    def __init__(
-        self, method: str, kick: CFunctions, drift: CFunctions, numbers: list[float], size: int
-    ) -> None:
+    def __init__(self, method: str, kick: Any, drift: Any, numbers: list[float], size: int) -> None:
         self.y, self.functions = np.zeros(size), (kick, drift)
         self.data = [part.data(numbers) for part in self.functions]
         addresses = [(part.rhs, own.ctypes.data) for part, own in zip(self.functions, self.data, strict=True)]
