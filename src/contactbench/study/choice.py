@@ -52,7 +52,7 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[s
 
 #: on callbacks a rival is timed on that scene alone: elsewhere compiled, and by its evaluations
 RIVALS = {"contact-yoshida6", "contact-rkn6a", "contact-rkn8b", "gauss4", "gauss6", "discrete-gradient"}
-RIVALS |= {"quinlan-tremaine8", "quinlan-tremaine12", "stormer12"}
+RIVALS |= {"quinlan-tremaine8", "quinlan-tremaine12", "stormer12", "sprk-5", "sprk-10"}
 #: of the other scenes a method is timed on one in so many by the smoke profile
 SOME = 3
 
