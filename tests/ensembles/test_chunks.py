@@ -11,9 +11,9 @@ import pytest
 import contactbench as cb
 from cases import mine
 from contactbench.ensembles import chunks
-from contactbench.ensembles.chunks import AHEAD, ATTEMPTS, FEW_LANES, LANES, equal_share, lanes_of, on_cores
+from contactbench.ensembles.chunks import AHEAD, ATTEMPTS, equal_share, on_cores
 from contactbench.ensembles.members import ENERGY
-from contactbench.methods.loops import loop_of
+from contactbench.methods.loops import FEW_LANES, LANES, loop_of
 
 MANY, CHUNK = 10_000, 500
 SCENE = cb.SCENES["particle"]
@@ -171,7 +171,7 @@ def test_a_long_loop_has_few_lanes():
     loops = [
         loop_of(cb.METHODS[method], scene.recorded(), ("s",)) for scene in (cubic, cb.SCENES["particle"])
     ]
-    assert list(map(lanes_of, loops)) == [FEW_LANES, LANES]
+    assert [loop.lanes for loop in loops] == [FEW_LANES, LANES]
     run = cb.prepare(cubic, method, step=0.1)
     found = cb.ensemble(cubic, method, {"q": (starts,)}, step=0.1)
     np.testing.assert_allclose(found.final.q[0], [run(q=(q,)).q[-1, 0] for q in starts], rtol=1e-13)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from contactbench.methods.prepared import IMPLICIT, Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution, Status
+from contactbench.study.experiment import Row
 from contactbench.study.settings import ENDS, carry_of, control_of, setting_to, steps, times, tolerances
 from contactbench.truth import OutOfTime, Reference
 
@@ -151,7 +151,7 @@ class Attempt:
     def reaches(self, error: float) -> bool:
         return self.ok and self.error <= error
 
-    def columns(self, floor: float) -> dict[str, Any]:
+    def columns(self, floor: float) -> Row:
         """Return the columns of its setting; no error below the floor is claimed."""
         counted = self.counts.rhs_equivalents is not None
         columns = {"setting": self.setting, "error_reached": max(self.error, floor)}
@@ -267,7 +267,7 @@ class Search:
 
     def attempt(self, value: float) -> Attempt:
         scene, first = self.question.scene, not self.attempts
-        options: dict[str, Any] = {"carry": carry_of(scene), "max_steps": self.most_steps()}
+        options: Row = {"carry": carry_of(scene), "max_steps": self.most_steps()}
         *earlier, end = times(scene, ENDS).tolist()
 
         def prepared(end: float) -> Prepared:
