@@ -9,9 +9,10 @@ import pytest
 import contactbench as cb
 from cases import FIXED, by_name, pairs, saved
 from contactbench.measure.law import JUDGEMENT, conformal_deviation, relative_deviation
-from contactbench.measure.laws import LAWS, laws_of, row
+from contactbench.measure.laws import LAWS, laws_of, observables, row
 from contactbench.scenes.driven import DRIVEN
 from contactbench.solution import Solution, Status
+from contactbench.study.search import Question
 from contactbench.study.settings import times as save_times
 
 TIMES = np.linspace(0.0, 20.0, 41)
@@ -58,6 +59,21 @@ def test_attitude_drift_sees_a_stretched_quaternion():
     solution = truth_as_solution(cb.SCENES["rigid_body"])
     solution.y[-1, 3:7] *= 1 + 1e-4  # R is of degree two, RᵀR of degree four, the identity has norm √3
     assert cb.LAWS["attitude_drift"](solution) == pytest.approx(4e-4 * math.sqrt(3), rel=1e-3)
+
+
+@pytest.mark.parametrize(("name", "steps"), [("lane_emden_5", 25), ("large_step", 400), ("oscillator", 40)])
+def test_an_error_is_relative_to_the_largest_true_state_the_start_included(name, steps):
+    scene = cb.SCENES[name]
+    t = [scene.t_end / 2, scene.t_end]
+    run = cb.solve(scene, "contact-strang", step=scene.t_end / steps, save_at=t, carry=())
+    true = observables(scene, cb.reference(scene, [0.0, *t], ()).y, ())
+    sizes = np.linalg.norm(true, axis=1)
+    assert sizes[0] > sizes[1:].max()  # the start is the largest
+    error = np.linalg.norm(observables(scene, run.y, ()) - true[1:], axis=1).max() / sizes[0]
+    assert LAWS["solution_error"](run) == pytest.approx(error, rel=1e-12)
+    question = Question(scene, cb.reference(scene, t, ()), (1e-3,), 1.0)
+    ends = [dataclasses.replace(run, t=run.t[[k]], y=run.y[[k]]) for k in range(2)]
+    assert question.error(ends) == pytest.approx(error, rel=1e-9)
 
 
 def test_solution_error_does_not_care_for_the_sign_of_the_quaternion():

@@ -1,7 +1,12 @@
 """The ledger: what a claim is, what counts as evidence, and how a verdict follows from numbers.
 
-A claim is a statement, in ``statements.toml``, and a function that measures it.  The verdict follows from the
-numbers by `verdict`; whether a correction repairs or replaces a statement that fails is argued, in its `correction`.
+One rule decides all verdicts.  A claim *holds* if what is printed does.  It *holds, corrected* if a number or formula
+that is printed is wrong, and the statement in words that the text draws from it survives the correction.  It is
+*refuted* if that statement fails.  Where a text can be read in two ways, both are measured and said, and the verdict is
+that of the reading which the paper's own definitions give.
+
+A claim is a statement, in ``statements.toml``, and a function that measures it.  The verdict follows from the numbers
+by `verdict`; whether a correction repairs or replaces a statement that fails is argued in its `correction`.
 """
 
 from __future__ import annotations
@@ -35,10 +40,10 @@ class Verdict(StrEnum):
 class Correction(StrEnum):
     """How a corrected statement relates to the paper's, declared with the claim.
 
-    repairs : the claim's substance survives once the correction is made; the claim *holds, corrected*.
-    replaces : what is true contradicts the claim; it is *refuted*.
-    sharpens : the claim is true, but says less than what is true.
-    extends : the claim is true as it stands; the correction says how far it goes.
+    repairs : a number or formula is corrected, the statement in words survives; the claim *holds, corrected*.
+    replaces : the statement in words fails, and the correction contradicts it; it is *refuted*.
+    sharpens : the claim holds, but says less than what is true.
+    extends : the claim holds; the correction says how far it goes, or how another reading of it fares.
     """
 
     repairs = "repairs"
@@ -82,14 +87,11 @@ def at_least(quantity: str, value: SupportsFloat, bound: float, why: str) -> Mea
 def verdict(
     statement: Sequence[Measurement], corrected: Sequence[Measurement], correction: Correction | None
 ) -> Verdict:
-    """Return the verdict: a statement that fails is `corrected` by a repair that passes, and otherwise refuted.
-
-    One that holds is `corrected` by a sharper one that holds.
-    """
-    mended = bool(corrected) and all(m.passes for m in corrected)
+    """Return the verdict: a statement that fails is `corrected` by a repair that passes, and otherwise refuted."""
     if all(m.passes for m in statement):
-        return Verdict.corrected if correction is Correction.sharpens and mended else Verdict.holds
-    return Verdict.corrected if correction is Correction.repairs and mended else Verdict.refuted
+        return Verdict.holds
+    mended = correction is Correction.repairs and bool(corrected) and all(m.passes for m in corrected)
+    return Verdict.corrected if mended else Verdict.refuted
 
 
 def columns(measurements: Sequence[Measurement], prefix: str = "") -> dict[str, object]:

@@ -241,6 +241,36 @@ def distance_to_equilibria(M: np.ndarray, D: np.ndarray) -> float:
     return float(min([np.linalg.norm(M), *lines]))
 
 
+@claim("C50")
+def classical_stability(seed: int = SEED, cases: int = 300) -> Evidence:
+    """Measure the undamped body: eigenvalues of many, and motions of one from beside its outer axes."""
+    rng = np.random.default_rng(seed)
+    inertias = np.cumsum(rng.uniform(0.3, 1.0, (cases, 3)), axis=1)
+    sizes = rng.choice([-1.0, 1.0], cases) * rng.uniform(0.2, 2.0, cases)
+    drawn = [(np.zeros((3, 3)), tuple(I), m, 1 / I) for I, m in zip(inertias, sizes, strict=True)]
+    outer = growths([(D, I, m * np.eye(3)[axis]) for D, I, m, _ in drawn for axis in (0, 2)])
+    middle = growths([(D, I, m * np.eye(3)[1]) for D, I, m, _ in drawn])
+    euler = np.array([abs(m) * np.sqrt((a[1] - a[2]) * (a[0] - a[1])) for *_, m, a in drawn])
+    axes = np.repeat([1.0, -1.0, 1.0, -1.0], 25)[:, None] * np.repeat(np.eye(3)[[0, 0, 2, 2]], 25, axis=0)
+    starts = axes + 1e-3 * rng.normal(size=axes.shape)
+    away = [
+        np.linalg.norm(M - axes, axis=1) / np.linalg.norm(starts - axes, axis=1)
+        for M in motions(np.zeros((len(axes), 3, 3)), starts, INERTIA)
+    ]
+    several = 10, "a constant: H0 is extremal there among the M of one size"
+    exact = 1e-9, "round-off of the eigenvalues"
+    yield at_most(
+        f"largest growth rate across the outer axes of {cases} random bodies, D = 0",
+        outer.max(),
+        *EIGENVALUES,
+    )
+    yield at_most(
+        "largest ‖M − M*‖ over that at the start, 10⁻³, at t = 2000 and 4000", np.max(away), *several
+    )
+    off = np.abs(middle / euler - 1).max()
+    yield at_most("max |growth rate/(‖M*‖ √((1/I₂ − 1/I₃)(1/I₁ − 1/I₂))) − 1|, the middle axis", off, *exact)
+
+
 @claim("C41")
 def motions_settle(seed: int = SEED, starts: int = 1200, inertia: Sequence[float] = INERTIA) -> Evidence:
     """starts : a multiple of six.  inertia : in ascending order."""

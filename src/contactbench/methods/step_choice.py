@@ -130,7 +130,7 @@ class ChosenStep(Prepared):
         run.divide(step)
         size = step if math.isclose(run.needed * step, self._end) else self._end / run.needed
         y, counts = run.take(y0)
-        return Pilot(run.needed, size, step, counts.evaluations or 0, y[run.saved])
+        return Pilot(run.needed, size, step, counts.evaluations or 0, np.vstack([y0, y[run.saved]]))
 
     def between(self, pilots: list[Pilot], finest: float, target: float) -> float:
         """The step between two pilots at which the error, measured against the finest, is the target."""
@@ -146,7 +146,7 @@ class ChosenStep(Prepared):
         return finer.asked
 
     def distance(self, coarse: Pilot, fine: Pilot) -> float:
-        """max ‖coarse − fine‖ / max ‖fine‖ of (q, p) or M over the saved times; infinite unless both are finite."""
+        """Return max ‖coarse − fine‖ / max ‖fine‖ of (q, p) or M, the start included; infinite unless finite."""
         a, b = (pilot.y[:, : self._motion] / self.units for pilot in (coarse, fine))
         with np.errstate(all="ignore"):
             size = float(np.linalg.norm(b, axis=1).max())

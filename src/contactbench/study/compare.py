@@ -61,7 +61,7 @@ def compare(
     methods :
         Names, by default all.
     errors :
-        Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs.
+        Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs and, of y*, the start.
     budget :
         Seconds for everything; the reference may take five whatever it is.
     progress :

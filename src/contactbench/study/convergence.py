@@ -33,8 +33,9 @@ def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, flo
 
 
 def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, float, float]]:
-    """The same on mpmath numbers: the error at t = 4, relative to the size of the initial state, if it is not 0."""
-    size = math.hypot(*scene.pack(scene.initial(scene.optional))) or 1.0
+    """Yield the same on mpmath numbers: the error at t = 4, relative to the larger of start and truth there."""
+    truth = cb.reference(scene, [EXTENDED_TIME], scene.optional).y[0]
+    size = max(math.hypot(*scene.pack(scene.initial(scene.optional))), math.hypot(*truth))
     for n in EXTENDED_STEPS:
         h = EXTENDED_TIME / n
         row = key(scene.name, method.name, "mpmath", "step", h)

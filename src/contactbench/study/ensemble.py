@@ -18,6 +18,7 @@ import contactbench as cb
 from contactbench.ensembles import ENGINES, Ensemble
 from contactbench.measure.clock import Call, Part
 from contactbench.measure.isolation import usable_cores
+from contactbench.measure.laws import motion_size
 from contactbench.methods.prepared import Refused
 from contactbench.results.tables import ENSEMBLE_TABLE
 from contactbench.scene import Mechanical, Scene, State
@@ -93,8 +94,9 @@ def truth(scene_name: str) -> np.ndarray:
     return np.array([cb.reference(scene.with_(q=x["q"], p=x["p"]), [scene.t_end], ()).y[0] for x in starts]).T
 
 
-def error(y: np.ndarray, exact: np.ndarray) -> float:
-    return float(np.linalg.norm(y[:, :SAMPLE] - exact, axis=0).max() / np.linalg.norm(exact, axis=0).max())
+def error(scene: Scene, y: np.ndarray, exact: np.ndarray) -> float:
+    size = motion_size(scene, initial(scene, SAMPLE).T, exact.T, ())
+    return float(np.linalg.norm(y[:, :SAMPLE] - exact, axis=0).max() / size)
 
 
 # -- ensembles by each engine ----------------------------------------------------------------------
@@ -269,7 +271,7 @@ def prepared_row(cell: Cell, exact: list[list[float]] | None) -> tuple[Row, Call
     row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
     y, (steps, evaluations, kind) = np.asarray(y), costs()
     if exact is not None:
-        row["solution_error"] = error(y, np.asarray(exact))
+        row["solution_error"] = error(scene, y, np.asarray(exact))
         short = 0 < (evaluations or steps or 0) * n < SINGLE_WORK
         if question == "error" and method in cb.METHODS and short:
             row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)

@@ -156,7 +156,8 @@ def prepared(cell: Cell, chosen: float, exact: np.ndarray) -> tuple[Row, Call | 
     y = run() if method == LOOP else solution.y[-1]
     copies = 2 * n // exact.shape[1]
     true = np.tile(exact[-1].reshape(2, -1), copies).ravel()
-    size = math.sqrt(copies) * np.linalg.norm(exact, axis=1).max()
+    start = scene.pack(scene.initial(()))
+    size = max(math.sqrt(copies) * np.linalg.norm(exact, axis=1).max(), np.linalg.norm(start))
     return row | {"solution_error": float(np.linalg.norm(y - true) / size)}, Call(run)
 
 

@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from contactbench.blame import UserError
-from contactbench.measure.laws import observables
+from contactbench.measure.laws import motion_size, observables
 from contactbench.methods.base import ENGINES, METHODS, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import IMPLICIT, Prepared
@@ -121,9 +121,12 @@ class Question:
     def error(self, solutions: Sequence[Solution]) -> float:
         carry, labels = carry_of(self.scene), self.scene.labels(self.truth.carry)
         known = self.truth.y[:, [labels.index(name) for name in self.scene.labels(carry)]]
+        start = self.scene.pack(self.scene.initial(carry))
         exact = observables(self.scene, known, carry)
         found = observables(self.scene, np.array([solution.y[-1] for solution in solutions]), carry)
-        return float(np.linalg.norm(found - exact, axis=1).max() / np.linalg.norm(exact, axis=1).max())
+        return float(
+            np.linalg.norm(found - exact, axis=1).max() / motion_size(self.scene, start, known, carry)
+        )
 
 
 @dataclass(frozen=True)
