@@ -1,0 +1,369 @@
+"""Runge–Kutta pairs by tolerance: the loop that chooses its steps, recorded and compiled as the loops of fixed steps are.
+
+An attempt is accepted where the difference e of both formulas is at most one in the norm √Σ(e_i/(atol_i + rtol |y_i|))².
+Steps follow by a PI controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), and stay as
+they are where it would hardly lengthen them: what depends on the step alone, as exponentials of the damping do, is then
+not computed anew.  They end at saved times.  The first one is that at which the error of y' = λy, z'' = λ²z is the
+tolerance, for the λ that a little step along the motion shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.base import METHODS, SHORTEST, Adaptive
+from contactbench.methods.loops import Loop
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request, stopwatch
+from contactbench.methods.runge_kutta import (
+    RKN8,
+    RKN12,
+    Tableau,
+    combine,
+    damped,
+    explicit_slope,
+    explicit_step,
+    growth,
+    masses,
+    nystrom_step,
+    pull,
+    read_tableau,
+    refusal,
+    undamped,
+)
+from contactbench.numbers.control import repeat_while
+from contactbench.numbers.dual import leaves, rebuild
+from contactbench.scene import Cache, Scene, key
+from contactbench.scene.algebra import scaled
+from contactbench.solution import DIVERGENCE, Counts, Solution, Status
+from contactbench.trace.form import Assign, Element, Update, execute
+from contactbench.trace.program import Program, record
+
+#: a step is aimed at this part of the tolerance; least and most that it changes, at once by the first attempt
+AIM, LEAST, MOST = 0.3, 0.2, 5.0
+#: steps that would be longer by less than this stay as they are; a last one may be longer by so much
+STAY, STRETCH = 1.1, 1.1
+#: the weight of the error before, as a part of that of the error
+PROPORTIONAL = 0.5
+#: by how much a little step along the motion moves it, relative to its size
+NUDGE = 1e-5
+#: what follows the packed state: the step, log of the error before, attempts, those rejected, time not covered
+BESIDE = 5
+#: below it a number is none
+TINY = 1e-30
+#: roundings of a time within which a break is passed by one step
+ROUNDINGS = 2**8
+
+
+def when(condition: Any, body: Callable[[Any], Any], x: Any, xp: Any) -> Any:
+    """Return body(x) where the condition holds, else x; compiled code computes only what it returns."""
+    once = xp.where(condition, 1.0, 0.0), x
+    return repeat_while(lambda c: c[0] > 0, lambda c: (0 * c[0], body(c[1])), once, xp)[1]
+
+
+@dataclass(frozen=True)
+class Explicit:
+    """What the loop asks of a pair for y' = f(y)."""
+
+    tableau: Tableau
+
+    def enter(self, scene: Any, x: Any) -> Any:
+        return x
+
+    leave = enter
+
+    def slope(self, scene: Any, y: Any, xp: Any) -> Any:
+        return tuple(explicit_slope(scene, y, xp))
+
+    def factors(self, scene: Any, h: Any, xp: Any) -> Any:
+        return None
+
+    def attempt(self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any) -> tuple[Any, Any, list[Any]]:
+        """Return the state after a step, the slope there if it is the first of the next, and the error."""
+        tableau = self.tableau
+        after, slope, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first)
+        return after, tuple(slope), scene.without_clock(combine(tableau.estimate[0], slopes, xp))
+
+    def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
+        """Return how fast the slope changes along it: |λ| of y' = λy."""
+        time = NUDGE * size / (norm(slope, xp) + TINY)
+        nudged = rebuild(y, [a + time * b for a, b in zip(leaves(y), slope, strict=True)])
+        there = self.slope(scene, nudged, xp)
+        return norm([a - b for a, b in zip(there, slope, strict=True)], xp) / (NUDGE * size)
+
+    def test_error(self) -> float:
+        """Return the error of a step of y' = iy of length one."""
+        stages: list[complex] = []
+        for row in self.tableau.matrix:
+            stages.append(1j * (1 + sum(float(a) * k for a, k in zip(row, stages, strict=False))))
+        return abs(sum(float(w) * k for w, k in zip(self.tableau.estimate[0], stages, strict=True)))
+
+
+@dataclass(frozen=True)
+class Nystrom(Explicit):
+    """What the loop asks of a pair for z'' = f(t, z)."""
+
+    def enter(self, scene: Any, x: Any) -> Any:
+        return undamped(scene, x)
+
+    def leave(self, scene: Any, y: Any) -> Any:
+        return damped(scene, y)
+
+    def slope(self, scene: Any, y: Any, xp: Any) -> Any:
+        return pull(scene, y.q, y.t, y.action is not None)
+
+    def factors(self, scene: Any, h: Any, xp: Any) -> Any:
+        return None if scene.rate_changes else growth(self.tableau, scene, None, h, xp)
+
+    def attempt(self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any) -> tuple[Any, Any, list[Any]]:
+        tableau = self.tableau
+        stages = len(tableau.nodes)
+        after, slope, found = nystrom_step(tableau, scene, y, h, xp, stages, first, factors)
+        keep = 1 - (factors or growth(tableau, scene, y.t, h, xp)).loss
+        half = scene.damping_at(self.leave(scene, after)) / 2
+        position, velocity = (scaled(keep, combine(row, found.slopes, xp)) for row in tableau.estimate)
+        momentum = (m * (b / h - half * a) for m, a, b in zip(masses(scene, y.q), position, velocity, strict=True))
+        action = [keep * keep * c for c in combine(tableau.estimate[1], found.actions, xp)]
+        return after, slope, [*position, *momentum, *action]
+
+    def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
+        """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
+        parts = [scaled(1 / (norm(way, xp) + TINY), way) for way in (slope.rate, y.u)]
+        way = tuple(NUDGE * size * (a + b) for a, b in zip(*parts, strict=True))
+        there = self.slope(scene, y._replace(q=tuple(a + b for a, b in zip(y.q, way, strict=True))), xp)
+        change = norm([a - b for a, b in zip(there.rate, slope.rate, strict=True)], xp)
+        return xp.sqrt(change / (norm(way, xp) + TINY))
+
+    def test_error(self) -> float:
+        """Return the largest error of a step of z'' = −z of length one, of z or z'."""
+        errors = []
+        for start in ((1.0, 0.0), (0.0, 1.0)):
+            stages: list[float] = []
+            for row, c in zip(self.tableau.matrix, self.tableau.nodes, strict=True):
+                moved = sum(float(a) * k for a, k in zip(row, stages, strict=False))
+                stages.append(-(start[0] + float(c) * start[1] + moved))
+            estimates = self.tableau.estimate
+            errors += [abs(sum(float(w) * k for w, k in zip(row, stages, strict=True))) for row in estimates]
+        return max(errors)
+
+
+def norm(v: Sequence[Any], xp: Any) -> Any:
+    return xp.sqrt(sum((c * c for c in v[1:]), v[0] * v[0]))
+
+
+def march(
+    form: Explicit, scene: Any, x: Any, beside: Sequence[Any], span: Any, most: Any, tolerances: Sequence[Any], xp: Any
+) -> tuple[Any, list[Any]]:
+    """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run."""
+    rtol, *atol = tolerances
+    tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
+    reuses = tableau.first_same_as_last
+
+    def parts(y: Any) -> list[Any]:
+        return scene.without_clock(scene.pack(form.leave(scene, y)))
+
+    def scales(before: Any, after: Any) -> list[Any]:
+        return [a + rtol / 2 * (abs(b) + abs(c)) for a, b, c in zip(atol, before, after, strict=True)]
+
+    def first_step(step: Any) -> Any:
+        packed = parts(y)
+        weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
+        size = norm(leaves(y)[: len(x.q) if isinstance(form, Nystrom) else len(packed)], xp) + atol[0] / rtol
+        rate = form.rate(scene, y, form.slope(scene, y, xp), size, xp)
+        error = form.test_error() * (norm(weighed, xp) + 1)
+        return xp.exp(power * xp.log(AIM / error)) / (rate + TINY)
+
+    y, (step, past, tried, rejected, lag) = form.enter(scene, x), beside
+    left = xp.where(lag > 0, 0.0, span)
+    step = when(step <= 0, first_step, step, xp)
+    first = form.slope(scene, y, xp) if reuses else None
+    factors = rebuild(known := form.factors(scene, span, xp), [0 * span] * len(leaves(known)))
+
+    def going(carried: Any) -> Any:
+        _, _, _, _, left, step, _, tried, _ = carried
+        return (left > 0) & (tried < most) & (step > SHORTEST * span)
+
+    def turn(carried: Any) -> Any:
+        y, first, factors, at, left, step, past, tried, rejected = carried
+        h = xp.where(left < 2 * step, left / 2, step)
+        h = xp.where(left <= STRETCH * step, left, h)
+        factors = factors and when(h != at, lambda _: form.factors(scene, h, xp), factors, xp)
+        after, slope, error = form.attempt(scene, y, h, xp, first, factors)
+        parts_of = scales(parts(y), parts(after))
+        square = sum((e / c) * (e / c) for e, c in zip(error, parts_of, strict=True))
+        square = xp.where(square <= 1 / TINY, square, 1 / TINY)  # of what is not finite, too
+        size = xp.log(xp.where(square >= TINY, square, TINY)) / 2 - math.log(AIM)
+        accepted = square <= 1
+        change = xp.exp(power * xp.where(accepted, PROPORTIONAL * past - (1 + PROPORTIONAL) * size, -size))
+        change = xp.where(change <= MOST, change, MOST)
+        change = xp.where(change >= LEAST, change, LEAST)
+        change = xp.where((change >= 1) & (change < STAY), 1.0, change)
+        longer = xp.where(accepted & (step > h * change), step, h * change)
+
+        def choose(new: Any, old: Any) -> Any:
+            pairs = zip(leaves(new), leaves(old), strict=True)
+            return rebuild(old, [xp.where(accepted, a, b) for a, b in pairs])
+
+        left = xp.where(accepted, left - h, left)
+        first = choose(slope, first) if reuses else None
+        counts = tried + 1, rejected + xp.where(accepted, 0.0, 1.0)
+        return choose(after, y), first, factors, h, left, longer, xp.where(accepted, size, past), *counts
+
+    start = y, first, factors, 0 * span, left, step, past, tried, rejected
+    y, _, _, _, left, step, past, tried, rejected = repeat_while(going, turn, start, xp)
+    lag = xp.where(lag > 0, lag + span, left)
+    return form.leave(scene, y), [step, past, tried, rejected, lag]
+
+
+# -- the run -------------------------------------------------------------------------------------------
+def pair_program(form: Explicit, scene: Any, carry: tuple[str, ...]) -> Program:
+    """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`."""
+    d, given = len(scene.labels(carry)), len(scene.numbers())
+    tolerances = 1 + d - (scene.clock is not None)
+
+    def advance(numbers: Any, span: Any, most: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+        twin, start = scene.with_numbers(numbers[:given]), scene.unpack(y[:d], carry)
+        x, beside = march(form, twin, start, y[d:], span, most, numbers[given:], xp)
+        return [*scene.pack(x), *beside]
+
+    program = record(advance, given + tolerances, d + BESIDE, scene.motion, DIVERGENCE)
+    return program._replace(run=replace(program.run, body=tuple(map(starting_at(d), program.run.body))))
+
+
+def starting_at(d: int) -> Callable[[Any], Any]:
+    """Return what makes of the loading of a start that of a packed state alone, with zeros beside it."""
+
+    def change(statement: Any) -> Any:
+        match statement:
+            case Assign(target, Element("start", (i,))) if i >= d:
+                return Update((target,), (0.0,))
+        return statement
+
+    return change
+
+
+_loops: Cache[Loop] = Cache(256)
+
+
+def loop_of(method: Any, scene: Scene, carry: tuple[str, ...]) -> Loop:
+    def make() -> Loop:
+        elapsed = stopwatch()
+        program = pair_program(method.form, scene, carry)
+        return Loop(program, elapsed())
+
+    return _loops.get(key(scene.identity, method, carry), make)
+
+
+@dataclass
+class ToleranceRun(Prepared):
+    """Run a pair, from saved time to saved time and from break to break."""
+
+    method_: Any
+    loop: Loop
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r = self.request
+        margins = ((time, ROUNDINGS * exact) for time, exact in self.breaks)
+        breaks = [end for time, margin in margins for end in (time - margin, time + margin)]
+        ends = np.union1d(self.later, [time for time in breaks if 0 < time < self._end])
+        self.saved = np.searchsorted(ends, self.later)
+        self.spans, self.most = np.diff(ends, prepend=0.0), np.full(len(ends), r.max_steps)
+        d = len(self.start)
+        atol = np.broadcast_to(r.atol, d - (self._clock is not None))
+        numbers = np.array([*r.scene.numbers(), r.rtol, *atol])
+        w, shape = self.loop.rows(numbers, self.spans, self.most)
+        run, size, empty = self.run, len(ends) * (d + BESIDE), np.empty
+        last = slice(size - d - BESIDE, size - BESIDE)
+
+        def states(y0: np.ndarray) -> np.ndarray:
+            after = empty(size)
+            run(y0, w, shape, after)
+            return after
+
+        self.states, self.bare = states, lambda y0: states(y0)[last]  # type: ignore[method-assign]
+        self.compile_s = self.loop.seconds
+
+    @property
+    def run(self) -> Any:
+        if self.request.engine == "numba":
+            return self.loop.run
+        run = execute(self.loop.program.run)
+
+        def in_python(y0: np.ndarray, w: np.ndarray, shape: np.ndarray, after: np.ndarray) -> None:
+            states = [math.nan] * len(after)
+            with suppress(*NO_NUMBER):
+                run(y0.tolist(), w.tolist(), shape.tolist(), states)
+            after[:] = states
+
+        return in_python
+
+    def __call__(self, **data: Any) -> Solution:
+        """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
+        r = self.request
+        if data and r.scales is not None:
+            given = r.to_scale(r.scene.initial(r.carry, **r.scene.checked(data)), True)
+            if not np.array_equal(given.scales, r.scales):
+                return self.method_.prepare(given)(**data)
+        return super().__call__(**data)
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r, d, tableau = self.request, len(y0), self.method_.form.tableau
+        y = self.states(y0).reshape(len(self.spans), -1)
+        _, _, tried, rejected, lag = y[-1, d:].tolist()
+        entered = int(np.sum(y[:, -1] < self.spans))
+        reuses = tableau.first_same_as_last
+        evaluations = int(tried) * (len(tableau.nodes) - reuses) + entered * reuses + 2
+        counts = Counts(int(tried - rejected), evaluations, 0, int(rejected), self.method_.kind)
+        if lag == 0:
+            return self.finish(y0, self.from_start(y0, y[self.saved, :d]), counts)
+        reached = self.saved[y[self.saved, -1] == 0]
+        status, message = Status.failed, "the step became too small"
+        if tried >= r.max_steps:
+            status, message = Status.budget, f"max_steps = {r.max_steps} spent"
+        time = self._end - lag
+        states = self.from_start(y0, y[reached, :d])
+        return self.finish(y0, states, counts, status, f"{message} (t = {time:.6g})", (time, y[-1, :d]))
+
+
+@dataclass(frozen=True)
+class RungeKuttaPair(Adaptive):
+    """A tableau by tolerance."""
+
+    name: str
+    order: int
+    about: str
+    form: Explicit
+    engines: tuple[str, ...] = ("numba", "python")
+    family: str = "established"
+
+    @property
+    def kind(self) -> str:
+        return "gradient" if self.form.tableau.nystrom else "rhs"
+
+    @property
+    def evaluations_per_step(self) -> int:  # type: ignore[override]
+        return len(self.form.tableau.nodes)
+
+    def refuses(self, scene: Scene) -> str | None:
+        if scene.by_sites:
+            return f"{self.name} has no loop over sites; scene {scene.name!r} has many"
+        return refusal(self.name, self.form.tableau, scene)
+
+    def prepare(self, request: Request) -> Prepared:
+        return ToleranceRun(self.name, request, self, loop_of(self, request.scene, request.carry))
+
+
+_pair = "explicit Runge–Kutta pair by tolerance"
+_nystrom = "explicit Runge–Kutta–Nyström pair by tolerance, on z = e^{γt/2} q"
+for _name, _about, _form in (
+    ("rk8-7", _pair, Explicit(read_tableau("rk8-7"))),
+    ("rkn8-6", _nystrom, Nystrom(RKN8)),
+    ("rkn12-10", _nystrom, Nystrom(RKN12)),
+):
+    METHODS.add(RungeKuttaPair(_name, _form.tableau.order, f"{_about}; {_form.tableau.source}", _form))
