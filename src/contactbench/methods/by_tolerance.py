@@ -28,7 +28,7 @@ from contactbench.methods.runge_kutta import (
     damped,
     explicit_slope,
     explicit_step,
-    growth,
+    factors_of,
     masses,
     nystrom_step,
     pull,
@@ -45,9 +45,13 @@ from contactbench.trace.form import Assign, Element, Update, execute
 from contactbench.trace.program import Program, record
 
 #: a step is aimed at this part of the tolerance; least and most that it changes, at once by the first attempt
-AIM, LEAST, MOST = 0.3, 0.2, 5.0
+AIM, LEAST, MOST = 0.03, 0.2, 5.0
+#: the first step, in parts of what a linear equation takes
+START = 0.85
 #: steps that would be longer by less than this stay as they are; a last one may be longer by so much
 STAY, STRETCH = 1.1, 1.1
+#: up to this part of the tolerance a step that was accepted is not shortened
+KEPT, LOW = 0.3, 0.1
 #: the weight of the error before, as a part of that of the error
 PROPORTIONAL = 0.5
 #: by how much a little step along the motion moves it, relative to its size
@@ -60,10 +64,14 @@ TINY = 1e-30
 ROUNDINGS = 2**8
 
 
-def when(condition: Any, body: Callable[[Any], Any], x: Any, xp: Any) -> Any:
-    """Return body(x) where the condition holds, else x; compiled code computes only what it returns."""
-    once = xp.where(condition, 1.0, 0.0), x
-    return repeat_while(lambda c: c[0] > 0, lambda c: (0 * c[0], body(c[1])), once, xp)[1]
+def when(condition: Any, body: Callable[..., Any], x: Any, xp: Any, *given: Any) -> Any:
+    """Return body(x, *given) where the condition holds, else x.
+
+    What the body computes of its arguments is computed there alone: recorded loops leave what they do not change to the
+    code around them.
+    """
+    once = xp.where(condition, 1.0, 0.0), x, given
+    return repeat_while(lambda c: c[0] > 0, lambda c: (0.0, body(*c[1:2], *c[2]), c[2]), once, xp)[1]
 
 
 @dataclass(frozen=True)
@@ -118,22 +126,23 @@ class Nystrom(Explicit):
         return pull(scene, y.q, y.t, y.action is not None)
 
     def factors(self, scene: Any, h: Any, xp: Any) -> Any:
-        return None if scene.rate_changes else growth(self.tableau, scene, None, h, xp)
+        return None if scene.rate_changes else factors_of(self.tableau, scene, None, h, xp)
 
     def attempt(self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any) -> tuple[Any, Any, list[Any]]:
         tableau = self.tableau
         stages = len(tableau.nodes)
+        factors = factors or factors_of(tableau, scene, y.t, h, xp)
         after, slope, found = nystrom_step(tableau, scene, y, h, xp, stages, first, factors)
-        keep = 1 - (factors or growth(tableau, scene, y.t, h, xp)).loss
+        keep = 1 - factors.loss
         half = scene.damping_at(self.leave(scene, after)) / 2
         position, velocity = (scaled(keep, combine(row, found.slopes, xp)) for row in tableau.estimate)
-        momentum = (m * (b / h - half * a) for m, a, b in zip(masses(scene, y.q), position, velocity, strict=True))
+        momentum = (m * (factors.frequency * b - half * a) for m, a, b in zip(masses(scene, y.q), position, velocity, strict=True))
         action = [keep * keep * c for c in combine(tableau.estimate[1], found.actions, xp)]
         return after, slope, [*position, *momentum, *action]
 
     def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
         """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
-        parts = [scaled(1 / (norm(way, xp) + TINY), way) for way in (slope.rate, y.u)]
+        parts = [scaled(share / (norm(way, xp) + TINY), way) for share, way in ((1.0, slope.rate), (0.5, y.u))]
         way = tuple(NUDGE * size * (a + b) for a, b in zip(*parts, strict=True))
         there = self.slope(scene, y._replace(q=tuple(a + b for a, b in zip(y.q, way, strict=True))), xp)
         change = norm([a - b for a, b in zip(there.rate, slope.rate, strict=True)], xp)
@@ -163,6 +172,8 @@ def march(
     rtol, *atol = tolerances
     tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
     reuses = tableau.first_same_as_last
+    #: squares of errors after which a step stays as it is
+    keeps = (AIM * LOW) ** 2, KEPT**2
 
     def parts(y: Any) -> list[Any]:
         return scene.without_clock(scene.pack(form.leave(scene, y)))
@@ -170,17 +181,17 @@ def march(
     def scales(before: Any, after: Any) -> list[Any]:
         return [a + rtol / 2 * (abs(b) + abs(c)) for a, b, c in zip(atol, before, after, strict=True)]
 
-    def first_step(step: Any) -> Any:
+    def first_step(y: Any) -> Any:
         packed = parts(y)
         weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
         size = norm(leaves(y)[: len(x.q) if isinstance(form, Nystrom) else len(packed)], xp) + atol[0] / rtol
         rate = form.rate(scene, y, form.slope(scene, y, xp), size, xp)
         error = form.test_error() * (norm(weighed, xp) + 1)
-        return xp.exp(power * xp.log(AIM / error)) / (rate + TINY)
+        return START * xp.exp(power * xp.log(AIM / error)) / (rate + TINY)
 
     y, (step, past, tried, rejected, lag) = form.enter(scene, x), beside
     left = xp.where(lag > 0, 0.0, span)
-    step = when(step <= 0, first_step, step, xp)
+    step = when(step <= 0, lambda _, y: first_step(y), step, xp, y)
     first = form.slope(scene, y, xp) if reuses else None
     factors = rebuild(known := form.factors(scene, span, xp), [0 * span] * len(leaves(known)))
 
@@ -190,29 +201,30 @@ def march(
 
     def turn(carried: Any) -> Any:
         y, first, factors, at, left, step, past, tried, rejected = carried
-        h = xp.where(left < 2 * step, left / 2, step)
-        h = xp.where(left <= STRETCH * step, left, h)
-        factors = factors and when(h != at, lambda _: form.factors(scene, h, xp), factors, xp)
+        h = when(left < 2 * step, last_steps, step, xp, left)
+        factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
         after, slope, error = form.attempt(scene, y, h, xp, first, factors)
-        parts_of = scales(parts(y), parts(after))
-        square = sum((e / c) * (e / c) for e, c in zip(error, parts_of, strict=True))
-        square = xp.where(square <= 1 / TINY, square, 1 / TINY)  # of what is not finite, too
-        size = xp.log(xp.where(square >= TINY, square, TINY)) / 2 - math.log(AIM)
+        weighed = (e / c for e, c in zip(error, scales(parts(y), parts(after)), strict=True))
+        square = sum(e * e for e in weighed)
         accepted = square <= 1
-        change = xp.exp(power * xp.where(accepted, PROPORTIONAL * past - (1 + PROPORTIONAL) * size, -size))
-        change = xp.where(change <= MOST, change, MOST)
-        change = xp.where(change >= LEAST, change, LEAST)
-        change = xp.where((change >= 1) & (change < STAY), 1.0, change)
-        longer = xp.where(accepted & (step > h * change), step, h * change)
 
-        def choose(new: Any, old: Any) -> Any:
-            pairs = zip(leaves(new), leaves(old), strict=True)
-            return rebuild(old, [xp.where(accepted, a, b) for a, b in pairs])
+        def advance(_: Any) -> Any:
+            return after, slope if reuses else None, left - h, xp.where(step > h, step, h), rejected
 
-        left = xp.where(accepted, left - h, left)
-        first = choose(slope, first) if reuses else None
-        counts = tried + 1, rejected + xp.where(accepted, 0.0, 1.0)
-        return choose(after, y), first, factors, h, left, longer, xp.where(accepted, size, past), *counts
+        kept = y, first, left, step, rejected + 1
+        y, first, left, step, rejected = when(accepted, advance, kept, xp)
+        step = when(~((square >= keeps[0]) & (square <= keeps[1])), changed, step, xp, h, square, past)
+        return y, first, factors, h, left, step, xp.where(accepted, square, past), tried + 1, rejected
+
+    def last_steps(step: Any, left: Any) -> Any:
+        return xp.where(left <= STRETCH * step, left, left / 2)
+
+    def changed(step: Any, h: Any, square: Any, past: Any) -> Any:
+        log, before = (xp.log(xp.maximum(each, TINY)) / 2 - math.log(AIM) for each in (square, past))
+        log = xp.where(square <= 1 / TINY, log, -math.log(TINY))  # of what is not finite, too
+        change = xp.where(square <= 1, PROPORTIONAL * before - (1 + PROPORTIONAL) * log, -log)
+        change = xp.maximum(xp.minimum(xp.exp(power * change), MOST), LEAST)
+        return xp.where((square <= 1) & (step > h * change), step, h * change)
 
     start = y, first, factors, 0 * span, left, step, past, tried, rejected
     y, _, _, _, left, step, past, tried, rejected = repeat_while(going, turn, start, xp)
@@ -286,7 +298,12 @@ class ToleranceRun(Prepared):
             run(y0, w, shape, after)
             return after
 
-        self.states, self.bare = states, lambda y0: states(y0)[last]  # type: ignore[method-assign]
+        def bare(y0: np.ndarray) -> np.ndarray:
+            after = empty(size)
+            run(y0, w, shape, after)
+            return after[last]
+
+        self.states, self.bare = states, bare  # type: ignore[method-assign]
         self.compile_s = self.loop.seconds
 
     @property

@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
+from itertools import combinations_with_replacement
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -132,12 +134,13 @@ class Pull(NamedTuple):
     turn: Any = None
 
 
-class Growth(NamedTuple):
-    """e^{G/2} and e^{−G/2} at every stage, and 1 − e^{−G/2} at the end of a step."""
+class Factors(NamedTuple):
+    """What a step of size h is made with: h² e^{G/2} and e^{−G/2} at every stage, 1 − e^{−G/2} at the end, and 1/h."""
 
     grown: tuple[Any, ...]
     shrunk: tuple[Any, ...]
     loss: Any
+    frequency: Any
 
 
 @lru_cache(64)
@@ -170,18 +173,35 @@ def damped(scene: Any, y: Undamped) -> Any:
     return x._replace(p=p, s=None if y.action is None else y.action + scene.product(y.q, p) / 2)
 
 
-def growth(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any) -> Growth:
-    """Return what the damping makes of a step from t."""
-    nodes = [*tableau.nodes, Fraction(1)]
+def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any) -> Factors:
+    """Return the factors of a step from t, which does not matter where γ is constant."""
+    nodes = (*tableau.nodes, Fraction(1))
     if not scene.rate_changes:
-        half = scene.gamma * h / 2
-        spent = [number(c, xp) * half for c in nodes]
-    elif scene.span is not None:
-        spent = [scene.spent(t, number(c, xp) * h, xp)[0] / 2 for c in nodes]
+        whole = scene.gamma * h / 2
+        pairs = exponentials(nodes, whole, xp)
     else:
-        spent = [part / 2 for part in quadrature.running(scene.rate_at, t, h, tuple(nodes), tableau.order, xp)]
-    grown = tuple(xp.exp(each) for each in spent[:-1])
-    return Growth(grown, tuple(1 / each for each in grown), -xp.expm1(-spent[-1]))
+        if scene.span is not None:
+            spent = [scene.spent(t, number(c, xp) * h, xp)[0] for c in nodes]
+        else:
+            spent = quadrature.running(scene.rate_at, t, h, nodes, tableau.order, xp)
+        whole = spent[-1] / 2
+        pairs = [(grown := xp.exp(each / 2), 1 / grown) for each in spent]
+    grown, shrunk = (tuple(each) for each in zip(*pairs[:-1], strict=True))
+    return Factors(tuple(h * h * each for each in grown), shrunk, -xp.expm1(-whole), 1 / h)
+
+
+def exponentials(nodes: Sequence[Fraction], whole: Any, xp: Any) -> list[tuple[Any, Any]]:
+    """Return e^{cx} and e^{−cx} for some c, those of a sum of two or three others as products."""
+    one = 1.0 + 0 * whole
+    found = {Fraction(0): (one, one)}
+    for c in sorted(set(nodes) - found.keys()):
+        sums = (terms for n in (2, 3) for terms in combinations_with_replacement(found, n) if sum(terms) == c)
+        if (terms := next(sums, None)) is not None:
+            found[c] = tuple(prod(found[term][k] for term in terms) for k in (0, 1))
+        else:
+            grown = xp.exp(number(c, xp) * whole)
+            found[c] = grown, 1 / grown
+    return [found[c] for c in nodes]
 
 
 def pull(scene: Any, q: Any, t: Any, acts: bool) -> Pull:
@@ -207,8 +227,8 @@ def nystrom_step(
     tableau: Tableau, scene: Any, y: Undamped, h: Any, xp: Any, stages: int, first: Any = None, factors: Any = None
 ) -> tuple[Undamped, Any, Stages]:
     """Return the state after a step, the pull of the last stage, and what all stages have evaluated."""
-    grown, shrunk, loss = factors or growth(tableau, scene, y.t, h, xp)
-    way, square, acts = [h * c for c in y.u], h * h, y.action is not None
+    grown, shrunk, loss, frequency = factors or factors_of(tableau, scene, y.t, h, xp)
+    way, acts, cube = [h * c for c in y.u], y.action is not None, frequency * frequency * frequency
     found, own = Stages([], [], []), first
     for i, row in enumerate(tableau.matrix[:stages]):
         c = number(tableau.nodes[i], xp)
@@ -219,13 +239,13 @@ def nystrom_step(
         elif first is None:
             own = pull(scene, y.q, y.t, acts)
         own = settle(own, xp)
-        found.slopes.append(scaled(square * grown[i], own.rate))
-        found.actions.append([h * grown[i] * grown[i] * own.action] if acts else [])
+        found.slopes.append(scaled(grown[i], own.rate))
+        found.actions.append([cube * grown[i] * grown[i] * own.action] if acts else [])
         found.turns.append([] if own.turn is None else [h * own.turn])
     position, velocity = (combine(row, found.slopes, xp) for row in tableau.weights)
     z = [a + (b + d) for a, b, d in zip(y.q, way, position, strict=True)]
     q = tuple(a - loss * a for a in z)
-    u = tuple(a + d / h for a, d in zip(y.u, velocity, strict=True))
+    u = tuple(a + frequency * d for a, d in zip(y.u, velocity, strict=True))
     u = tuple(a - loss * a for a in u)
     t = None if y.t is None else y.t + h
     if scene.rate_changes:  # of order h^order where γ is smooth, and what a jump of γ does to u where it is not
@@ -252,7 +272,7 @@ class RungeKutta(FixedStep):
         tableau, stages = self.tableau, self.tableau.used
         if not tableau.nystrom:
             return repeat(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages)[0], x)
-        factors = None if scene.rate_changes else growth(tableau, scene, None, h, xp)
+        factors = None if scene.rate_changes else factors_of(tableau, scene, None, h, xp)
         another = lambda y: nystrom_step(tableau, scene, y, h, xp, stages, factors=factors)[0]  # noqa: E731
         return damped(scene, repeat(n, another, undamped(scene, x)))
 
