@@ -86,16 +86,16 @@ class Explicit:
     leave = enter
 
     def slope(self, scene: Any, y: Any, xp: Any) -> Any:
-        return tuple(explicit_slope(scene, y, xp))
+        return tuple(explicit_slope(scene, y))
 
     def factors(self, scene: Any, h: Any, xp: Any) -> Any:
         return None
 
     def attempt(self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any) -> tuple[Any, Any, list[Any]]:
-        """Return the state after a step, the slope there if it is the first of the next, and the error."""
+        """Return the state after a step, the slope there where the pair evaluates it, and the error."""
         tableau = self.tableau
-        after, slope, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first)
-        return after, tuple(slope), scene.without_clock(combine(tableau.estimate[0], slopes, xp))
+        after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first=first)
+        return after, None, scene.without_clock(combine(tableau.estimate[0], slopes, xp))
 
     def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
         """Return how fast the slope changes along it: |λ| of y' = λy."""
@@ -123,29 +123,30 @@ class Nystrom(Explicit):
         return damped(scene, y)
 
     def slope(self, scene: Any, y: Any, xp: Any) -> Any:
-        return pull(scene, y.q, y.t, y.action is not None)
+        return tuple(pull(scene, y.q, y.t, y.action is not None))
 
     def factors(self, scene: Any, h: Any, xp: Any) -> Any:
         return None if scene.rate_changes else factors_of(self.tableau, scene, None, h, xp)
 
     def attempt(self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any) -> tuple[Any, Any, list[Any]]:
-        tableau = self.tableau
-        stages = len(tableau.nodes)
+        tableau, d = self.tableau, len(y.q)
         factors = factors or factors_of(tableau, scene, y.t, h, xp)
-        after, slope, found = nystrom_step(tableau, scene, y, h, xp, stages, first, factors)
-        keep = 1 - factors.loss
-        half = scene.damping_at(self.leave(scene, after)) / 2
-        position, velocity = (scaled(keep, combine(row, found.slopes, xp)) for row in tableau.estimate)
-        momentum = (m * (factors.frequency * b - half * a) for m, a, b in zip(masses(scene, y.q), position, velocity, strict=True))
-        action = [keep * keep * c for c in combine(tableau.estimate[1], found.actions, xp)]
-        return after, slope, [*position, *momentum, *action]
+        stages = len(tableau.nodes)
+        after, slopes, slope = nystrom_step(tableau, scene, y, h, xp, stages, None, first, factors)
+        keep, half = 1 - factors.loss, scene.damping_at(self.leave(scene, after)) / 2
+        position, change = (combine(row, slopes, xp) for row in tableau.estimate)
+        position, velocity = scaled(keep * h, position[:d]), scaled(keep, change[:d])
+        momentum = (m * (b - half * a) for m, a, b in zip(masses(scene, y.q), position, velocity, strict=True))
+        action = [] if y.action is None else [keep * keep * change[d]]
+        return after, tuple(slope), [*position, *momentum, *action]
 
     def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
         """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
-        parts = [scaled(share / (norm(way, xp) + TINY), way) for share, way in ((1.0, slope.rate), (0.5, y.u))]
+        force = slope[: len(y.q)]
+        parts = [scaled(share / (norm(way, xp) + TINY), way) for share, way in ((1.0, force), (0.5, y.u))]
         way = tuple(NUDGE * size * (a + b) for a, b in zip(*parts, strict=True))
         there = self.slope(scene, y._replace(q=tuple(a + b for a, b in zip(y.q, way, strict=True))), xp)
-        change = norm([a - b for a, b in zip(there.rate, slope.rate, strict=True)], xp)
+        change = norm([a - b for a, b in zip(there, force, strict=False)], xp)
         return xp.sqrt(change / (norm(way, xp) + TINY))
 
     def test_error(self) -> float:

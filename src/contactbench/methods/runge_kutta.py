@@ -12,7 +12,7 @@ Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.1 and 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
@@ -33,6 +33,8 @@ from contactbench.trace.formula import Formula, formula
 
 Row = tuple[Fraction, ...]
 FOLDER = Path(__file__).parent / "tableaux"
+#: numbers of a state beyond which compiled code has the stages as a loop
+LARGE = 24
 
 
 @dataclass(frozen=True)
@@ -84,11 +86,9 @@ def read_tableau(name: str) -> Tableau:
     return Tableau(given["source"], orders[0], row(given["nodes"]), matrix, rows(""), rows("lower_"), orders[1])
 
 
-def combine(weights: Sequence[Fraction], slopes: Sequence[Sequence[Any]], xp: Any) -> list[Any]:
+def combine(weights: Sequence[Any], slopes: Sequence[Sequence[Any]], xp: Any) -> list[Any]:
     """Return Σ w k, entry by entry; weights of later stages may be left out."""
-    used = [(number(w, xp), k) for w, k in zip(weights, slopes, strict=False) if w]
-    if not used:
-        return [0.0] * len(slopes[0]) if slopes else []
+    used = [(number(w, xp) if isinstance(w, Fraction) else w, k) for w, k in zip(weights, slopes, strict=False) if w]
     first, *others = used
     total = [first[0] * c for c in first[1]]
     for w, k in others:
@@ -96,24 +96,64 @@ def combine(weights: Sequence[Fraction], slopes: Sequence[Sequence[Any]], xp: An
     return total
 
 
+def run_stages(
+    tableau: Tableau,
+    stages: int,
+    evaluate: Callable[[Any, list[Any] | None], list[Any]],
+    x: Any,
+    xp: Any,
+    loop: Repeat | None = None,
+    first: list[Any] | None = None,
+) -> list[list[Any]]:
+    """Return the slopes of all stages, ``evaluate(i, Σ a k)`` at stage i, None for Σ a k where there are none.
+
+    loop : makes them one loop, whose code is short where states are large; x : leaves like those of a slope.
+    """
+    if loop is None:
+        slopes = [evaluate(0, None) if first is None else first]
+        for i, row in enumerate(tableau.matrix[1:stages], start=1):
+            slopes.append(settle(evaluate(i, combine(row, slopes, xp)), xp))
+        return slopes
+    # the latest slope comes first: column r has what stage i takes of the stage i − 1 − r
+    columns = [[row[i - 1 - r] if r < i else Fraction(0) for i, row in enumerate(tableau.matrix[:stages])]
+               for r in range(stages - 1)]
+    weights = [xp.asarray([number(w, xp) for w in column]) if any(column) else None for column in columns]
+
+    def another(carried: Any) -> Any:
+        i, slopes = carried
+        pairs = [(w[i], k) for w, k in zip(weights, slopes, strict=False) if w is not None]
+        moved = [sum((w * c[j] for w, c in pairs[1:]), pairs[0][0] * pairs[0][1][j]) for j in range(len(slopes[0]))]
+        return i + 1, (tuple(evaluate(i, moved)), *slopes[:-1])
+
+    # in the place of stages to come any numbers do, as their weights are 0
+    start = tuple(tuple((2.0 + r) * c for c in x) for r in range(stages))
+    return [*map(list, loop(stages, another, (0, start))[1][::-1])]
+
+
+def table(values: Sequence[Any], xp: Any, loop: Repeat | None) -> Any:
+    """Return constants of the stages, of which a loop takes the i-th."""
+    return [number(v, xp) for v in values] if loop is None else xp.asarray([number(v, xp) for v in values])
+
+
 # -- y' = f(y) -----------------------------------------------------------------------------------------
-def explicit_slope(scene: Any, x: Any, xp: Any) -> list[Any]:
+def explicit_slope(scene: Any, x: Any) -> list[Any]:
     return leaves(scene.rhs(x))
 
 
 def explicit_step(
-    tableau: Tableau, scene: Any, x: Any, h: Any, xp: Any, stages: int, first: Any = None
-) -> tuple[Any, list[Any], list[list[Any]]]:
-    """Return the state after a step, the slope of the last stage, and h times the slopes of all."""
-    y, slopes, slope = leaves(x), [], first
-    for row in tableau.matrix[:stages]:
-        if slopes or first is None:
-            moved = combine(row, slopes, xp) if slopes else [0.0] * len(y)
-            at = rebuild(x, [a + d for a, d in zip(y, moved, strict=True)]) if slopes else x
-            slope = settle(explicit_slope(scene, at, xp), xp)
-        slopes.append([h * c for c in slope])
+    tableau: Tableau, scene: Any, x: Any, h: Any, xp: Any, stages: int, loop: Repeat | None = None, first: Any = None
+) -> tuple[Any, list[list[Any]]]:
+    """Return the state after a step, and h times the slopes of all stages; first : the slope at its beginning."""
+    y = leaves(x)
+
+    def evaluate(i: Any, moved: list[Any] | None) -> list[Any]:
+        at = x if moved is None else rebuild(x, [a + d for a, d in zip(y, moved, strict=True)])
+        return [h * c for c in explicit_slope(scene, at)]
+
+    start = None if first is None else [h * c for c in first]
+    slopes = run_stages(tableau, stages, evaluate, y, xp, loop, start)
     change = combine(tableau.weights[0], slopes, xp)
-    return rebuild(x, [a + d for a, d in zip(y, change, strict=True)]), slope, slopes
+    return rebuild(x, [a + d for a, d in zip(y, change, strict=True)]), slopes
 
 
 # -- z'' = f(t, z) -------------------------------------------------------------------------------------
@@ -126,21 +166,15 @@ class Undamped(NamedTuple):
     action: Any = None
 
 
-class Pull(NamedTuple):
-    """What a stage evaluates: e^{−G/2} z'', ½ q·∇V − V where s is carried, and γ'/2 where γ changes."""
-
-    rate: Any
-    action: Any = None
-    turn: Any = None
-
-
 class Factors(NamedTuple):
-    """What a step of size h is made with: h² e^{G/2} and e^{−G/2} at every stage, 1 − e^{−G/2} at the end, and 1/h."""
+    """e^{G/2} at every stage of a step of size h, times h; e^{−G/2}, times h, and ch; 1 − e^{−G/2} at the end."""
 
-    grown: tuple[Any, ...]
-    shrunk: tuple[Any, ...]
+    grown: Any
+    pushed: Any
+    shrunk: Any
+    way: Any
+    far: Any
     loss: Any
-    frequency: Any
 
 
 @lru_cache(64)
@@ -173,12 +207,17 @@ def damped(scene: Any, y: Undamped) -> Any:
     return x._replace(p=p, s=None if y.action is None else y.action + scene.product(y.q, p) / 2)
 
 
-def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any) -> Factors:
+def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any, loop: Repeat | None = None) -> Factors:
     """Return the factors of a step from t, which does not matter where γ is constant."""
     nodes = (*tableau.nodes, Fraction(1))
     if not scene.rate_changes:
         whole = scene.gamma * h / 2
-        pairs = exponentials(nodes, whole, xp)
+        if loop is None:
+            pairs = exponentials(nodes, whole, xp)
+        else:
+            nodes = table(tableau.nodes, xp, loop)
+            grown = xp.exp(nodes * whole)
+            return Factors(grown, h * grown, 1 / grown, h / grown, nodes * (h / grown), -xp.expm1(-whole))
     else:
         if scene.span is not None:
             spent = [scene.spent(t, number(c, xp) * h, xp)[0] for c in nodes]
@@ -186,14 +225,16 @@ def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any) -> Factors
             spent = quadrature.running(scene.rate_at, t, h, nodes, tableau.order, xp)
         whole = spent[-1] / 2
         pairs = [(grown := xp.exp(each / 2), 1 / grown) for each in spent]
-    grown, shrunk = (tuple(each) for each in zip(*pairs[:-1], strict=True))
-    return Factors(tuple(h * h * each for each in grown), shrunk, -xp.expm1(-whole), 1 / h)
+    grown, shrunk = zip(*pairs[:-1], strict=True)
+    pushed, way = (tuple(h * c for c in each) for each in (grown, shrunk))
+    far = tuple(number(c, xp) * w for c, w in zip(nodes, way, strict=False))
+    return Factors(grown, pushed, shrunk, way, far, -xp.expm1(-whole))
 
 
 def exponentials(nodes: Sequence[Fraction], whole: Any, xp: Any) -> list[tuple[Any, Any]]:
     """Return e^{cx} and e^{−cx} for some c, those of a sum of two or three others as products."""
     one = 1.0 + 0 * whole
-    found = {Fraction(0): (one, one)}
+    found: dict[Fraction, Any] = {Fraction(0): (one, one)}
     for c in sorted(set(nodes) - found.keys()):
         sums = (terms for n in (2, 3) for terms in combinations_with_replacement(found, n) if sum(terms) == c)
         if (terms := next(sums, None)) is not None:
@@ -204,59 +245,66 @@ def exponentials(nodes: Sequence[Fraction], whole: Any, xp: Any) -> list[tuple[A
     return [found[c] for c in nodes]
 
 
-def pull(scene: Any, q: Any, t: Any, acts: bool) -> Pull:
+def pull(scene: Any, q: Any, t: Any, acts: bool) -> list[Any]:
+    """Return what a stage evaluates: e^{−G/2} z''; ½ q·∇V − V where s is carried; γ'/2 where γ changes."""
     x = at(scene, q, t)
     gradient, gamma = tuple(scene.gradient_at(x)), scene.damping_at(x)
-    stiffness, turn = gamma * gamma / 4, None
+    stiffness, turn = gamma * gamma / 4, []
     if scene.rate_changes:
-        turn = rate_slope(scene.rate, tuple(scene.parameters))(t, **scene.parameters)[0] / 2
-        stiffness = stiffness + turn
-    rate = tuple(stiffness * c - a for c, a in zip(q, scene.velocity(gradient), strict=True))
-    return Pull(rate, scene.product(q, gradient) / 2 - scene.potential_at(x) if acts else None, turn)
-
-
-class Stages(NamedTuple):
-    """h² z'' of all stages; h e^{G} (½ q·∇V − V); h γ'/2."""
-
-    slopes: list[Any]
-    actions: list[Any]
-    turns: list[Any]
+        turn = [rate_slope(scene.rate, tuple(scene.parameters))(t, **scene.parameters)[0] / 2]
+        stiffness = stiffness + turn[0]
+    rate = [stiffness * c - a for c, a in zip(q, scene.velocity(gradient), strict=True)]
+    action = [scene.product(q, gradient) / 2 - scene.potential_at(x)] if acts else []
+    return [*rate, *action, *turn]
 
 
 def nystrom_step(
-    tableau: Tableau, scene: Any, y: Undamped, h: Any, xp: Any, stages: int, first: Any = None, factors: Any = None
-) -> tuple[Undamped, Any, Stages]:
-    """Return the state after a step, the pull of the last stage, and what all stages have evaluated."""
-    grown, shrunk, loss, frequency = factors or factors_of(tableau, scene, y.t, h, xp)
-    way, acts, cube = [h * c for c in y.u], y.action is not None, frequency * frequency * frequency
-    found, own = Stages([], [], []), first
-    for i, row in enumerate(tableau.matrix[:stages]):
-        c = number(tableau.nodes[i], xp)
-        if i:
-            z = [a + c * b for a, b in zip(y.q, way, strict=True)]
-            z = [a + b for a, b in zip(z, combine(row, found.slopes, xp), strict=True)]
-            own = pull(scene, scaled(shrunk[i], z), None if y.t is None else y.t + c * h, acts)
-        elif first is None:
-            own = pull(scene, y.q, y.t, acts)
-        own = settle(own, xp)
-        found.slopes.append(scaled(grown[i], own.rate))
-        found.actions.append([cube * grown[i] * grown[i] * own.action] if acts else [])
-        found.turns.append([] if own.turn is None else [h * own.turn])
-    position, velocity = (combine(row, found.slopes, xp) for row in tableau.weights)
-    z = [a + (b + d) for a, b, d in zip(y.q, way, position, strict=True)]
-    q = tuple(a - loss * a for a in z)
-    u = tuple(a + frequency * d for a, d in zip(y.u, velocity, strict=True))
-    u = tuple(a - loss * a for a in u)
-    t = None if y.t is None else y.t + h
+    tableau: Tableau,
+    scene: Any,
+    y: Undamped,
+    h: Any,
+    xp: Any,
+    stages: int,
+    loop: Repeat | None = None,
+    first: Any = None,
+    factors: Factors | None = None,
+) -> tuple[Undamped, list[list[Any]], list[Any]]:
+    """Return the state after a step, and h times what its stages are worth: z'', e^{G} (½ q·∇V − V), γ'/2.
+
+    first : `pull` at its beginning; that of its last stage comes last.
+    """
+    grown, pushed, shrunk, way, far, loss = factors or factors_of(tableau, scene, y.t, h, xp, loop)
+    acts, nodes, d = y.action is not None, table(tableau.nodes, xp, loop), len(y.q)
+    seen: list[list[Any]] = []
+
+    def scale(i: Any, own: Sequence[Any]) -> list[Any]:
+        rest = [pushed[i] * grown[i] * own[d]] if acts else []
+        return [*scaled(pushed[i], own[:d]), *rest, *(h * c for c in own[d + acts :])]
+
+    def evaluate(i: Any, moved: list[Any] | None) -> list[Any]:
+        if moved is None:
+            seen.append(pull(scene, y.q, y.t, acts))
+        else:
+            parts = zip(y.q, y.u, moved[:d], strict=True)
+            q = tuple(shrunk[i] * a + far[i] * b + way[i] * c for a, b, c in parts)
+            seen.append(pull(scene, q, None if y.t is None else y.t + nodes[i] * h, acts))
+        return scale(i, seen[-1])
+
+    like = [*y.q, *([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
+    slopes = run_stages(tableau, stages, evaluate, like, xp, loop, None if first is None else scale(0, first))
+    position, change = (combine(row, slopes, xp) for row in tableau.weights)
+    z = [a + h * (b + c) for a, b, c in zip(y.q, y.u, position[:d], strict=True)]
+    u = [a + b for a, b in zip(y.u, change[:d], strict=True)]
+    q, u = (tuple(a - loss * a for a in part) for part in (z, u))
+    t, action = None if y.t is None else y.t + h, y.action
+    if acts:
+        action = action + change[d]
+        action = action - loss * (2 - loss) * action
     if scene.rate_changes:  # of order h^order where γ is smooth, and what a jump of γ does to u where it is not
         before, after = (scene.damping_at(at(scene, y.q, time)) / 2 for time in (y.t, t))
-        jump = after - before - combine(tableau.weights[1], found.turns, xp)[0]
+        jump = after - before - change[-1]
         u = tuple(a + jump * c for a, c in zip(u, q, strict=True))
-    action = y.action
-    if acts:
-        action = action + combine(tableau.weights[1], found.actions, xp)[0]
-        action = action - loss * (2 - loss) * action
-    return Undamped(q, u, t, action), own, found
+    return Undamped(q, u, t, action), slopes, seen[-1]
 
 
 @dataclass(frozen=True)
@@ -270,10 +318,12 @@ class RungeKutta(FixedStep):
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         tableau, stages = self.tableau, self.tableau.used
+        large = scene.by_sites or len(leaves(x)) > LARGE
+        loop = repeat if repeat.over_stages and large and stages > 4 and not scene.rate_changes else None
         if not tableau.nystrom:
-            return repeat(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages)[0], x)
-        factors = None if scene.rate_changes else factors_of(tableau, scene, None, h, xp)
-        another = lambda y: nystrom_step(tableau, scene, y, h, xp, stages, factors=factors)[0]  # noqa: E731
+            return repeat(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages, loop)[0], x)
+        factors = None if scene.rate_changes else factors_of(tableau, scene, None, h, xp, loop)
+        another = lambda y: nystrom_step(tableau, scene, y, h, xp, stages, loop, factors=factors)[0]  # noqa: E731
         return damped(scene, repeat(n, another, undamped(scene, x)))
 
 
