@@ -38,6 +38,7 @@ from contactbench.methods.runge_kutta import (
 )
 from contactbench.numbers.control import repeat_while
 from contactbench.numbers.dual import leaves, rebuild
+from contactbench.numbers.protocol import Abilities, CannotRecord, ChoosingNumbers, abilities
 from contactbench.scene import Cache, Scene, key
 from contactbench.scene.algebra import scaled
 from contactbench.solution import DIVERGENCE, Counts, Solution, Status
@@ -204,8 +205,13 @@ def march(
         y, first, factors, at, left, step, past, tried, rejected = carried
         h = when(left < 2 * step, last_steps, step, xp, left)
         factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
-        after, slope, error = form.attempt(scene, y, h, xp, first, factors)
-        weighed = (e / c for e, c in zip(error, scales(parts(y), parts(after)), strict=True))
+        try:
+            after, slope, error = form.attempt(scene, y, h, xp, first, factors)
+        except NO_NUMBER:
+            if not abilities(xp).branch:
+                raise
+            after, slope, error = y, first, [math.inf]
+        weighed = (e / c for e, c in zip(error, scales(parts(y), parts(after)), strict=False))
         square = sum(e * e for e in weighed)
         accepted = square <= 1
 
@@ -214,7 +220,8 @@ def march(
 
         kept = y, first, left, step, rejected + 1
         y, first, left, step, rejected = when(accepted, advance, kept, xp)
-        step = when(~((square >= keeps[0]) & (square <= keeps[1])), changed, step, xp, h, square, past)
+        within = (square >= keeps[0]) & (square <= keeps[1])
+        step = when(xp.where(within, 0.0, 1.0) > 0, changed, step, xp, h, square, past)
         return y, first, factors, h, left, step, xp.where(accepted, square, past), tried + 1, rejected
 
     def last_steps(step: Any, left: Any) -> Any:
@@ -263,13 +270,16 @@ def starting_at(d: int) -> Callable[[Any], Any]:
 _loops: Cache[Loop] = Cache(256)
 
 
-def loop_of(method: Any, scene: Scene, carry: tuple[str, ...]) -> Loop:
-    def make() -> Loop:
-        elapsed = stopwatch()
-        program = pair_program(method.form, scene, carry)
-        return Loop(program, elapsed())
+class PlainNumbers(ChoosingNumbers):
+    """The namespace of floats."""
 
-    return _loops.get(key(scene.identity, method, carry), make)
+    abilities = Abilities(branch=True)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(math, name)
+
+    def where(self, condition: Any, a: Any, b: Any) -> Any:
+        return a if condition else b
 
 
 @dataclass
@@ -277,7 +287,6 @@ class ToleranceRun(Prepared):
     """Run a pair, from saved time to saved time and from break to break."""
 
     method_: Any
-    loop: Loop
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -286,13 +295,11 @@ class ToleranceRun(Prepared):
         breaks = [end for time, margin in margins for end in (time - margin, time + margin)]
         ends = np.union1d(self.later, [time for time in breaks if 0 < time < self._end])
         self.saved = np.searchsorted(ends, self.later)
-        self.spans, self.most = np.diff(ends, prepend=0.0), np.full(len(ends), r.max_steps)
-        d = len(self.start)
-        atol = np.broadcast_to(r.atol, d - (self._clock is not None))
-        numbers = np.array([*r.scene.numbers(), r.rtol, *atol])
-        w, shape = self.loop.rows(numbers, self.spans, self.most)
-        run, size, empty = self.run, len(ends) * (d + BESIDE), np.empty
-        last = slice(size - d - BESIDE, size - BESIDE)
+        self.spans = np.diff(ends, prepend=0.0)
+        self.tolerances = [r.rtol, *np.broadcast_to(r.atol, len(r.scene.without_clock(self.start))).tolist()]
+        run, w, shape = self.compiled() if r.engine == "numba" else self.in_python()
+        size = len(ends) * (len(self.start) + BESIDE)
+        last, empty = slice(size - len(self.start) - BESIDE, size - BESIDE), np.empty
 
         def states(y0: np.ndarray) -> np.ndarray:
             after = empty(size)
@@ -305,21 +312,46 @@ class ToleranceRun(Prepared):
             return after[last]
 
         self.states, self.bare = states, bare  # type: ignore[method-assign]
-        self.compile_s = self.loop.seconds
 
-    @property
-    def run(self) -> Any:
-        if self.request.engine == "numba":
-            return self.loop.run
-        run = execute(self.loop.program.run)
+    def arguments(self, loop: Loop) -> tuple[np.ndarray, np.ndarray]:
+        """Return what a recorded loop takes beside states."""
+        numbers = np.array([*self.request.scene.numbers(), *self.tolerances])
+        return loop.rows(numbers, self.spans, np.full(len(self.spans), self.request.max_steps))
 
-        def in_python(y0: np.ndarray, w: np.ndarray, shape: np.ndarray, after: np.ndarray) -> None:
-            states = [math.nan] * len(after)
-            with suppress(*NO_NUMBER):
-                run(y0.tolist(), w.tolist(), shape.tolist(), states)
-            after[:] = states
+    def make(self) -> Loop:
+        elapsed, r = stopwatch(), self.request
+        program = pair_program(self.method_.form, r.scene, r.carry)
+        return Loop(program, elapsed())
 
-        return in_python
+    def compiled(self) -> tuple[Callable[..., Any], Any, Any]:
+        loop = _loops.get(key(self.request.scene.identity, self.method_, self.request.carry), self.make)
+        run, tables = loop.run, self.arguments(loop)
+        self.compile_s = loop.seconds
+        return run, *tables
+
+    def in_python(self) -> tuple[Callable[..., Any], Any, Any]:
+        """Return the same in floats: by the recorded loop, where it can be recorded and no float says that it is none."""
+        form, r, recorded, tables = self.method_.form, self.request, None, ([], [])
+        with suppress(CannotRecord):
+            loop = self.make()
+            recorded, tables = execute(loop.program.run), tuple(part.tolist() for part in self.arguments(loop))
+
+        def as_written(y0: np.ndarray) -> list[float]:
+            x, beside, rows, xp = r.scene.unpack(y0.tolist(), r.carry), [0.0] * BESIDE, list[float](), PlainNumbers()
+            for span in self.spans.tolist():
+                x, beside = march(form, r.scene, x, beside, span, r.max_steps, self.tolerances, xp)
+                rows += [*r.scene.pack(x), *beside]
+            return rows
+
+        def run(y0: np.ndarray, w: Any, shape: Any, after: np.ndarray) -> None:
+            if recorded is not None:
+                with suppress(*NO_NUMBER):
+                    recorded(y0.tolist(), w, shape, found := [0.0] * len(after))
+                    after[:] = found
+                    return
+            after[:] = as_written(y0)
+
+        return run, *tables
 
     def __call__(self, **data: Any) -> Solution:
         """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
@@ -374,7 +406,7 @@ class RungeKuttaPair(Adaptive):
         return refusal(self.name, self.form.tableau, scene)
 
     def prepare(self, request: Request) -> Prepared:
-        return ToleranceRun(self.name, request, self, loop_of(self, request.scene, request.carry))
+        return ToleranceRun(self.name, request, self)
 
 
 _pair = "explicit Runge–Kutta pair by tolerance"
