@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Abilities, Numbers, abilities
+from contactbench.numbers.protocol import Abilities, Namespace, Numbers, abilities, has_where
 from contactbench.xla import jnp, lax
 
 #: turns after which a loop over plain numbers is given up: a thousand digits take forty
@@ -41,21 +41,21 @@ def turns(n: int, body: Callable[[Any], Any], x: Any) -> Any:
 repeat = Repeat(turns)
 
 
-def choose(condition: Any, yes: Any, no: Any, xp: Any) -> Any:
+def choose(condition: Any, yes: Any, no: Any, xp: Namespace) -> Any:
     """yes or no, entry by entry for arrays.  Both have been computed: neither may divide by zero."""
-    if abilities(xp).branch:
-        return yes if condition else no
-    return xp.where(condition, yes, no)
+    if has_where(xp):
+        return xp.where(condition, yes, no)
+    return yes if condition else no
 
 
-def settle(x: Any, xp: Any) -> Any:
+def settle(x: Any, xp: Namespace) -> Any:
     """x, computed once: XLA would redo divisions and sines for every later component that reads them,
     which grows exponentially along a chain of flows."""
     return lax.optimization_barrier(x) if abilities(xp).traced else x
 
 
 def scan(
-    body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int, rest: Callable[[Any], Any], xp: Any
+    body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int, rest: Callable[[Any], Any], xp: Namespace
 ) -> tuple[Any, Any]:
     """x after `turns` of ``x, out = body(x)``, and the outs; of plain numbers until ``rest(x)`` is negligible."""
     can = abilities(xp)
@@ -72,7 +72,7 @@ def scan(
     return x, outs
 
 
-def repeat_while(condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any, xp: Any) -> Any:
+def repeat_while(condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any, xp: Namespace) -> Any:
     """x after ``x = body(x)`` for as long as the condition holds at it, entry by entry for arrays."""
     can = abilities(xp)
     if can.branch:
@@ -93,7 +93,7 @@ def repeat_while(condition: Callable[[Any], Any], body: Callable[[Any], Any], x:
     return x
 
 
-def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Any) -> Any:
+def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Namespace) -> Any:
     if abilities(xp).traced:
         return lax.scan(lambda x, out: (body(x, out), None), x, outs, reverse=True)[0]
     for out in reversed(outs):

@@ -1,14 +1,17 @@
-"""What scenes and flows ask of the numbers they run on, and of the namespace of functions that goes with them.
+"""The numbers that scenes and flows run on, and the functions that go with each kind.
 
-A namespace is `math`, `numpy`, `jax.numpy`, an mpmath context, or a `Numbers` of this package.  `abilities` of any of
-them says what its kind of number can do.
+A kind of number comes with its `Namespace`: `math`, `numpy`, `jax.numpy`, an mpmath context, or a `Numbers` of this
+package.  `abilities` says what that kind can do.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeGuard
+
+if TYPE_CHECKING:
+    from mpmath import MPContext
 
 
 class Arithmetic(Protocol):
@@ -32,6 +35,76 @@ class Arithmetic(Protocol):
     def __le__(self, other: Any, /) -> Any: ...
     def __gt__(self, other: Any, /) -> Any: ...
     def __ge__(self, other: Any, /) -> Any: ...
+    def __float__(self) -> float: ...
+
+
+#: the components of a vector
+Vector = tuple[Arithmetic, ...]
+
+
+class Namespace(Protocol):
+    """The elementary functions of one kind of number, usually written ``xp``; `math` is the smallest of them."""
+
+    @property
+    def exp(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def expm1(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def log(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def log1p(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def sqrt(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def sin(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def cos(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def atan(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def atan2(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def floor(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def pi(self) -> float: ...
+    @property
+    def inf(self) -> float: ...
+
+
+class ChoosingNamespace(Namespace, Protocol):
+    """The namespace of numbers that a program cannot look at: `where` chooses between two of them."""
+
+    @property
+    def where(self) -> Callable[..., Any]: ...
+
+
+class ArrayNamespace(ChoosingNamespace, Protocol):
+    """`numpy` or `jax.numpy`: besides the elementary functions, what makes, joins and compares arrays."""
+
+    @property
+    def multiply(self) -> Any: ...
+    @property
+    def asarray(self) -> Callable[..., Any]: ...
+    @property
+    def zeros(self) -> Callable[..., Any]: ...
+    @property
+    def ones(self) -> Callable[..., Any]: ...
+    @property
+    def stack(self) -> Callable[..., Any]: ...
+    @property
+    def concatenate(self) -> Callable[..., Any]: ...
+    @property
+    def broadcast_arrays(self) -> Callable[..., Any]: ...
+    @property
+    def maximum(self) -> Callable[..., Any]: ...
+    @property
+    def minimum(self) -> Callable[..., Any]: ...
+    @property
+    def isfinite(self) -> Callable[..., Any]: ...
+    @property
+    def abs(self) -> Callable[..., Any]: ...
+    @property
+    def linalg(self) -> Any: ...
 
 
 class Abilities(NamedTuple):
@@ -74,11 +147,23 @@ class ChoosingNumbers(Numbers):
         return self.where(a <= b, a, b)
 
 
-def abilities(xp: Any) -> Abilities:
+def abilities(xp: Namespace) -> Abilities:
     if isinstance(xp, Numbers):
         return xp.abilities
     package = getattr(xp, "__name__", type(xp).__module__).partition(".")[0]
     return FOREIGN.get(package, ARRAYS)
+
+
+def has_where(xp: Namespace) -> TypeGuard[ChoosingNamespace]:
+    return not abilities(xp).branch
+
+
+def has_arrays(xp: Namespace) -> TypeGuard[ArrayNamespace]:
+    return abilities(xp).vectors
+
+
+def has_digits(xp: Namespace) -> TypeGuard[MPContext]:
+    return abilities(xp).digits
 
 
 class Number:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.protocol import abilities
+from contactbench.numbers.protocol import Namespace, has_digits
 
 STAGES = 8
 #: of the coefficients on doubles
@@ -49,15 +49,15 @@ def gauss_on_doubles(stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> R
     return [*map(float, nodes)], [*map(float, weights)], [[*map(float, row)] for row in matrix]
 
 
-def rule(xp: Any, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
-    return gauss(xp.dps, stages, ends) if abilities(xp).digits else gauss_on_doubles(stages, ends)
+def rule(xp: Namespace, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
+    return gauss(xp.dps, stages, ends) if has_digits(xp) else gauss_on_doubles(stages, ends)
 
 
 def weigh(weights: list[Any], values: list[Any]) -> Any:
     return sum(w * v for w, v in zip(weights, values, strict=True))
 
 
-def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> tuple[Any, Any]:
+def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> tuple[Any, Any]:
     """G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ of a rate γ(t), by one step on G' = γ, φ' = e^{−G}."""
     nodes, weights, matrix = rule(xp)
     values = [rate(t + c * h) for c in nodes]
@@ -66,7 +66,7 @@ def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> tuple[Any,
 
 
 def running(
-    rate: Callable[[Any], Any], t: Any, h: Any, ends: tuple[Fraction, ...], stages: int, xp: Any
+    rate: Callable[[Any], Any], t: Any, h: Any, ends: tuple[Fraction, ...], stages: int, xp: Namespace
 ) -> list[Any]:
     """∫_t^{t+ch} of a rate for every c of some ends, to an error O(h^{stages + 1})."""
     nodes, _, matrix = rule(xp, stages, ends)
@@ -74,7 +74,7 @@ def running(
     return [h * weigh(row, values) for row in matrix]
 
 
-def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> Any:
+def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> Any:
     """∫_t^{t+h} γ over a span of any length, on plain numbers or arrays: halved until it no longer changes."""
     nodes, weights, _ = rule(xp)
     before = None

@@ -10,6 +10,7 @@ q' = ∂H/∂p, p' = −∂H/∂q − p Γ'(s), s' = p·∂H/∂p − H  (paper,
 """
 
 from contactbench.scene.algebra import (
+    AnyState,
     BodyState,
     State,
     Vector,

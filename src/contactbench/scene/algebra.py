@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
 from contactbench.checks import array
 from contactbench.errors import BadInput, excerpt
-from contactbench.numbers.protocol import Arithmetic
+from contactbench.numbers.protocol import Arithmetic, Vector
 
-Vector = tuple[Arithmetic, ...]
+
+class AnyState(Protocol):
+    """A state of some kind of scene: a NamedTuple of vectors and numbers; a field that is not carried is None."""
+
+    @property
+    def _fields(self) -> tuple[str, ...]: ...
+    @property
+    def s(self) -> Any: ...
+    def _replace(self, *args: Any, **changes: Any) -> Self: ...
+    def __iter__(self) -> Iterator[Any]: ...
 
 
 class State(NamedTuple):
@@ -30,7 +39,7 @@ class BodyState(NamedTuple):
     s: Any = None
 
 
-def shifted(x: Any, h: Any, slope: Any) -> Any:
+def shifted[X: AnyState](x: X, h: Arithmetic, slope: X) -> X:
     """Return x + h·slope, component by component.
 
     Parameters

@@ -21,7 +21,7 @@ from contactbench.checks import finite, function, items_of, positive, switch, te
 from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.notebook import html_table
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.protocol import CannotRecord, Namespace
 from contactbench.registry import Registry
 from contactbench.scene.algebra import shifted
 from contactbench.scene.flow import Flow
@@ -604,7 +604,7 @@ class Scene(System):
     def conformal_rate(self) -> Any:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
 
-    def damped_by(self, x: Any, t: Any, xp: Any) -> Any | None:
+    def damped_by(self, x: Any, t: Any, xp: Namespace) -> Any | None:
         """Return ∫Γ' over the time t from x, None where it depends on the motion."""
         return None if self.conformal_rate is None else self.conformal_rate * t
 

@@ -13,6 +13,7 @@ import numpy as np
 from contactbench.checks import array, finite, function, is_number, require_number
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers import quadrature
+from contactbench.numbers.protocol import Namespace
 from contactbench.scene.algebra import Vector, scaled, times
 from contactbench.scene.base import Check, optional
 from contactbench.scene.flow import Flow, plain
@@ -31,23 +32,23 @@ class DrivenState(NamedTuple):
 # A is T, B is V(q, t) at a fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact
 # however they alternate.  Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the
 # clock depend on neither p nor s: Nyström tables keep their order.
-def driven_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
+def driven_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Namespace) -> Any:
     return -(scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0])
 
 
-def driven_damp(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
+def driven_damp(scene: Driven, x: DrivenState, h: Any, xp: Namespace) -> DrivenState:
     """C: p *= e^{−G}, s *= e^{−G}, t += h."""
     decay = xp.exp(driven_log_factor(scene, x, h, xp))
     s = None if x.s is None else decay * x.s
     return DrivenState(x.q, tuple(decay * p for p in x.p), x.t + h, s)
 
 
-def _driven_constants(scene: Driven, h: Any, xp: Any) -> Any:
+def _driven_constants(scene: Driven, h: Any, xp: Namespace) -> Any:
     """Return h, and the constants of `drift_damp` where γ is constant."""
     return (h,) if scene.rate_changes else (h, *_drift_damp_constants(scene, h, xp))
 
 
-def driven_drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) -> DrivenState:
+def driven_drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Namespace) -> DrivenState:
     """AC over (t, t + h), with φ and ∫γ of that time."""
     h, *constant = constants
     if not constant:
@@ -225,13 +226,13 @@ class Driven(Mechanical):
     def rate_at(self, t: Any) -> Any:
         return self.gamma if self.rate is None else self.rate(t, **self.parameters)
 
-    def spent(self, t: Any, h: Any, xp: Any) -> tuple[Any, Any]:
+    def spent(self, t: Any, h: Any, xp: Namespace) -> tuple[Any, Any]:
         """Return (G, φ) of the damping from t to t + h, a step."""
         if self.span is not None:
             return self.span(t, h, xp, **self.parameters)
         return quadrature.integrals(self.rate_at, t, h, xp)
 
-    def damped_by(self, x: Any, t: Any, xp: Any) -> Any:
+    def damped_by(self, x: Any, t: Any, xp: Namespace) -> Any:
         if self.rate is None:
             return self.gamma * t
         if self.span is not None:

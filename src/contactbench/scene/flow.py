@@ -16,14 +16,15 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from contactbench.numbers.control import choose
+from contactbench.numbers.protocol import Namespace
 
 
-def plain(scene: Any, h: Any, xp: Any) -> Any:
+def plain(scene: Any, h: Any, xp: Namespace) -> Any:
     """Return the step itself, of flows without other constants."""
     return h
 
 
-def no_damping(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+def no_damping(scene: Any, x: Any, h: Any, xp: Namespace) -> Any:
     return 0.0
 
 
@@ -51,12 +52,12 @@ class Flow(NamedTuple):
     log_factor: Callable[[Any, Any, Any, Any], Any] = no_damping
 
 
-def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+def linear_log_factor(scene: Any, x: Any, h: Any, xp: Namespace) -> Any:
     """Return −γh, the log of the factor under linear damping."""
     return -scene.gamma * h
 
 
-def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
+def damped_time(gamma: Any, h: Any, xp: Namespace) -> Any:
     """Return φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
     undamped, z = gamma == 0, gamma * h
     small = h * (1 - z / 2 * (1 - z / 3))  # its derivatives by γ are those at 0
@@ -67,7 +68,7 @@ def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
 STRONG = 1.5
 
 
-def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
+def damping(gamma: Any, h: Any, xp: Namespace) -> tuple[Any, Any]:
     """Return e^{−γh} as a pair (keep, lose): damped(p) = keep·p − lose·p.
 
     With keep = 1 and lose = 1 − e^{−γh} the rounding of the coefficient matters only through the
@@ -79,5 +80,5 @@ def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
     return choose(strong, factor, 1.0, xp), choose(strong, 0.0, loss, xp)
 
 
-def time_and_damping(scene: Any, h: Any, xp: Any) -> Any:
+def time_and_damping(scene: Any, h: Any, xp: Namespace) -> Any:
     return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)

@@ -27,6 +27,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from contactbench.numbers.control import choose, scan, settle, unwind
+from contactbench.numbers.protocol import Namespace
 from contactbench.scene.algebra import BodyState, Vector, dot, quaternion_product
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def handedness(scene: RigidBody) -> int:
     return 1 if middle == (smallest + 1) % 3 else -1
 
 
-def course(scene: RigidBody, z: Vector, xp: Any) -> Course:
+def course(scene: RigidBody, z: Vector, xp: Namespace) -> Course:
     I1, I2, I3 = (scene.inertia[axis] for axis in scene.by_inertia)
     z1, z2, z3 = (z[axis] for axis in scene.by_inertia)
     a12, a23, a13 = (I2 - I1) / (I1 * I2), (I3 - I2) / (I2 * I3), (I3 - I1) / (I1 * I3)
@@ -83,7 +84,7 @@ def course(scene: RigidBody, z: Vector, xp: Any) -> Course:
     return Course(first, about_k, i2, k2, a13, V, W, rate, m, m1, still)
 
 
-def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
+def free(scene: RigidBody, x: BodyState, t: Any, xp: Namespace) -> BodyState:
     """Return the exact flow of ½ M·I⁻¹M for any time, up to round-off of the phase λt; ‖M‖ and J = R M are kept."""
     s = None if x.s is None else x.s + t * scene.kinetic(x)
     L, z, resting = polar(x.M, xp)
@@ -100,7 +101,7 @@ def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
     return settle(BodyState(M, quaternion_product(x.R, moved), s), xp)
 
 
-def polar(v: Vector, xp: Any) -> tuple[Any, Vector, Any]:
+def polar(v: Vector, xp: Namespace) -> tuple[Any, Vector, Any]:
     """Return ‖v‖, v/‖v‖, and whether v is zero: 1 and the first axis then, so that no derivative of √0 is taken.
 
     No square underflows, and the direction has length one where ‖v‖ itself has hardly any digits left.
@@ -116,16 +117,16 @@ def polar(v: Vector, xp: Any) -> tuple[Any, Vector, Any]:
     return largest * size, tuple(c / size for c in scaled), zero
 
 
-def components(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
+def components(scene: RigidBody, motion: Course, z: Vector, xp: Namespace) -> tuple[Any, Any, Any]:
     z1, z2, z3 = (z[axis] for axis in scene.by_inertia)
     return choose(motion.first, z1, z3, xp), z2, choose(motion.first, z3, z1, xp)
 
 
-def clamp(v: Any, xp: Any) -> Any:
+def clamp(v: Any, xp: Namespace) -> Any:
     return choose(v > FARTHEST, FARTHEST, choose(v < -FARTHEST, -FARTHEST, v, xp), xp)
 
 
-def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> tuple[Vector, Vector]:
+def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Namespace) -> tuple[Vector, Vector]:
     """Return the direction of M at time tau; the argument v = λ·tau, its sn, cn and dn, and the quarter period K."""
     _, _, i2, k2, ik, _, _, rate, m, m1, still = motion
     zi, z2, zk = components(scene, motion, z, xp)
@@ -145,7 +146,7 @@ def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> 
 
 
 def precession(
-    scene: RigidBody, motion: Course, z: Vector, turned: Vector, tau: Any, passed: Vector, xp: Any
+    scene: RigidBody, motion: Course, z: Vector, turned: Vector, tau: Any, passed: Vector, xp: Namespace
 ) -> Any:
     """Return ψ, the angle by which the frame has turned about M.
 
@@ -174,7 +175,7 @@ def precession(
     return choose(still, steady, choose(zi == 0, steady, angle, xp), xp)
 
 
-def phase(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
+def phase(scene: RigidBody, motion: Course, z: Vector, xp: Namespace) -> tuple[Any, Any, Any]:
     zi, z2, zk = components(scene, motion, z, xp)
     sn, cn = z2 * xp.sqrt(motion.i2), zk * xp.sqrt(motion.ik)
     square = sn * sn + cn * cn
@@ -184,12 +185,14 @@ def phase(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, An
     return choose(axis, 0.0, sn / size, xp), choose(axis, 1.0, cn / size, xp), dn
 
 
-def sense(motion: Course, xp: Any) -> Any:
+def sense(motion: Course, xp: Namespace) -> Any:
     """Return −1 where the axis e of the frame is axis 3, 1 where it is axis 1: the sign of the bent part of ψ."""
     return choose(motion.first, 1.0, -1.0, xp) * choose(motion.about_k, -1.0, 1.0, xp)
 
 
-def attitude(scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle: Any, xp: Any) -> Vector:
+def attitude(
+    scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle: Any, xp: Namespace
+) -> Vector:
     """Return C(z)⁻¹ Rot_e(angle) C(turned) as a quaternion."""
     smallest, _, largest = scene.by_inertia
     on_smallest = sense(motion, xp) > 0
@@ -208,7 +211,7 @@ def attitude(scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle:
     return tuple(unit * c for c in turn)
 
 
-def frame(z: Vector, xp: Any) -> Vector:
+def frame(z: Vector, xp: Namespace) -> Vector:
     """Return C(z) for z = (cos θ, sin θ cos φ, sin θ sin φ), sin θ > 0: Rot₃(−θ) Rot₁(−φ), taking z to (1, 0, 0)."""
     across = xp.sqrt(z[1] * z[1] + z[2] * z[2])
     cos, sin = z[1] / across, z[2] / across
@@ -228,7 +231,7 @@ SMALLEST = 1e-280
 LANDEN_STEPS, DUPLICATIONS = 12, 13
 
 
-def jacobi(u: Any, m: Any, m1: Any, xp: Any) -> tuple[Any, Any, Any, Any]:
+def jacobi(u: Any, m: Any, m1: Any, xp: Namespace) -> tuple[Any, Any, Any, Any]:
     """Return sn, cn, dn of (u | m), and the quarter period K(m).
 
     Descending Landen transformations, DLMF 22.7.2–22.7.4 with 22.7.1 for the moduli: k → (1 − k')/(1 + k'),
@@ -257,7 +260,7 @@ def jacobi(u: Any, m: Any, m1: Any, xp: Any) -> tuple[Any, Any, Any, Any]:
     return sn, cn, dn, xp.pi / (2 * scale)
 
 
-def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Any) -> Any:
+def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Namespace) -> Any:
     """Return R_J(x, y, 1, p) from √x and √y; 0 ≤ x ≤ 1, 0 < y ≤ 1 ≤ p.
 
     excess : (p − x)(p − y)(p − 1) ≥ 0, which the caller knows without cancellation.  Duplication: Carlson, Numer.
@@ -298,14 +301,14 @@ def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Any) -> Any:
     return fourth * series / (mean * xp.sqrt(mean)) + 6 * total
 
 
-def arc(e: Any, xp: Any) -> Any:
+def arc(e: Any, xp: Namespace) -> Any:
     """Return R_C(1, 1 + e) = atan(√e)/√e, e ≥ 0."""
     flat = e == 0
     root = xp.sqrt(choose(flat, 1.0, e, xp))  # 1: no derivative of √0 is taken
     return choose(flat, 1.0, xp.atan(root) / root, xp)
 
 
-def bent_part(sn: Any, cn: Any, dn: Any, m: Any, bend: Any, xp: Any) -> Any:
+def bent_part(sn: Any, cn: Any, dn: Any, m: Any, bend: Any, xp: Namespace) -> Any:
     """Return ∫₀ᵘ sn²/(1 + ν sn²) du at the u ∈ [−K, K] of these sn, cn ≥ 0, dn; ν = bend ≥ 0.
 
     It is (u − Π(−ν; u | m))/ν without the cancellation: sn³ R_J(cn², dn², 1, 1 + ν sn²)/3, DLMF 19.25.14.

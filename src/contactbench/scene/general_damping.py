@@ -12,7 +12,7 @@ import numpy as np
 from contactbench.checks import function, require_number
 from contactbench.errors import BadInput
 from contactbench.numbers.control import choose, scan, settle
-from contactbench.numbers.protocol import abilities
+from contactbench.numbers.protocol import Namespace, has_digits, has_where
 from contactbench.scene.algebra import State
 from contactbench.scene.base import Check, optional
 from contactbench.scene.flow import Flow, damped_time, plain
@@ -35,7 +35,7 @@ def rule() -> tuple[list[float], list[float]]:
     return ((1 + x) / 2).tolist(), (w / 2).tolist()
 
 
-def decay(scene: Any, s: Any, h: Any, xp: Any) -> Any:
+def decay(scene: Any, s: Any, h: Any, xp: Namespace) -> Any:
     """Return s(h) from s at 0; not finite where s reaches infinity before."""
     if scene.damping_flow is not None:
         return scene.damping_flow(s, h, xp)
@@ -44,7 +44,7 @@ def decay(scene: Any, s: Any, h: Any, xp: Any) -> Any:
     return s
 
 
-def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
+def by_quadrature(scene: Any, s: Any, h: Any, xp: Namespace) -> Any:
     start = scene.dissipation(s)
     r = scene.dissipation_rate(s - start * damped_time(scene.dissipation_rate(s), h / 2, xp))
     resting = start == 0
@@ -59,24 +59,24 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
         return choose(resting, 1.0, choose(gone, 1.0, xp.exp(-r * tau) * ratio, xp), xp)
 
     def elapsed(tau: Any) -> Any:
-        if abilities(xp).digits:
+        if has_digits(xp):
             return xp.quad(pace, [0, tau])
         return tau * sum(w * pace(tau * x) for x, w in zip(*rule(), strict=True))
 
     def nearer(tau: Any) -> Any:
         return tau - (elapsed(tau) - h) / pace(tau)
 
-    if not abilities(xp).branch:
+    if has_where(xp):
         return at(scan(lambda tau: (nearer(tau), tau), h, ITERATIONS, lambda _: 0.0, xp)[0])
     before, tau = 0 * h, h
-    for _ in range(ITERATIONS if not abilities(xp).digits else 2 * ITERATIONS):
+    for _ in range(ITERATIONS if not has_digits(xp) else 2 * ITERATIONS):
         before, tau = tau, nearer(tau)
         if tau == before:
             break
     return at(tau)
 
 
-def survival(scene: Any, s: Any, after: Any, h: Any, xp: Any) -> Any:
+def survival(scene: Any, s: Any, after: Any, h: Any, xp: Namespace) -> Any:
     """Return ∂s(h)/∂s = Γ(s(h))/Γ(s), the factor on p and on η; e^{−Γ'h} at the zeros of Γ.
 
     There Γ' is taken where s is on average, whose derivative is that of ∫Γ'(s).
@@ -90,14 +90,14 @@ def survival(scene: Any, s: Any, after: Any, h: Any, xp: Any) -> Any:
     return choose(resting, xp.exp(-scene.dissipation_rate(s - start * h * moved) * h), ratio, xp)
 
 
-def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:
+def damp_generally(scene: Any, x: State, h: Any, xp: Namespace) -> State:
     """C for any Γ(s): s follows s' = −Γ(s), and p the derivative of s(h), both solving p' = −Γ'(s) p."""
     s = decay(scene, x.s, h, xp)
     factor = survival(scene, x.s, s, h, xp)
     return settle(State(x.q, tuple(factor * p for p in x.p), s), xp)
 
 
-def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
+def general_log_factor(scene: Any, x: State, h: Any, xp: Namespace) -> Any:
     return xp.log(survival(scene, x.s, decay(scene, x.s, h, xp), h, xp))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from contactbench.checks import finite, function, require_number, vector
 from contactbench.errors import BadInput
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.protocol import CannotRecord, Namespace
 from contactbench.scene.algebra import BodyState, Vector, cross, dot, norm, rotate
 from contactbench.scene.base import Check, optional
 from contactbench.scene.flow import Flow, plain
@@ -19,7 +19,7 @@ from contactbench.scene.rigid_body import BODY, RigidBody, one_rate
 from contactbench.trace.formula import Formula, formula
 
 
-def top_kick(scene: HeavyTop, x: BodyState, h: Any, xp: Any) -> BodyState:
+def top_kick(scene: HeavyTop, x: BodyState, h: Any, xp: Namespace) -> BodyState:
     """B: M += h w u × χ, s −= h w u·χ; R does not change."""
     M = tuple(m + h * c for m, c in zip(x.M, scene.torque(x), strict=True))
     return BodyState(M, x.R, None if x.s is None else x.s - h * scene.potential_at(x))

@@ -18,7 +18,7 @@ from contactbench.blame import their_code
 from contactbench.checks import array, function, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.functions import namespace
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.protocol import CannotRecord, Namespace
 from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total
 from contactbench.scene.algebra import State, Vector, cross, dot, scaled
 from contactbench.scene.base import Check, Scene, named_numbers, optional
@@ -49,12 +49,12 @@ def derivative(potential: Formula) -> Formula:
         raise BadInput(f"a potential cannot be differentiated: {why}") from why
 
 
-def many_drift(scene: Any, x: State, h: Any, xp: Any) -> State:
+def many_drift(scene: Any, x: State, h: Any, xp: Namespace) -> State:
     """A on many sites, whose masses may differ."""
     return drift(scene._replaced(inverse_mass=like(scene.inverse_mass, x.p[0])), x, h, xp)
 
 
-def many_drift_damp(scene: Any, x: State, constants: Any, xp: Any) -> State:
+def many_drift_damp(scene: Any, x: State, constants: Any, xp: Namespace) -> State:
     """AC on many sites, whose masses may differ."""
     phi, keep, lose = constants
     return drift_damp(scene, x, (phi * like(scene.inverse_mass, x.p[0]), phi, keep, lose), xp)

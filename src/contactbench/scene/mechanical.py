@@ -15,7 +15,7 @@ from contactbench.blame import is_ours, their_code
 from contactbench.checks import finite, function, positive, switch, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.protocol import CannotRecord, Namespace
 from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled, times
 from contactbench.scene.base import Check, Scene, named_numbers, optional
 from contactbench.scene.flow import Flow, damped_time, damping, linear_log_factor, plain
@@ -142,24 +142,24 @@ class Canonical(Scene):
 
 # -- flows -----------------------------------------------------------------------------------------
 # -- mechanical scenes ---------------------------------------------------------------------------
-def kick(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+def kick(scene: Mechanical, x: State, h: Any, xp: Namespace) -> State:
     """B: p −= h ∇V(q), s −= h V(q)."""
     p = tuple(p - h * g for p, g in zip(x.p, scene.gradient_at(x), strict=True))
     return x._replace(p=p, s=None if x.s is None else x.s - h * scene.potential_at(x))
 
 
-def drift(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+def drift(scene: Mechanical, x: State, h: Any, xp: Namespace) -> State:
     """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
     q = tuple(map(add, x.q, scaled(times(scene.inverse_mass, h), x.p)))
     return x._replace(q=q, s=None if x.s is None else x.s + h * scene.kinetic(x.p))
 
 
-def _damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
+def _damp_constants(scene: Mechanical, h: Any, xp: Namespace) -> Any:
     half_kappa = scene.kappa * damped_time(scene.gamma, h, xp) / 2 if scene.nonlinear_damping else None
     return *damping(scene.gamma, h, xp), half_kappa
 
 
-def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
+def damp(scene: Mechanical, x: State, constants: Any, xp: Namespace) -> State:
     """C: p *= e^{−γh}, s *= e^{−γh}; with κ: divided by D² and D, D = 1 + ½ κ s φ(h).
 
     The Bernoulli equation s' = −γ s − ½ κ s² has s(h) = e^{−γh} s/D, and ∫Γ'(s) = γh + 2 log D.
@@ -173,24 +173,24 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
     return settle(State(x.q, tuple(over_D * over_D * p for p in p), over_D * s), xp)
 
 
-def _over_D(x: State, half_kappa: Any, xp: Any) -> Any:
+def _over_D(x: State, half_kappa: Any, xp: Namespace) -> Any:
     D = 1 + half_kappa * x.s
     return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
 
 
-def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
+def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Namespace) -> Any:
     if not scene.nonlinear_damping:
         return -scene.gamma * h
     return -scene.gamma * h - 2 * xp.log1p(scene.kappa * x.s * damped_time(scene.gamma, h, xp) / 2)
 
 
-def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
+def _drift_damp_constants(scene: Mechanical, h: Any, xp: Namespace) -> Any:
     phi = damped_time(scene.gamma, h, xp)
     half_kappa = (scene.kappa * phi / 2,) if scene.nonlinear_damping else ()
     return times(scene.inverse_mass, phi), phi, *damping(scene.gamma, h, xp), *half_kappa
 
 
-def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
+def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Namespace) -> Any:
     """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p.
 
     With ½κs² added, and k = ½κφ, a = 1 + ks, b² = kφT(p):
@@ -214,7 +214,7 @@ def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
     return settle(State(q, p, (keep * s - lose * s) * over_y), xp)
 
 
-def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, Any, Any]:
+def _pinney(scene: Mechanical, x: State, constants: Any, xp: Namespace) -> tuple[Any, Any, Any]:
     """Return a, 1/y and atan2(b, a)/b of `drift_damp`; 1/y is infinite from the time of blow-up on.
 
     For κ < 0 with b² = −kφT: y = a² − b², factored because both factors are positive until s reaches
@@ -246,7 +246,7 @@ def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, 
 SMALL, POWERS = 1e-2, 9
 
 
-def _pinney_of_any_sign(a: Any, z: Any, xp: Any) -> tuple[Any, Any, Any]:
+def _pinney_of_any_sign(a: Any, z: Any, xp: Namespace) -> tuple[Any, Any, Any]:
     """Return the same where the sign of κ is not known, z = kφT; smooth at κ = 0, which the others are not."""
     size, square = abs(z), a * a
     near = (size <= SMALL * square) & (a > 0)
@@ -263,7 +263,7 @@ def _pinney_of_any_sign(a: Any, z: Any, xp: Any) -> tuple[Any, Any, Any]:
     return a, choose(alive, 1 / choose(alive, y, 1.0, xp), xp.inf, xp), path
 
 
-def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
+def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Namespace) -> Any:
     linear = linear_log_factor(scene, x, h, xp)
     if not scene.nonlinear_damping:
         return linear

@@ -12,8 +12,8 @@ import numpy as np
 
 from contactbench.checks import array, finite, vector
 from contactbench.errors import BadInput, excerpt
-from contactbench.numbers.control import settle
-from contactbench.numbers.protocol import abilities
+from contactbench.numbers.control import choose, settle
+from contactbench.numbers.protocol import Namespace
 from contactbench.scene.algebra import (
     BodyState,
     Vector,
@@ -61,7 +61,7 @@ def damping_matrix(name: str, value: Any) -> tuple[Vector, ...]:
 
 
 # -- flows -----------------------------------------------------------------------------------------
-def rotation(x: BodyState, axis: int, a: Any, xp: Any) -> BodyState:
+def rotation(x: BodyState, axis: int, a: Any, xp: Namespace) -> BodyState:
     """Exact time-1 flow of ½ a M_i²: M and R turn about principal axis i at the constant rate a M_i.
 
     R → R Rot(e_i, θ) and M → Rot(e_i, −θ) M, so J = R M does not change.
@@ -84,7 +84,7 @@ def rotation(x: BodyState, axis: int, a: Any, xp: Any) -> BodyState:
     return settle(BodyState(tuple(turned), R, None if s is None else s + angle * M[axis] / 2), xp)
 
 
-def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
+def spin(x: BodyState, a: Any, xp: Namespace) -> BodyState:
     """Exact time-1 flow of ½ a ‖M‖²: M stays, R turns about it, R → R exp(a M̂) = exp(a Ĵ) R.
 
     It commutes with every rotation: ‖M‖² is a Casimir function, and they leave J as it is.
@@ -96,13 +96,9 @@ def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
     if x.R is None:
         return BodyState(x.M, None, s)
     still = square == 0
-    if abilities(xp).branch:
-        size = xp.sqrt(square)
-        scale, cos = a / 2 if still else xp.sin(a * size / 2) / size, xp.cos(a * size / 2)
-    else:
-        size = xp.sqrt(xp.where(still, 1.0, square))  # 1: no derivative of √0 is taken
-        scale = xp.where(still, a / 2, xp.sin(a * size / 2) / size)
-        cos = xp.where(still, 1.0, xp.cos(a * size / 2))
+    size = xp.sqrt(choose(still, 1.0, square, xp))  # 1: no derivative of √0 is taken
+    scale = choose(still, a / 2, xp.sin(a * size / 2) / size, xp)
+    cos = choose(still, 1.0, xp.cos(a * size / 2), xp)
     R = quaternion_product(x.R, (cos, *(scale * m for m in x.M)))
     return settle(BodyState(x.M, R, s), xp)
 
@@ -119,7 +115,7 @@ def top_rate(scene: RigidBody) -> Any:
     return scene.inverse_inertia[largest] - scene.inverse_inertia[middle]
 
 
-def turn(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
+def turn(scene: RigidBody, x: BodyState, tau: Any, xp: Namespace) -> BodyState:
     """Flow of ½ (1/I_min − 1/I_mid) M_min²: what an asymmetric body is more than a symmetric top.
 
     Free body = `turn` + `top`: Touma, Wisdom, Astron. J. 107, 1189 (1994); for what the choice of axes does
@@ -129,19 +125,19 @@ def turn(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
     return rotation(x, scene.by_inertia[0], tau * turn_rate(scene), xp)
 
 
-def top(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
+def top(scene: RigidBody, x: BodyState, tau: Any, xp: Namespace) -> BodyState:
     """Flow of the symmetric top with moments I_mid, I_mid, I_max: a rotation and a `spin`."""
     x = rotation(x, scene.by_inertia[2], tau * top_rate(scene), xp)
     return spin(x, tau * scene.inverse_inertia[scene.by_inertia[1]], xp)
 
 
-def _body_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
+def _body_damp_constants(scene: RigidBody, h: Any, xp: Namespace) -> Any:
     if scene.isotropic:
         return damping(scene.gamma, h, xp)
     return tuple(xp.exp(-rate * h) for rate in scene.rates)
 
 
-def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Any) -> BodyState:
+def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Namespace) -> BodyState:
     """C: M → e^{−hD} M (isotropic: M and s *= e^{−γh}); R does not change."""
     if scene.isotropic:
         keep, lose = decay
@@ -151,7 +147,7 @@ def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Any) -> BodyState:
     return BodyState(scene.damp_matrix_function(x.M, lambda rate: next(factor)), x.R, None)
 
 
-def free_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Any) -> BodyState:
+def free_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Namespace) -> BodyState:
     """Advance the free body and isotropic damping together: free for the time φ(h), then damped.
 
     C rescales time: e^{γt} M and R move as if undamped in the time φ(t), and s' = ½M·Ω − γs gives

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from contactbench.numbers import functions as xm
-from contactbench.numbers.protocol import Arithmetic
+from contactbench.numbers.protocol import Arithmetic, Namespace
 from contactbench.scene import Driven, DrivenState, Vector
 
 
@@ -96,7 +96,7 @@ def spherical(t: Arithmetic, **parameters: Arithmetic) -> Arithmetic:
 
 
 def spherical_span(
-    t: Arithmetic, h: Arithmetic, xp: Any, **parameters: Arithmetic
+    t: Arithmetic, h: Arithmetic, xp: Namespace, **parameters: Arithmetic
 ) -> tuple[Arithmetic, Arithmetic]:
     """∫γ = 2 log(1 + h/t), φ = t h/(t + h)."""
     return 2 * xp.log1p(h / t), t * h / (t + h)
@@ -107,7 +107,7 @@ def cylindrical(t: Arithmetic) -> Arithmetic:
     return 1 / t
 
 
-def cylindrical_span(t: Arithmetic, h: Arithmetic, xp: Any) -> tuple[Arithmetic, Arithmetic]:
+def cylindrical_span(t: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
     """∫γ = log(1 + h/t), φ = t log(1 + h/t)."""
     spent = xp.log1p(h / t)
     return spent, t * spent

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from contactbench.numbers import functions as math
-from contactbench.numbers.protocol import Arithmetic
+from contactbench.numbers.protocol import Arithmetic, Namespace
 from contactbench.scene import State
 from contactbench.scene.many import Lattice, Particles
 
@@ -69,7 +67,7 @@ def two_waves(i: float, n: int) -> float:
     return 0.3 + 0.5 * np.cos(4 * np.pi * i / n)
 
 
-def normal_modes(scene: Lattice, t: float, xp: Any) -> State:
+def normal_modes(scene: Lattice, t: float, xp: Namespace) -> State:
     """A ring of springs, mode by mode: damped oscillators of ω_k = 2 √(1/m) |sin(πk/n)|.
 
     s = ½ q·p + e^{−γt} (s0 − ½ q0·p0), as for one oscillator: V is quadratic.

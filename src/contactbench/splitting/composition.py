@@ -22,7 +22,7 @@ from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.control import turns as unrolled
-from contactbench.numbers.protocol import abilities
+from contactbench.numbers.protocol import Namespace, has_arrays, has_digits
 from contactbench.scene import BodyState, Flow, RigidBody, Scene
 from contactbench.scene.flow import damped_time
 from contactbench.scene.rigid_body import rotation, spin, top_rate, turn_rate
@@ -102,8 +102,8 @@ def merge(stages: Iterable[Stage]) -> tuple[Stage, ...]:
     return tuple((name, sum((c for _, c in same), Fraction(0))) for name, same in neighbours)
 
 
-def number(coefficient: Fraction, xp: Any) -> Any:
-    if abilities(xp).digits:
+def number(coefficient: Fraction, xp: Namespace) -> Any:
+    if has_digits(xp):
         return xp.mpf(coefficient.numerator) / coefficient.denominator
     return float(coefficient)
 
@@ -164,7 +164,7 @@ def arrange(stages: tuple[Stage, ...], before: tuple[Stage, ...] = (), clocked: 
 
 
 def advance(
-    composition: Composition, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat
+    composition: Composition, scene: Any, x: Any, h: Any, n: Any, xp: Namespace, repeat: Repeat = repeat
 ) -> Any:
     """Advance the state x by n ≥ 1 steps of size h, merged at the joints."""
     if by_the_clock(composition, scene):
@@ -192,13 +192,15 @@ def pieces(composition: Composition, scene: Scene, whole: bool) -> tuple[tuple[S
     return steps.opening, steps.inner, steps.joint, steps.closing
 
 
-def run_stages(stages: Sequence[Stage], scene: Any, x: Any, h: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+def run_stages(
+    stages: Sequence[Stage], scene: Any, x: Any, h: Any, xp: Namespace, repeat: Repeat = repeat
+) -> Any:
     """Apply stages one after the other, of a step of size h."""
     return runner(stages, scene, h, xp, repeat)(stages, x)
 
 
 def runner(
-    stages: Iterable[Stage], scene: Any, h: Any, xp: Any, repeat: Repeat
+    stages: Iterable[Stage], scene: Any, h: Any, xp: Namespace, repeat: Repeat
 ) -> Callable[[Sequence[Stage], Any], Any]:
     """Return ``run(some, x)``, which applies some of the stages, whose constants are computed once."""
     flows, constants, rolled = scene.flows, stage_constants(stages, scene, h, xp), repeat.over_stages
@@ -223,7 +225,7 @@ def runner(
     return run
 
 
-def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp: Any) -> Any:
+def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp: Namespace) -> Any:
     """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
     flows, steps, total = scene.flows, plan(composition, scene), 0.0
     rounds = chain.from_iterable(repeated((*steps.inner, *steps.joint), n - 1))
@@ -240,14 +242,14 @@ def shortest_period(names: list[str]) -> int:
 
 
 def stage_constants(
-    stages: Iterable[Stage], scene: Any, h: Any, xp: Any
+    stages: Iterable[Stage], scene: Any, h: Any, xp: Namespace
 ) -> Callable[[Sequence[Stage]], Callable[[Any], Any]]:
     """Return the constants of every stage, computed once: ``constants(some)(k)``, of the k-th of some of one flow.
 
     For arrays those of a flow are one vector: one exponential for all.  h may have an entry for each member.
     """
     flows, distinct = scene.flows, list(dict.fromkeys(stages))
-    if not abilities(xp).vectors:
+    if not has_arrays(xp):
         scalars = {(f, c): flows[f].constants(scene, number(c, xp) * h, xp) for f, c in distinct}
         return lambda some: [scalars[stage] for stage in some].__getitem__
     coefficients = {name: [c for f, c in distinct if f == name] for name, _ in distinct}
@@ -280,7 +282,7 @@ def by_the_clock(composition: Composition, scene: Scene) -> bool:
 
 
 def advance_by_the_clock(
-    composition: Composition, scene: RigidBody, x: BodyState, h: Any, n: Any, xp: Any, repeat: Repeat
+    composition: Composition, scene: RigidBody, x: BodyState, h: Any, n: Any, xp: Namespace, repeat: Repeat
 ) -> BodyState:
     """Advance the free body and isotropic damping together, without splitting the two.
 
@@ -323,8 +325,8 @@ def advance_by_the_clock(
     return BodyState(tuple(total * m for m in x.M), x.R, None if x.s is None else total * x.s)
 
 
-def scale(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
+def scale(coefficients: Iterable[Fraction], factor: Any, xp: Namespace) -> Any:
     values = [number(c, xp) for c in coefficients]
-    if abilities(xp).vectors:
+    if has_arrays(xp):
         return xp.multiply.outer(xp.asarray(values), factor)
     return [c * factor for c in values]
