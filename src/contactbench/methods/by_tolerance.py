@@ -49,10 +49,8 @@ from contactbench.trace.program import Program, record
 AIM, LEAST, MOST = 0.03, 0.2, 5.0
 #: the first step, in parts of what a linear equation takes
 START = 0.85
-#: steps that would be longer by less than this stay as they are; a last one may be longer by so much
+#: steps that would be longer or shorter by less than this stay as they are; a last one may be longer by so much
 STAY, STRETCH = 1.1, 1.1
-#: up to this part of the tolerance a step that was accepted is not shortened
-KEPT, LOW = 0.3, 0.1
 #: the weight of the error before, as a part of that of the error
 PROPORTIONAL = 0.5
 #: by how much a little step along the motion moves it, relative to its size
@@ -175,7 +173,7 @@ def march(
     tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
     reuses = tableau.first_same_as_last
     #: squares of errors after which a step stays as it is
-    keeps = (AIM * LOW) ** 2, KEPT**2
+    keeps = tuple((AIM * STAY ** (way / power)) ** 2 for way in (-1, 1))
 
     def parts(y: Any) -> list[Any]:
         return scene.without_clock(scene.pack(form.leave(scene, y)))
