@@ -78,7 +78,9 @@ def defects(matrix, nodes, weights, order):
     for power in range(order):
         for tree in trees(power, gap):
             whole = exact(tree, gap)
-            for row, more in zip(weights[::-1], range(1, gap + 1), strict=True):  # y' of a Nyström method first
+            for row, more in zip(
+                weights[::-1], range(1, gap + 1), strict=True
+            ):  # y' of a Nyström method first
                 if power + more <= order:
                     scale = power + 1 if more == 1 else (power + 1) * (power + 2)
                     target = whole / scale

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -68,7 +69,9 @@ def changed(rows):
 def test_a_changed_coefficient_is_noticed(name):
     """In doubles, by the conditions up to order nine and the sums of rows."""
     tableau = TABLEAUX[name]
-    matrix, weights, lower = ([[*map(float, row)] for row in rows] for rows in (tableau.matrix, tableau.weights, tableau.lower))
+    matrix, weights, lower = (
+        [[*map(float, row)] for row in rows] for rows in (tableau.matrix, tableau.weights, tableau.lower)
+    )
     nodes, gap = [*map(float, tableau.nodes)], len(weights)
 
     def seen(matrix, weights, order):
@@ -101,7 +104,9 @@ def test_the_embedded_formula_has_its_order(name):
 
 # -- fixed steps -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["rkn8", "rkn12", "rkn8-6", "rkn12-10"])
-@pytest.mark.parametrize("scene", ["oscillator", "forced_oscillator", "forced_pulsating", "lane_emden_1", "central"])
+@pytest.mark.parametrize(
+    "scene", ["oscillator", "forced_oscillator", "forced_pulsating", "lane_emden_1", "central"]
+)
 def test_undamped_coordinates_solve_the_equations(name, scene):
     chosen = {"rtol": 1e-12} if "-" in name else {"step": cb.SCENES[scene].t_end / 400}
     solution = cb.solve(scene, name, save_at=[cb.SCENES[scene].t_end], **chosen)
@@ -135,7 +140,7 @@ def test_the_error_follows_the_tolerance(name, scene):
     for rtol in (1e-4, 1e-6, 1e-8, 1e-10):
         errors.append(cb.LAWS["solution_error"](cb.solve(scene, name, rtol=rtol, save_at=[end], carry=())))
         assert errors[-1] < 100 * rtol
-    assert all(5 * fine < coarse for coarse, fine in zip(errors, errors[1:], strict=False))
+    assert all(5 * fine < coarse for coarse, fine in pairwise(errors))
     assert errors[0] < 3e8 * errors[-1]
 
 
@@ -197,9 +202,14 @@ def test_a_damping_that_jumps_is_seen_once(name):
         t_end=8.0,
         breaks=(jump,),
     )
-    pieces = [cb.Mechanical(name="m", potential=lambda q: q[0] ** 2 / 2, gamma=g, q=(1.0,), p=(0.0,), t_end=8.0) for g in (0.2, 0.6)]
+    pieces = [
+        cb.Mechanical(name="m", potential=lambda q: q[0] ** 2 / 2, gamma=g, q=(1.0,), p=(0.0,), t_end=8.0)
+        for g in (0.2, 0.6)
+    ]
     first = cb.solve(pieces[0], "contact-rkn8", step=0.02, save_at=[jump], carry=()).y[-1]
-    last = cb.solve(pieces[1].with_(q=first[:1], p=first[1:]), "contact-rkn8", step=0.02, save_at=[8.0 - jump], carry=()).y[-1]
+    last = cb.solve(
+        pieces[1].with_(q=first[:1], p=first[1:]), "contact-rkn8", step=0.02, save_at=[8.0 - jump], carry=()
+    ).y[-1]
     found = cb.solve(scene, name, save_at=[8.0], carry=(), **setting).y[-1]
     assert np.abs(found[:2] - last).max() < 1e-9
 
@@ -218,7 +228,12 @@ def test_a_spent_budget_and_a_singularity_are_told_apart(name):
 def test_rejected_steps_leave_no_trace(name):
     """A force that grows a hundredfold within one step."""
     scene = cb.Mechanical(
-        name="wall", potential=lambda q: cb.math.exp(30 * (q[0] - 1)) / 30, gamma=0.1, q=(0.0,), p=(0.4,), t_end=9.0
+        name="wall",
+        potential=lambda q: cb.math.exp(30 * (q[0] - 1)) / 30,
+        gamma=0.1,
+        q=(0.0,),
+        p=(0.4,),
+        t_end=9.0,
     )
     solution = cb.solve(scene, name, rtol=1e-10, save_at=[9.0], carry=())
     assert solution.counts.rejected > 0
@@ -239,7 +254,9 @@ def test_a_mutated_pair_loses_its_proportionality():
     row = tableau.lower[0]
     mutant = replace(tableau, lower=((row[0] * Fraction(1001, 1000), *row[1:]),))
     method = RungeKuttaPair("mutant", 8, "planted", Explicit(mutant))
-    own, planted = (cb.solve(OSCILLATOR, m, rtol=1e-10, save_at=[20.0]).counts.evaluations for m in ("rk8-7", method))
+    own, planted = (
+        cb.solve(OSCILLATOR, m, rtol=1e-10, save_at=[20.0]).counts.evaluations for m in ("rk8-7", method)
+    )
     assert planted > 3 * own
 
 

@@ -1,10 +1,10 @@
-"""Runge–Kutta pairs by tolerance: the loop that chooses its steps, recorded and compiled as the loops of fixed steps are.
+"""Runge–Kutta pairs by tolerance: the loop that chooses its steps, recorded and compiled as those of fixed steps are.
 
-An attempt is accepted where the difference e of both formulas is at most one in the norm √Σ(e_i/(atol_i + rtol |y_i|))².
-Steps follow by a PI controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), and stay as
-they are where it would hardly lengthen them: what depends on the step alone, as exponentials of the damping do, is then
-not computed anew.  They end at saved times.  The first one is that at which the error of y' = λy, z'' = λ²z is the
-tolerance, for the λ that a little step along the motion shows.
+An attempt is accepted where both formulas differ by e with Σ(e_i/(atol_i + rtol |y_i|))² ≤ 1.  Steps follow by a PI
+controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), and stay as they are where they
+would hardly change: what depends on the step alone, as exponentials of the damping do, is then not computed anew.  They
+end at saved times.  The first one is that at which y' = λy or z'' = −λ²z would have the error aimed at, for the λ that
+a little step shows.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -39,13 +40,13 @@ from contactbench.methods.runge_kutta import (
 from contactbench.numbers.control import repeat_while
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Abilities, CannotRecord, ChoosingNumbers, abilities
-from contactbench.scene import Cache, Scene, key
+from contactbench.scene import Cache, Mechanical, Scene, State, key
 from contactbench.scene.algebra import scaled
 from contactbench.solution import DIVERGENCE, Counts, Solution, Status
 from contactbench.trace.form import Assign, Element, Update, execute
 from contactbench.trace.program import Program, record
 
-#: a step is aimed at this part of the tolerance; least and most that it changes, at once by the first attempt
+#: a step is aimed at this part of the tolerance; the least and the most that it changes
 AIM, LEAST, MOST = 0.03, 0.2, 5.0
 #: the first step, in parts of what a linear equation takes
 START = 0.85
@@ -90,7 +91,9 @@ class Explicit:
     def factors(self, scene: Any, h: Any, xp: Any) -> Any:
         return None
 
-    def attempt(self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any) -> tuple[Any, Any, list[Any]]:
+    def attempt(
+        self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any
+    ) -> tuple[Any, Any, list[Any]]:
         """Return the state after a step, the slope there where the pair evaluates it, and the error."""
         tableau = self.tableau
         after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first=first)
@@ -102,13 +105,6 @@ class Explicit:
         nudged = rebuild(y, [a + time * b for a, b in zip(leaves(y), slope, strict=True)])
         there = self.slope(scene, nudged, xp)
         return norm([a - b for a, b in zip(there, slope, strict=True)], xp) / (NUDGE * size)
-
-    def test_error(self) -> float:
-        """Return the error of a step of y' = iy of length one."""
-        stages: list[complex] = []
-        for row in self.tableau.matrix:
-            stages.append(1j * (1 + sum(float(a) * k for a, k in zip(row, stages, strict=False))))
-        return abs(sum(float(w) * k for w, k in zip(self.tableau.estimate[0], stages, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -127,17 +123,19 @@ class Nystrom(Explicit):
     def factors(self, scene: Any, h: Any, xp: Any) -> Any:
         return None if scene.rate_changes else factors_of(self.tableau, scene, None, h, xp)
 
-    def attempt(self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any) -> tuple[Any, Any, list[Any]]:
+    def attempt(
+        self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any
+    ) -> tuple[Any, Any, list[Any]]:
         tableau, d = self.tableau, len(y.q)
         factors = factors or factors_of(tableau, scene, y.t, h, xp)
         stages = len(tableau.nodes)
         after, slopes, slope = nystrom_step(tableau, scene, y, h, xp, stages, None, first, factors)
         keep, half = 1 - factors.loss, scene.damping_at(self.leave(scene, after)) / 2
-        position, change = (combine(row, slopes, xp) for row in tableau.estimate)
-        position, velocity = scaled(keep * h, position[:d]), scaled(keep, change[:d])
-        momentum = (m * (b - half * a) for m, a, b in zip(masses(scene, y.q), position, velocity, strict=True))
+        way, change = (combine(row, slopes, xp) for row in tableau.estimate)
+        q, v = scaled(keep * h, way[:d]), scaled(keep, change[:d])
+        p = (m * (b - half * a) for m, a, b in zip(masses(scene, y.q), q, v, strict=True))
         action = [] if y.action is None else [keep * keep * change[d]]
-        return after, tuple(slope), [*position, *momentum, *action]
+        return after, tuple(slope), [*q, *p, *action]
 
     def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
         """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
@@ -148,17 +146,29 @@ class Nystrom(Explicit):
         change = norm([a - b for a, b in zip(there, force, strict=False)], xp)
         return xp.sqrt(change / (norm(way, xp) + TINY))
 
-    def test_error(self) -> float:
-        """Return the largest error of a step of z'' = −z of length one, of z or z'."""
-        errors = []
-        for start in ((1.0, 0.0), (0.0, 1.0)):
-            stages: list[float] = []
-            for row, c in zip(self.tableau.matrix, self.tableau.nodes, strict=True):
-                moved = sum(float(a) * k for a, k in zip(row, stages, strict=False))
-                stages.append(-(start[0] + float(c) * start[1] + moved))
-            estimates = self.tableau.estimate
-            errors += [abs(sum(float(w) * k for w, k in zip(row, stages, strict=True))) for row in estimates]
-        return max(errors)
+
+class PlainNumbers(ChoosingNumbers):
+    """The namespace of floats."""
+
+    abilities = Abilities(branch=True)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(math, name)
+
+    def where(self, condition: Any, a: Any, b: Any) -> Any:
+        return a if condition else b
+
+
+@cache
+def unit_error(form: Explicit) -> float:
+    """Return the largest error of a step of length one of an oscillator of frequency one."""
+    scene, xp = (
+        Mechanical(name="unit", potential=lambda q: q[0] * q[0] / 2, q=(1.0,), p=(0.0,), t_end=1.0),
+        PlainNumbers(),
+    )
+    starts = (form.enter(scene, State((q,), (1.0 - q,))) for q in (0.0, 1.0))
+    found = (form.attempt(scene, y, 1.0, xp, None, form.factors(scene, 1.0, xp))[2] for y in starts)
+    return max(abs(error) for errors in found for error in errors)
 
 
 def norm(v: Sequence[Any], xp: Any) -> Any:
@@ -166,7 +176,14 @@ def norm(v: Sequence[Any], xp: Any) -> Any:
 
 
 def march(
-    form: Explicit, scene: Any, x: Any, beside: Sequence[Any], span: Any, most: Any, tolerances: Sequence[Any], xp: Any
+    form: Explicit,
+    scene: Any,
+    x: Any,
+    beside: Sequence[Any],
+    span: Any,
+    most: Any,
+    tolerances: Sequence[Any],
+    xp: Any,
 ) -> tuple[Any, list[Any]]:
     """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run."""
     rtol, *atol = tolerances
@@ -186,7 +203,7 @@ def march(
         weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
         size = norm(leaves(y)[: len(x.q) if isinstance(form, Nystrom) else len(packed)], xp) + atol[0] / rtol
         rate = form.rate(scene, y, form.slope(scene, y, xp), size, xp)
-        error = form.test_error() * (norm(weighed, xp) + 1)
+        error = unit_error(form) * (norm(weighed, xp) + 1)
         return START * xp.exp(power * xp.log(AIM / error)) / (rate + TINY)
 
     y, (step, past, tried, rejected, lag) = form.enter(scene, x), beside
@@ -249,35 +266,18 @@ def pair_program(form: Explicit, scene: Any, carry: tuple[str, ...]) -> Program:
         x, beside = march(form, twin, start, y[d:], span, most, numbers[given:], xp)
         return [*scene.pack(x), *beside]
 
-    program = record(advance, given + tolerances, d + BESIDE, scene.motion, DIVERGENCE)
-    return program._replace(run=replace(program.run, body=tuple(map(starting_at(d), program.run.body))))
-
-
-def starting_at(d: int) -> Callable[[Any], Any]:
-    """Return what makes of the loading of a start that of a packed state alone, with zeros beside it."""
-
-    def change(statement: Any) -> Any:
+    def started(statement: Any) -> Any:
+        """A packed state alone is given; zeros are beside it."""
         match statement:
-            case Assign(target, Element("start", (i,))) if i >= d:
+            case Assign(target, Element("start", (int(i),))) if i >= d:
                 return Update((target,), (0.0,))
         return statement
 
-    return change
+    program = record(advance, given + tolerances, d + BESIDE, scene.motion, DIVERGENCE)
+    return program._replace(run=replace(program.run, body=tuple(map(started, program.run.body))))
 
 
 _loops: Cache[Loop] = Cache(256)
-
-
-class PlainNumbers(ChoosingNumbers):
-    """The namespace of floats."""
-
-    abilities = Abilities(branch=True)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(math, name)
-
-    def where(self, condition: Any, a: Any, b: Any) -> Any:
-        return a if condition else b
 
 
 @dataclass
@@ -294,7 +294,8 @@ class ToleranceRun(Prepared):
         ends = np.union1d(self.later, [time for time in breaks if 0 < time < self._end])
         self.saved = np.searchsorted(ends, self.later)
         self.spans = np.diff(ends, prepend=0.0)
-        self.tolerances = [r.rtol, *np.broadcast_to(r.atol, len(r.scene.without_clock(self.start))).tolist()]
+        moved = len(self.start) - (self._clock is not None)
+        self.tolerances = [r.rtol, *np.broadcast_to(r.atol, moved).tolist()]
         run, w, shape = self.compiled() if r.engine == "numba" else self.in_python()
         size = len(ends) * (len(self.start) + BESIDE)
         last, empty = slice(size - len(self.start) - BESIDE, size - BESIDE), np.empty
@@ -328,16 +329,17 @@ class ToleranceRun(Prepared):
         return run, *tables
 
     def in_python(self) -> tuple[Callable[..., Any], Any, Any]:
-        """Return the same in floats: by the recorded loop, where it can be recorded and no float says that it is none."""
-        form, r, recorded, tables = self.method_.form, self.request, None, ([], [])
+        """Return the same in floats: as it is written, where a function cannot be recorded or a float says "no"."""
+        r, recorded, tables = self.request, None, list[Any]((None, None))
         with suppress(CannotRecord):
             loop = self.make()
-            recorded, tables = execute(loop.program.run), tuple(part.tolist() for part in self.arguments(loop))
+            recorded, tables = execute(loop.program.run), [part.tolist() for part in self.arguments(loop)]
 
-        def as_written(y0: np.ndarray) -> list[float]:
-            x, beside, rows, xp = r.scene.unpack(y0.tolist(), r.carry), [0.0] * BESIDE, list[float](), PlainNumbers()
+        def as_written(y0: list[float]) -> list[float]:
+            x, beside, rows = r.scene.unpack(y0, r.carry), [0.0] * BESIDE, list[float]()
+            given = r.max_steps, self.tolerances, PlainNumbers()
             for span in self.spans.tolist():
-                x, beside = march(form, r.scene, x, beside, span, r.max_steps, self.tolerances, xp)
+                x, beside = march(self.method_.form, r.scene, x, beside, span, *given)
                 rows += [*r.scene.pack(x), *beside]
             return rows
 
@@ -347,7 +349,7 @@ class ToleranceRun(Prepared):
                     recorded(y0.tolist(), w, shape, found := [0.0] * len(after))
                     after[:] = found
                     return
-            after[:] = as_written(y0)
+            after[:] = as_written(y0.tolist())
 
         return run, *tables
 

@@ -79,16 +79,24 @@ def read_tableau(name: str) -> Tableau:
         return tuple(map(Fraction, text.split()))
 
     def rows(start: str) -> tuple[Row, ...]:
-        return tuple(row(given[start + part]) for part in ("weights", "velocity_weights") if start + part in given)
+        return tuple(
+            row(given[start + part]) for part in ("weights", "velocity_weights") if start + part in given
+        )
 
     matrix = ((), *map(row, given["matrix"].splitlines()))
     orders = given["order"], given.get("lower", 0)
-    return Tableau(given["source"], orders[0], row(given["nodes"]), matrix, rows(""), rows("lower_"), orders[1])
+    return Tableau(
+        given["source"], orders[0], row(given["nodes"]), matrix, rows(""), rows("lower_"), orders[1]
+    )
 
 
 def combine(weights: Sequence[Any], slopes: Sequence[Sequence[Any]], xp: Any) -> list[Any]:
     """Return Σ w k, entry by entry; weights of later stages may be left out."""
-    used = [(number(w, xp) if isinstance(w, Fraction) else w, k) for w, k in zip(weights, slopes, strict=False) if w]
+    used = [
+        (number(w, xp) if isinstance(w, Fraction) else w, k)
+        for w, k in zip(weights, slopes, strict=False)
+        if w
+    ]
     first, *others = used
     total = [first[0] * c for c in first[1]]
     for w, k in others:
@@ -115,14 +123,18 @@ def run_stages(
             slopes.append(settle(evaluate(i, combine(row, slopes, xp)), xp))
         return slopes
     # the latest slope comes first: column r has what stage i takes of the stage i − 1 − r
-    columns = [[row[i - 1 - r] if r < i else Fraction(0) for i, row in enumerate(tableau.matrix[:stages])]
-               for r in range(stages - 1)]
+    columns = [
+        [row[i - 1 - r] if r < i else Fraction(0) for i, row in enumerate(tableau.matrix[:stages])]
+        for r in range(stages - 1)
+    ]
     weights = [xp.asarray([number(w, xp) for w in column]) if any(column) else None for column in columns]
 
     def another(carried: Any) -> Any:
         i, slopes = carried
         pairs = [(w[i], k) for w, k in zip(weights, slopes, strict=False) if w is not None]
-        moved = [sum((w * c[j] for w, c in pairs[1:]), pairs[0][0] * pairs[0][1][j]) for j in range(len(slopes[0]))]
+        moved = [
+            sum((w * c[j] for w, c in pairs[1:]), pairs[0][0] * pairs[0][1][j]) for j in range(len(slopes[0]))
+        ]
         return i + 1, (tuple(evaluate(i, moved)), *slopes[:-1])
 
     # in the place of stages to come any numbers do, as their weights are 0
@@ -141,7 +153,14 @@ def explicit_slope(scene: Any, x: Any) -> list[Any]:
 
 
 def explicit_step(
-    tableau: Tableau, scene: Any, x: Any, h: Any, xp: Any, stages: int, loop: Repeat | None = None, first: Any = None
+    tableau: Tableau,
+    scene: Any,
+    x: Any,
+    h: Any,
+    xp: Any,
+    stages: int,
+    loop: Repeat | None = None,
+    first: Any = None,
 ) -> tuple[Any, list[list[Any]]]:
     """Return the state after a step, and h times the slopes of all stages; first : the slope at its beginning."""
     y = leaves(x)
@@ -215,9 +234,9 @@ def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any, loop: Repe
         if loop is None:
             pairs = exponentials(nodes, whole, xp)
         else:
-            nodes = table(tableau.nodes, xp, loop)
-            grown = xp.exp(nodes * whole)
-            return Factors(grown, h * grown, 1 / grown, h / grown, nodes * (h / grown), -xp.expm1(-whole))
+            column = table(tableau.nodes, xp, loop)
+            grown = xp.exp(column * whole)
+            return Factors(grown, h * grown, 1 / grown, h / grown, column * (h / grown), -xp.expm1(-whole))
     else:
         if scene.span is not None:
             spent = [scene.spent(t, number(c, xp) * h, xp)[0] for c in nodes]
@@ -293,14 +312,14 @@ def nystrom_step(
     like = [*y.q, *([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
     slopes = run_stages(tableau, stages, evaluate, like, xp, loop, None if first is None else scale(0, first))
     position, change = (combine(row, slopes, xp) for row in tableau.weights)
-    z = [a + h * (b + c) for a, b, c in zip(y.q, y.u, position[:d], strict=True)]
-    u = [a + b for a, b in zip(y.u, change[:d], strict=True)]
-    q, u = (tuple(a - loss * a for a in part) for part in (z, u))
+    z = (a + h * (b + c) for a, b, c in zip(y.q, y.u, position[:d], strict=True))
+    velocity = (a + b for a, b in zip(y.u, change[:d], strict=True))
+    q, u = (tuple(a - loss * a for a in part) for part in (z, velocity))
     t, action = None if y.t is None else y.t + h, y.action
     if acts:
         action = action + change[d]
         action = action - loss * (2 - loss) * action
-    if scene.rate_changes:  # of order h^order where γ is smooth, and what a jump of γ does to u where it is not
+    if scene.rate_changes:  # what a jump of γ does to u; of the order of the method where γ is smooth
         before, after = (scene.damping_at(at(scene, y.q, time)) / 2 for time in (y.t, t))
         jump = after - before - change[-1]
         u = tuple(a + jump * c for a, c in zip(u, q, strict=True))
@@ -343,7 +362,9 @@ def runge_kutta(name: str, tableau: Tableau, about: str) -> RungeKutta:
         return METHODS[name].advance(scene, x, h, 1, xp)
 
     kind = "gradient" if tableau.nystrom else "rhs"
-    return RungeKutta(name, tableau.order, step, tableau.used, kind, f"{about}; {tableau.source}", tableau=tableau)
+    return RungeKutta(
+        name, tableau.order, step, tableau.used, kind, f"{about}; {tableau.source}", tableau=tableau
+    )
 
 
 RKN8, RKN12, RK8 = map(read_tableau, ("rkn8-6", "rkn12-10", "rk8"))

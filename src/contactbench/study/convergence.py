@@ -45,7 +45,9 @@ def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, floa
 
 
 @experiment(
-    lambda profile: pairs(profile, "convergence", [name for name in methods_of(profile) if cb.METHODS[name].control == "step"])
+    lambda profile: pairs(
+        profile, "convergence", [name for name in methods_of(profile) if cb.METHODS[name].control == "step"]
+    )
 )
 def convergence(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]

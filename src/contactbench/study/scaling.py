@@ -54,7 +54,9 @@ def ladder(profile: Profile) -> list[Cell]:
     for scene in (s for s in cb.SCENES.values() if "scaling" in s.experiments):
         main = scene.name == MAIN
         names = [
-            name for name in (methods_of(profile) if main else FEW) if profile.reaches("full") or name not in DEAR
+            name
+            for name in (methods_of(profile) if main else FEW)
+            if profile.reaches("full") or name not in DEAR
         ]
         methods = [
             m for m in map(cb.METHODS.__getitem__, names) if m.refuses(sized(scene.name, PERIOD)) is None

@@ -243,7 +243,9 @@ class FieldTape(ProgramTape):
             raise CannotRecord("a loop whose body returns a state of another shape")
         after: list[tuple[str, Operand]] = []
         moves: dict[str, str] = {}
-        passed = {v.row for own, v in zip(carried, end, strict=True) if isinstance(v, Field) and v.row != own.row}
+        passed = {
+            v.row for own, v in zip(carried, end, strict=True) if isinstance(v, Field) and v.row != own.row
+        }
         for own, v in zip(carried, end, strict=True):
             if isinstance(own, Field):
                 moves |= self.keep(own, v, inner, passed)
@@ -294,7 +296,10 @@ def permutation(moves: dict[str, str]) -> list[tuple[str, Operand]]:
     sources = [*dict.fromkeys(moves.values())]
     if len(sources) < len(moves):
         raise CannotRecord("a loop that ends with one field twice")
-    new, free = ([name for name in names if name not in others] for names, others in ((sources, moves), (moves, sources)))
+    new, free = (
+        [name for name in names if name not in others]
+        for names, others in ((sources, moves), (moves, sources))
+    )
     pairs = [*moves.items(), *zip(new, free, strict=True)]
     return [(name, row) for name, row in pairs if name != row]
 
