@@ -357,7 +357,7 @@ class ToleranceRun(Prepared):
         """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
         r = self.request
         if data and r.scales is not None:
-            given = r.to_scale(r.scene.initial(r.carry, **r.scene.checked(data)), True)
+            given = r.to_scale(True, **r.scene.checked(data))
             if not np.array_equal(given.scales, r.scales):
                 return self.method_.prepare(given)(**data)
         return super().__call__(**data)

@@ -8,9 +8,9 @@ import inspect
 import math
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, ClassVar, Self
 
@@ -81,6 +81,14 @@ class Cache[Made]:
 def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
     """Return the key of what depends on a scene or a method, and more; None where the first of them is."""
     return None if identity is None else (identity, *rest)
+
+
+@cache
+def written_anew(kind: type) -> str:
+    """Return the names of the equations that a user's own kind of scene writes anew."""
+    base = next(each for each in kind.__mro__ if is_ours(each))
+    names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
+    return ", ".join(name for name in names if getattr(kind, name, None) is not getattr(base, name, None))
 
 
 #: what no scene of a kind takes, and the nearest way to it; the table is in docs/compare.md
@@ -186,7 +194,7 @@ class System(ABC):
         return tuple(y)
 
     @staticmethod
-    def pack(state: Sequence[Any]) -> list[Any]:
+    def pack(state: Iterable[Any]) -> list[Any]:
         """Return a state, numbers and tuples of them, as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
         for part in state:
@@ -233,10 +241,8 @@ class System(ABC):
     @property
     def own_equations(self) -> str | None:
         """Why the flows of its kind do not solve a user's own kind, which writes equations anew; None where they do."""
-        base = next(each for each in type(self).__mro__ if is_ours(each))
-        names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
-        anew = [name for name in names if getattr(type(self), name, None) is not getattr(base, name, None)]
-        own = f"{type(self).__name__} has {', '.join(anew)} of its own"
+        anew = written_anew(type(self))
+        own = f"{type(self).__name__} has {anew} of its own"
         return f"its flows are those of {self.kind}, and {own}" if anew else None
 
     def recorded(self) -> Self:
