@@ -115,6 +115,8 @@ class Method(ABC):
     #: whether a step iterates until nothing changes: what it costs is counted as it runs (see implicit.py), and
     #: `counts` is what it typically costs
     iterates: ClassVar[bool] = False
+    #: whether only the profile `full` runs it
+    appendix: bool = False
 
     @property
     def control(self) -> str:

@@ -56,6 +56,7 @@ class FixedStep(Method):
     contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
     symmetric: bool = False
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
+    appendix: bool = False
     adaptive = False
     tolerance = (
         "the largest error over the saved times, relative to the largest state: pilots choose the step"

@@ -7,6 +7,7 @@ Runge–Kutta method it has order 16 (Hairer, Nørsett, Wanner, Solving Ordinary
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from functools import cache
 from typing import Any
 
@@ -24,30 +25,32 @@ Rule = tuple[list[Any], list[Any], list[list[Any]]]
 
 
 @cache
-def gauss(digits: int) -> Rule:
+def gauss(digits: int, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
+    """Nodes, weights, and those of the integrals up to some ends, by default the nodes."""
     import mpmath
 
     xp = mpmath.MPContext()
     xp.dps = digits + 10
-    near, _ = np.polynomial.legendre.leggauss(STAGES)
-    nodes = [(1 + xp.findroot(lambda x: xp.legendre(STAGES, x), x)) / 2 for x in near.tolist()]
-    powers = xp.matrix([[c**k for c in nodes] for k in range(STAGES)])
+    near, _ = np.polynomial.legendre.leggauss(stages)
+    nodes = [(1 + xp.findroot(lambda x: xp.legendre(stages, x), x)) / 2 for x in near.tolist()]
+    powers = xp.matrix([[c**k for c in nodes] for k in range(stages)])
 
     def weights(end: Any) -> list[Any]:
-        """∫₀^end of the interpolating polynomials: exact on powers up to the seventh."""
-        return list(xp.lu_solve(powers, xp.matrix([end ** (k + 1) / (k + 1) for k in range(STAGES)])))
+        """∫₀^end of the interpolating polynomials: exact on as many powers as there are nodes."""
+        return list(xp.lu_solve(powers, xp.matrix([end ** (k + 1) / (k + 1) for k in range(stages)])))
 
-    return nodes, weights(xp.mpf(1)), [weights(c) for c in nodes]
+    at = [xp.mpf(end.numerator) / end.denominator for end in ends] or nodes
+    return nodes, weights(xp.mpf(1)), [weights(c) for c in at]
 
 
 @cache
-def gauss_on_doubles() -> Rule:
-    nodes, weights, matrix = gauss(DIGITS)
+def gauss_on_doubles(stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
+    nodes, weights, matrix = gauss(DIGITS, stages, ends)
     return [*map(float, nodes)], [*map(float, weights)], [[*map(float, row)] for row in matrix]
 
 
-def rule(xp: Namespace) -> Rule:
-    return gauss(xp.dps) if has_digits(xp) else gauss_on_doubles()
+def rule(xp: Namespace, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
+    return gauss(xp.dps, stages, ends) if has_digits(xp) else gauss_on_doubles(stages, ends)
 
 
 def weigh(weights: list[Any], values: list[Any]) -> Any:
@@ -60,6 +63,15 @@ def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> tupl
     values = [rate(t + c * h) for c in nodes]
     kept = [xp.exp(-h * weigh(row, values)) for row in matrix]
     return h * weigh(weights, values), h * weigh(weights, kept)
+
+
+def running(
+    rate: Callable[[Any], Any], t: Any, h: Any, ends: tuple[Fraction, ...], stages: int, xp: Namespace
+) -> list[Any]:
+    """∫_t^{t+ch} of a rate for every c of some ends, to an error O(h^{stages + 1})."""
+    nodes, _, matrix = rule(xp, stages, ends)
+    values = [rate(t + c * h) for c in nodes]
+    return [h * weigh(row, values) for row in matrix]
 
 
 def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> Any:

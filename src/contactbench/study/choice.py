@@ -17,6 +17,11 @@ from contactbench.study.experiment import Profile, Row
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 
 
+def methods_of(profile: Profile) -> list[str]:
+    """Return the methods that a profile runs: those of the appendix in the largest one alone."""
+    return [name for name, method in METHODS.items() if profile.reaches("full") or not method.appendix]
+
+
 def pairs(profile: Profile, experiment: str, methods: Iterable[str]) -> list[tuple[str, str]]:
     """Return the scenes and methods of an experiment: all of them, in the smoke profile a few on scenes but one."""
     return [
@@ -53,6 +58,8 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[s
 #: on callbacks a rival is timed on that scene alone: elsewhere compiled, and by its evaluations
 RIVALS = {"contact-yoshida6", "contact-rkn6a", "contact-rkn8b", "gauss4", "gauss6", "discrete-gradient"}
 RIVALS |= {"quinlan-tremaine8", "quinlan-tremaine12", "stormer12", "sprk-5", "sprk-10"}
+RIVALS |= {"quinlan-tremaine8", "quinlan-tremaine12", "stormer12"}
+RIVALS |= {"rk8", "rk8-7", "rkn8", "rkn12", "rkn8-6", "rkn12-10"}
 #: of the other scenes a method is timed on one in so many by the smoke profile
 SOME = 3
 
@@ -78,7 +85,7 @@ def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
         part = name in EVERYWHERE or crc32(f"{scene.name} {name}".encode()) % SOME == 0
         return part and engine != "jax" and (first or "python" in engine)
 
-    every = [(name, engine) for name, method in METHODS.items() for engine in method.engines]
+    every = [(name, engine) for name in methods_of(profile) for engine in METHODS[name].engines]
     return [each for each in every if chosen(*each)]
 
 

@@ -16,7 +16,7 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.tables import CONVERGENCE
 from contactbench.scene import Scene
 from contactbench.solution import keywords
-from contactbench.study.choice import key, outcome, pairs
+from contactbench.study.choice import key, methods_of, outcome, pairs
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.settings import halving_steps, times
 
@@ -46,7 +46,9 @@ def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, floa
 
 
 @experiment(
-    lambda profile: pairs(profile, "convergence", [n for n, m in cb.METHODS.items() if m.control == "step"])
+    lambda profile: pairs(
+        profile, "convergence", [name for name in methods_of(profile) if cb.METHODS[name].control == "step"]
+    )
 )
 def convergence(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]

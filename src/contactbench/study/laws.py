@@ -10,14 +10,14 @@ import contactbench as cb
 from contactbench.measure.laws import LAWS, energies, row
 from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
 from contactbench.solution import Solution, keywords
-from contactbench.study.choice import outcome, pairs, step_budget
+from contactbench.study.choice import methods_of, outcome, pairs, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.settings import halving_steps, times
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
 
-@experiment(lambda profile: pairs(profile, "laws", cb.METHODS))
+@experiment(lambda profile: pairs(profile, "laws", methods_of(profile)))
 def laws(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     values = {"step": halving_steps(scene, 6)[::2], "rtol": RTOLS}.get(method.control, [0.0])

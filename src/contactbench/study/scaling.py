@@ -23,7 +23,7 @@ from contactbench.results.tables import SCALING
 from contactbench.scene.many import Many
 from contactbench.solution import keywords
 from contactbench.study.c_loops import ring_kernel
-from contactbench.study.choice import EVERYWHERE, key, outcome
+from contactbench.study.choice import EVERYWHERE, key, methods_of, outcome
 from contactbench.study.experiment import Cell, Profile, Row, Timing, timed_experiment
 from contactbench.study.search import Question, Search, step_at
 from contactbench.study.settings import ENDS, times
@@ -55,7 +55,9 @@ def ladder(profile: Profile) -> list[Cell]:
     for scene in (s for s in cb.SCENES.values() if "scaling" in s.experiments):
         main = scene.name == MAIN
         names = [
-            name for name in (cb.METHODS if main else FEW) if profile.reaches("full") or name not in DEAR
+            name
+            for name in (methods_of(profile) if main else FEW)
+            if profile.reaches("full") or name not in DEAR
         ]
         methods = [
             m for m in map(cb.METHODS.__getitem__, names) if m.refuses(sized(scene.name, PERIOD)) is None

@@ -27,7 +27,7 @@ from contactbench.results.tables import DAMPING_RATES, STABILITY, STABILITY_LIMI
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
-from contactbench.study.choice import controlled, key, outcome, small, step_budget
+from contactbench.study.choice import controlled, key, methods_of, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import SAVES, times
@@ -80,7 +80,7 @@ def ladder(profile: Profile) -> list[Cell]:
     return [
         (scene.name, method)
         for scene in scenes_of("stability")
-        for method in cb.METHODS
+        for method in methods_of(profile)
         if not profile.brief or small(scene.name, method, SMOKE, EVERYWHERE)
     ]
 
@@ -90,7 +90,7 @@ def questions(profile: Profile) -> list[Cell]:
         return [(which, EVERYWHERE[0]) for which in ("overdamped", f"weak_damping {SPANS[0]:.0e}")]
     weak = [("weak_damping", span) for span in SPANS] + [("weak_damping_particle", SPANS[0])]
     every = ["overdamped", *(f"{scene} {span:.0e}" for scene, span in weak)]
-    return [(which, method) for which in every for method in cb.METHODS]
+    return [(which, method) for which in every for method in methods_of(profile)]
 
 
 #: the row of a call that ends badly, and the call
@@ -325,7 +325,8 @@ PER_EVALUATION = np.geomspace(1e-3, 30.0, 30)
 
 
 def methods(profile: Profile) -> list[Cell]:
-    names = [method.name for method in linear.fixed_step_methods()]
+    run = methods_of(profile)
+    names = [method.name for method in linear.fixed_step_methods() if method.name in run]
     some = {names[0], *(name for name in names if linear.is_processed(cb.METHODS[name]))}
     return [(name,) for name in names if not profile.brief or name in some]
 

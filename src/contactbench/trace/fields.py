@@ -242,11 +242,16 @@ class FieldTape(ProgramTape):
         if len(end) != len(start):
             raise CannotRecord("a loop whose body returns a state of another shape")
         after: list[tuple[str, Operand]] = []
+        moves: dict[str, str] = {}
+        passed = {
+            v.row for own, v in zip(carried, end, strict=True) if isinstance(v, Field) and v.row != own.row
+        }
         for own, v in zip(carried, end, strict=True):
             if isinstance(own, Field):
-                after += self.keep(own, v, inner)
+                moves |= self.keep(own, v, inner, passed)
             else:
                 after.append((own.name, self.read(v, inner, own.kind)))
+        after += permutation(moves)
         inner.close(*updates(after))
         outer.close(*updates(before), LoopOf(self.read(times, outer, "i"), inner))
 
@@ -256,23 +261,23 @@ class FieldTape(ProgramTape):
 
         return rebuild(x, list(map(outside, carried)))
 
-    def keep(self, own: Field, v: Any, inner: Owner) -> list[tuple[str, Operand]]:
-        """What makes v the carried field of the next turn."""
+    def keep(self, own: Field, v: Any, inner: Owner, passed: set[str | None]) -> dict[str, str]:
+        """Return which row the carried field of the next turn takes over; passed : rows that others take over."""
         assert own.row is not None
         self.taken.discard(own.row)
         if not isinstance(v, Field):
             raise CannotRecord("a field becomes a number")
         if v.owner is not inner:
             raise CannotRecord("a loop ends with a field from before it")
-        if isinstance(v.block, Sweep) and v.name not in v.block.rows:
+        if isinstance(v.block, Sweep) and v.name not in v.block.rows and own.row not in passed:
             order = v.block.order
             if not any(
                 of is not inner or at > order or (shift and at == order)
                 for of, at, shift in self.reads[own.row]
             ):
                 v.block.rows[v.name] = own.row  # in place
-                return []
-        return exchange(own.row, self.stored(v))
+                return {}
+        return {own.row: self.stored(v)}
 
 
 class LoopOf(NamedTuple):
@@ -284,6 +289,19 @@ class LoopOf(NamedTuple):
 
 def updates(pairs: list[tuple[str, Operand]]) -> list[Update]:
     return [Update(tuple(name for name, _ in pairs), tuple(to for _, to in pairs))] if pairs else []
+
+
+def permutation(moves: dict[str, str]) -> list[tuple[str, Operand]]:
+    """Return the new rows of all names, of which some take over those of others: no two have one."""
+    sources = [*dict.fromkeys(moves.values())]
+    if len(sources) < len(moves):
+        raise CannotRecord("a loop that ends with one field twice")
+    new, free = (
+        [name for name in names if name not in others]
+        for names, others in ((sources, moves), (moves, sources))
+    )
+    pairs = [*moves.items(), *zip(new, free, strict=True)]
+    return [(name, row) for name, row in pairs if name != row]
 
 
 def exchange(a: str, b: str) -> list[tuple[str, Operand]]:

@@ -1,0 +1,419 @@
+"""Runge–Kutta pairs by tolerance: the loop that chooses its steps, recorded and compiled as those of fixed steps are.
+
+An attempt is accepted where both formulas differ by e with Σ(e_i/(atol_i + rtol |y_i|))² ≤ 1.  Steps follow by a PI
+controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), and stay as they are where they
+would hardly change: what depends on the step alone, as exponentials of the damping do, is then not computed anew.  They
+end at saved times.  The first one is that at which y' = λy or z'' = −λ²z would have the error aimed at, for the λ that
+a little step shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.base import METHODS, SHORTEST, Adaptive
+from contactbench.methods.loops import Loop
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request, stopwatch
+from contactbench.methods.runge_kutta import (
+    RKN8,
+    RKN12,
+    Tableau,
+    combine,
+    damped,
+    explicit_slope,
+    explicit_step,
+    factors_of,
+    masses,
+    nystrom_step,
+    pull,
+    read_tableau,
+    refusal,
+    undamped,
+)
+from contactbench.numbers.control import repeat_while
+from contactbench.numbers.dual import leaves, rebuild
+from contactbench.numbers.protocol import Abilities, CannotRecord, ChoosingNumbers, abilities
+from contactbench.scene import Cache, Mechanical, Scene, State, key
+from contactbench.scene.algebra import scaled
+from contactbench.solution import DIVERGENCE, Counts, Solution, Status
+from contactbench.trace.form import Assign, Element, Update, execute
+from contactbench.trace.program import Program, record
+
+#: a step is aimed at this part of the tolerance; the least and the most that it changes
+AIM, LEAST, MOST = 0.03, 0.2, 5.0
+#: the first step, in parts of what a linear equation takes
+START = 0.85
+#: steps that would be longer or shorter by less than this stay as they are; a last one may be longer by so much
+STAY, STRETCH = 1.1, 1.1
+#: the weight of the error before, as a part of that of the error
+PROPORTIONAL = 0.5
+#: by how much a little step along the motion moves it, relative to its size
+NUDGE = 1e-5
+#: what follows the packed state: the step, log of the error before, attempts, those rejected, time not covered
+BESIDE = 5
+#: below it a number is none
+TINY = 1e-30
+#: roundings of a time within which a break is passed by one step
+ROUNDINGS = 2**8
+
+
+def when(condition: Any, body: Callable[..., Any], x: Any, xp: Any, *given: Any) -> Any:
+    """Return body(x, *given) where the condition holds, else x.
+
+    What the body computes of its arguments is computed there alone: recorded loops leave what they do not change to the
+    code around them.
+    """
+    once = xp.where(condition, 1.0, 0.0), x, given
+    return repeat_while(lambda c: c[0] > 0, lambda c: (0.0, body(*c[1:2], *c[2]), c[2]), once, xp)[1]
+
+
+@dataclass(frozen=True)
+class Explicit:
+    """What the loop asks of a pair for y' = f(y)."""
+
+    tableau: Tableau
+
+    def enter(self, scene: Any, x: Any) -> Any:
+        return x
+
+    leave = enter
+
+    def slope(self, scene: Any, y: Any, xp: Any) -> Any:
+        return tuple(explicit_slope(scene, y))
+
+    def factors(self, scene: Any, h: Any, xp: Any) -> Any:
+        return None
+
+    def attempt(
+        self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any
+    ) -> tuple[Any, Any, list[Any]]:
+        """Return the state after a step, the slope there where the pair evaluates it, and the error."""
+        tableau = self.tableau
+        after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first=first)
+        return after, None, scene.without_clock(combine(tableau.estimate[0], slopes, xp))
+
+    def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
+        """Return how fast the slope changes along it: |λ| of y' = λy."""
+        time = NUDGE * size / (norm(slope, xp) + TINY)
+        nudged = rebuild(y, [a + time * b for a, b in zip(leaves(y), slope, strict=True)])
+        there = self.slope(scene, nudged, xp)
+        return norm([a - b for a, b in zip(there, slope, strict=True)], xp) / (NUDGE * size)
+
+
+@dataclass(frozen=True)
+class Nystrom(Explicit):
+    """What the loop asks of a pair for z'' = f(t, z)."""
+
+    def enter(self, scene: Any, x: Any) -> Any:
+        return undamped(scene, x)
+
+    def leave(self, scene: Any, y: Any) -> Any:
+        return damped(scene, y)
+
+    def slope(self, scene: Any, y: Any, xp: Any) -> Any:
+        return tuple(pull(scene, y.q, y.t, y.action is not None))
+
+    def factors(self, scene: Any, h: Any, xp: Any) -> Any:
+        return None if scene.rate_changes else factors_of(self.tableau, scene, None, h, xp)
+
+    def attempt(
+        self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any
+    ) -> tuple[Any, Any, list[Any]]:
+        tableau, d = self.tableau, len(y.q)
+        factors = factors or factors_of(tableau, scene, y.t, h, xp)
+        stages = len(tableau.nodes)
+        after, slopes, slope = nystrom_step(tableau, scene, y, h, xp, stages, None, first, factors)
+        keep, half = 1 - factors.loss, scene.damping_at(self.leave(scene, after)) / 2
+        way, change = (combine(row, slopes, xp) for row in tableau.estimate)
+        q, v = scaled(keep * h, way[:d]), scaled(keep, change[:d])
+        p = (m * (b - half * a) for m, a, b in zip(masses(scene, y.q), q, v, strict=True))
+        action = [] if y.action is None else [keep * keep * change[d]]
+        return after, tuple(slope), [*q, *p, *action]
+
+    def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
+        """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
+        force = slope[: len(y.q)]
+        parts = [scaled(share / (norm(way, xp) + TINY), way) for share, way in ((1.0, force), (0.5, y.u))]
+        way = tuple(NUDGE * size * (a + b) for a, b in zip(*parts, strict=True))
+        there = self.slope(scene, y._replace(q=tuple(a + b for a, b in zip(y.q, way, strict=True))), xp)
+        change = norm([a - b for a, b in zip(there, force, strict=False)], xp)
+        return xp.sqrt(change / (norm(way, xp) + TINY))
+
+
+class PlainNumbers(ChoosingNumbers):
+    """The namespace of floats."""
+
+    abilities = Abilities(branch=True)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(math, name)
+
+    def where(self, condition: Any, a: Any, b: Any) -> Any:
+        return a if condition else b
+
+
+@cache
+def unit_error(form: Explicit) -> float:
+    """Return the largest error of a step of length one of an oscillator of frequency one."""
+    scene, xp = (
+        Mechanical(name="unit", potential=lambda q: q[0] * q[0] / 2, q=(1.0,), p=(0.0,), t_end=1.0),
+        PlainNumbers(),
+    )
+    starts = (form.enter(scene, State((q,), (1.0 - q,))) for q in (0.0, 1.0))
+    found = (form.attempt(scene, y, 1.0, xp, None, form.factors(scene, 1.0, xp))[2] for y in starts)
+    return max(abs(error) for errors in found for error in errors)
+
+
+def norm(v: Sequence[Any], xp: Any) -> Any:
+    return xp.sqrt(sum((c * c for c in v[1:]), v[0] * v[0]))
+
+
+def march(
+    form: Explicit,
+    scene: Any,
+    x: Any,
+    beside: Sequence[Any],
+    span: Any,
+    most: Any,
+    tolerances: Sequence[Any],
+    xp: Any,
+) -> tuple[Any, list[Any]]:
+    """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run."""
+    rtol, *atol = tolerances
+    tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
+    reuses = tableau.first_same_as_last
+    #: squares of errors after which a step stays as it is
+    keeps = tuple((AIM * STAY ** (way / power)) ** 2 for way in (-1, 1))
+
+    def parts(y: Any) -> list[Any]:
+        return scene.without_clock(scene.pack(form.leave(scene, y)))
+
+    def scales(before: Any, after: Any) -> list[Any]:
+        return [a + rtol / 2 * (abs(b) + abs(c)) for a, b, c in zip(atol, before, after, strict=True)]
+
+    def first_step(y: Any) -> Any:
+        packed = parts(y)
+        weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
+        size = norm(leaves(y)[: len(x.q) if isinstance(form, Nystrom) else len(packed)], xp) + atol[0] / rtol
+        rate = form.rate(scene, y, form.slope(scene, y, xp), size, xp)
+        error = unit_error(form) * (norm(weighed, xp) + 1)
+        return START * xp.exp(power * xp.log(AIM / error)) / (rate + TINY)
+
+    y, (step, past, tried, rejected, lag) = form.enter(scene, x), beside
+    left = xp.where(lag > 0, 0.0, span)
+    step = when(step <= 0, lambda _, y: first_step(y), step, xp, y)
+    first = form.slope(scene, y, xp) if reuses else None
+    factors = rebuild(known := form.factors(scene, span, xp), [0 * span] * len(leaves(known)))
+
+    def going(carried: Any) -> Any:
+        _, _, _, _, left, step, _, tried, _ = carried
+        return (left > 0) & (tried < most) & (step > SHORTEST * span)
+
+    def turn(carried: Any) -> Any:
+        y, first, factors, at, left, step, past, tried, rejected = carried
+        h = when(left < 2 * step, last_steps, step, xp, left)
+        factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
+        try:
+            after, slope, error = form.attempt(scene, y, h, xp, first, factors)
+        except NO_NUMBER:
+            if not abilities(xp).branch:
+                raise
+            after, slope, error = y, first, [math.inf]
+        weighed = (e / c for e, c in zip(error, scales(parts(y), parts(after)), strict=False))
+        square = sum(e * e for e in weighed)
+        accepted = square <= 1
+
+        def advance(_: Any) -> Any:
+            return after, slope if reuses else None, left - h, xp.where(step > h, step, h), rejected
+
+        kept = y, first, left, step, rejected + 1
+        y, first, left, step, rejected = when(accepted, advance, kept, xp)
+        within = (square >= keeps[0]) & (square <= keeps[1])
+        step = when(xp.where(within, 0.0, 1.0) > 0, changed, step, xp, h, square, past)
+        return y, first, factors, h, left, step, xp.where(accepted, square, past), tried + 1, rejected
+
+    def last_steps(step: Any, left: Any) -> Any:
+        return xp.where(left <= STRETCH * step, left, left / 2)
+
+    def changed(step: Any, h: Any, square: Any, past: Any) -> Any:
+        log, before = (xp.log(xp.maximum(each, TINY)) / 2 - math.log(AIM) for each in (square, past))
+        log = xp.where(square <= 1 / TINY, log, -math.log(TINY))  # of what is not finite, too
+        change = xp.where(square <= 1, PROPORTIONAL * before - (1 + PROPORTIONAL) * log, -log)
+        change = xp.maximum(xp.minimum(xp.exp(power * change), MOST), LEAST)
+        return xp.where((square <= 1) & (step > h * change), step, h * change)
+
+    start = y, first, factors, 0 * span, left, step, past, tried, rejected
+    y, _, _, _, left, step, past, tried, rejected = repeat_while(going, turn, start, xp)
+    lag = xp.where(lag > 0, lag + span, left)
+    return form.leave(scene, y), [step, past, tried, rejected, lag]
+
+
+# -- the run -------------------------------------------------------------------------------------------
+def pair_program(form: Explicit, scene: Any, carry: tuple[str, ...]) -> Program:
+    """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`."""
+    d, given = len(scene.labels(carry)), len(scene.numbers())
+    tolerances = 1 + d - (scene.clock is not None)
+
+    def advance(numbers: Any, span: Any, most: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+        twin, start = scene.with_numbers(numbers[:given]), scene.unpack(y[:d], carry)
+        x, beside = march(form, twin, start, y[d:], span, most, numbers[given:], xp)
+        return [*scene.pack(x), *beside]
+
+    def started(statement: Any) -> Any:
+        """A packed state alone is given; zeros are beside it."""
+        match statement:
+            case Assign(target, Element("start", (int(i),))) if i >= d:
+                return Update((target,), (0.0,))
+        return statement
+
+    program = record(advance, given + tolerances, d + BESIDE, scene.motion, DIVERGENCE)
+    return program._replace(run=replace(program.run, body=tuple(map(started, program.run.body))))
+
+
+_loops: Cache[Loop] = Cache(256)
+
+
+@dataclass
+class ToleranceRun(Prepared):
+    """Run a pair, from saved time to saved time and from break to break."""
+
+    method_: Any
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r = self.request
+        margins = ((time, ROUNDINGS * exact) for time, exact in self.breaks)
+        breaks = [end for time, margin in margins for end in (time - margin, time + margin)]
+        ends = np.union1d(self.later, [time for time in breaks if 0 < time < self._end])
+        self.saved = np.searchsorted(ends, self.later)
+        self.spans = np.diff(ends, prepend=0.0)
+        moved = len(self.start) - (self._clock is not None)
+        self.tolerances = [r.rtol, *np.broadcast_to(r.atol, moved).tolist()]
+        run, w, shape = self.compiled() if r.engine == "numba" else self.in_python()
+        size = len(ends) * (len(self.start) + BESIDE)
+        last, empty = slice(size - len(self.start) - BESIDE, size - BESIDE), np.empty
+
+        def states(y0: np.ndarray) -> np.ndarray:
+            after = empty(size)
+            run(y0, w, shape, after)
+            return after
+
+        def bare(y0: np.ndarray) -> np.ndarray:
+            after = empty(size)
+            run(y0, w, shape, after)
+            return after[last]
+
+        self.states, self.bare = states, bare  # type: ignore[method-assign]
+
+    def arguments(self, loop: Loop) -> tuple[np.ndarray, np.ndarray]:
+        """Return what a recorded loop takes beside states."""
+        numbers = np.array([*self.request.scene.numbers(), *self.tolerances])
+        return loop.rows(numbers, self.spans, np.full(len(self.spans), self.request.max_steps))
+
+    def make(self) -> Loop:
+        elapsed, r = stopwatch(), self.request
+        program = pair_program(self.method_.form, r.scene, r.carry)
+        return Loop(program, elapsed())
+
+    def compiled(self) -> tuple[Callable[..., Any], Any, Any]:
+        loop = _loops.get(key(self.request.scene.identity, self.method_, self.request.carry), self.make)
+        run, tables = loop.run, self.arguments(loop)
+        self.compile_s = loop.seconds
+        return run, *tables
+
+    def in_python(self) -> tuple[Callable[..., Any], Any, Any]:
+        """Return the same in floats: as it is written, where a function cannot be recorded or a float says "no"."""
+        r, recorded, tables = self.request, None, list[Any]((None, None))
+        with suppress(CannotRecord):
+            loop = self.make()
+            recorded, tables = execute(loop.program.run), [part.tolist() for part in self.arguments(loop)]
+
+        def as_written(y0: list[float]) -> list[float]:
+            x, beside, rows = r.scene.unpack(y0, r.carry), [0.0] * BESIDE, list[float]()
+            given = r.max_steps, self.tolerances, PlainNumbers()
+            for span in self.spans.tolist():
+                x, beside = march(self.method_.form, r.scene, x, beside, span, *given)
+                rows += [*r.scene.pack(x), *beside]
+            return rows
+
+        def run(y0: np.ndarray, w: Any, shape: Any, after: np.ndarray) -> None:
+            if recorded is not None:
+                with suppress(*NO_NUMBER):
+                    recorded(y0.tolist(), w, shape, found := [0.0] * len(after))
+                    after[:] = found
+                    return
+            after[:] = as_written(y0.tolist())
+
+        return run, *tables
+
+    def __call__(self, **data: Any) -> Solution:
+        """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
+        r = self.request
+        if data and r.scales is not None:
+            given = r.to_scale(True, **r.scene.checked(data))
+            if not np.array_equal(given.scales, r.scales):
+                return self.method_.prepare(given)(**data)
+        return super().__call__(**data)
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r, d, tableau = self.request, len(y0), self.method_.form.tableau
+        y = self.states(y0).reshape(len(self.spans), -1)
+        _, _, tried, rejected, lag = y[-1, d:].tolist()
+        entered = int(np.sum(y[:, -1] < self.spans))
+        reuses = tableau.first_same_as_last
+        evaluations = int(tried) * (len(tableau.nodes) - reuses) + entered * reuses + 2
+        counts = Counts(int(tried - rejected), evaluations, 0, int(rejected), self.method_.kind)
+        if lag == 0:
+            return self.finish(y0, self.from_start(y0, y[self.saved, :d]), counts)
+        reached = self.saved[y[self.saved, -1] == 0]
+        status, message = Status.failed, "the step became too small"
+        if tried >= r.max_steps:
+            status, message = Status.budget, f"max_steps = {r.max_steps} spent"
+        time = self._end - lag
+        states = self.from_start(y0, y[reached, :d])
+        return self.finish(y0, states, counts, status, f"{message} (t = {time:.6g})", (time, y[-1, :d]))
+
+
+@dataclass(frozen=True)
+class RungeKuttaPair(Adaptive):
+    """A tableau by tolerance."""
+
+    name: str
+    order: int
+    about: str
+    form: Explicit
+    engines: tuple[str, ...] = ("numba", "python")
+    family: str = "established"
+
+    @property
+    def kind(self) -> str:
+        return "gradient" if self.form.tableau.nystrom else "rhs"
+
+    @property
+    def evaluations_per_step(self) -> int:  # type: ignore[override]
+        return len(self.form.tableau.nodes)
+
+    def refuses(self, scene: Scene) -> str | None:
+        if scene.by_sites:
+            return f"{self.name} has no loop over sites; scene {scene.name!r} has many"
+        return refusal(self.name, self.form.tableau, scene)
+
+    def prepare(self, request: Request) -> Prepared:
+        return ToleranceRun(self.name, request, self)
+
+
+_pair = "explicit Runge–Kutta pair by tolerance"
+_nystrom = "explicit Runge–Kutta–Nyström pair by tolerance, on z = e^{γt/2} q"
+for _name, _about, _form in (
+    ("rk8-7", _pair, Explicit(read_tableau("rk8-7"))),
+    ("rkn8-6", _nystrom, Nystrom(RKN8)),
+    ("rkn12-10", _nystrom, Nystrom(RKN12)),
+):
+    METHODS.add(RungeKuttaPair(_name, _form.tableau.order, f"{_about}; {_form.tableau.source}", _form))

@@ -1,0 +1,374 @@
+"""Explicit Runge–Kutta and Runge–Kutta–Nyström methods, each a file of coefficients in `tableaux`.
+
+Runge–Kutta methods step y' = f(y), whatever the scene is.  Runge–Kutta–Nyström methods step z'' = f(t, z), which a
+motion with damping Γ = γ(t) s is in z = e^{G/2} q, G = ∫γ from the start of the step:
+
+    z'' = (γ²/4 + γ'/2) z − e^{G/2} ∇V(e^{−G/2} z, t)/m,   z' = e^{G/2} u,   u = q' + γ q/2.
+
+The action is a quadrature by the weights of z': s e^{G} = s₀ + ½ [e^{G} q·p] + ∫ e^{G} (½ q·∇V − V), of their order.
+Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.1 and §II.14.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import lru_cache
+from itertools import combinations_with_replacement
+from math import prod
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from contactbench.methods.base import METHODS
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.numbers import quadrature
+from contactbench.numbers.control import Repeat, repeat, settle
+from contactbench.numbers.dual import leaves, rebuild
+from contactbench.scene import Scene
+from contactbench.scene.algebra import scaled
+from contactbench.splitting.composition import number
+from contactbench.trace.formula import Formula, formula
+
+Row = tuple[Fraction, ...]
+FOLDER = Path(__file__).parent / "tableaux"
+#: numbers of a state beyond which compiled code has the stages as a loop
+LARGE = 24
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """Coefficients of an explicit method: row i of the matrix has those of the stages before stage i.
+
+    weights : of y; of a Nyström method two rows, of z and of z'.  lower : those of the embedded formula, and its order.
+    """
+
+    source: str
+    order: int
+    nodes: Row
+    matrix: tuple[Row, ...]
+    weights: tuple[Row, ...]
+    lower: tuple[Row, ...] = ()
+    lower_order: int = 0
+
+    @property
+    def nystrom(self) -> bool:
+        return len(self.weights) == 2
+
+    @property
+    def used(self) -> int:
+        """Return how many stages the step itself needs; others are those of the embedded formula."""
+        return max(i for row in self.weights for i, w in enumerate(row) if w) + 1
+
+    @property
+    def first_same_as_last(self) -> bool:
+        return self.matrix[-1] == self.weights[0][:-1]
+
+    @property
+    def estimate(self) -> tuple[Row, ...]:
+        """Return the weights of the difference between the step and the embedded formula."""
+        pairs = zip(self.weights, self.lower, strict=True)
+        return tuple(tuple(a - b for a, b in zip(*pair, strict=True)) for pair in pairs)
+
+
+def read_tableau(name: str) -> Tableau:
+    given = tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+
+    def row(text: str) -> Row:
+        return tuple(map(Fraction, text.split()))
+
+    def rows(start: str) -> tuple[Row, ...]:
+        return tuple(
+            row(given[start + part]) for part in ("weights", "velocity_weights") if start + part in given
+        )
+
+    matrix = ((), *map(row, given["matrix"].splitlines()))
+    orders = given["order"], given.get("lower", 0)
+    return Tableau(
+        given["source"], orders[0], row(given["nodes"]), matrix, rows(""), rows("lower_"), orders[1]
+    )
+
+
+def combine(weights: Sequence[Any], slopes: Sequence[Sequence[Any]], xp: Any) -> list[Any]:
+    """Return Σ w k, entry by entry; weights of later stages may be left out."""
+    used = [
+        (number(w, xp) if isinstance(w, Fraction) else w, k)
+        for w, k in zip(weights, slopes, strict=False)
+        if w
+    ]
+    first, *others = used
+    total = [first[0] * c for c in first[1]]
+    for w, k in others:
+        total = [a + w * c for a, c in zip(total, k, strict=True)]
+    return total
+
+
+def run_stages(
+    tableau: Tableau,
+    stages: int,
+    evaluate: Callable[[Any, list[Any] | None], list[Any]],
+    x: Any,
+    xp: Any,
+    loop: Repeat | None = None,
+    first: list[Any] | None = None,
+) -> list[list[Any]]:
+    """Return the slopes of all stages, ``evaluate(i, Σ a k)`` at stage i, None for Σ a k where there are none.
+
+    loop : makes them one loop, whose code is short where states are large; x : leaves like those of a slope.
+    """
+    if loop is None:
+        slopes = [evaluate(0, None) if first is None else first]
+        for i, row in enumerate(tableau.matrix[1:stages], start=1):
+            slopes.append(settle(evaluate(i, combine(row, slopes, xp)), xp))
+        return slopes
+    # the latest slope comes first: column r has what stage i takes of the stage i − 1 − r
+    columns = [
+        [row[i - 1 - r] if r < i else Fraction(0) for i, row in enumerate(tableau.matrix[:stages])]
+        for r in range(stages - 1)
+    ]
+    weights = [xp.asarray([number(w, xp) for w in column]) if any(column) else None for column in columns]
+
+    def another(carried: Any) -> Any:
+        i, slopes = carried
+        pairs = [(w[i], k) for w, k in zip(weights, slopes, strict=False) if w is not None]
+        moved = [
+            sum((w * c[j] for w, c in pairs[1:]), pairs[0][0] * pairs[0][1][j]) for j in range(len(slopes[0]))
+        ]
+        return i + 1, (tuple(evaluate(i, moved)), *slopes[:-1])
+
+    # in the place of stages to come any numbers do, as their weights are 0
+    start = tuple(tuple((2.0 + r) * c for c in x) for r in range(stages))
+    return [*map(list, loop(stages, another, (0, start))[1][::-1])]
+
+
+def table(values: Sequence[Any], xp: Any, loop: Repeat | None) -> Any:
+    """Return constants of the stages, of which a loop takes the i-th."""
+    return [number(v, xp) for v in values] if loop is None else xp.asarray([number(v, xp) for v in values])
+
+
+# -- y' = f(y) -----------------------------------------------------------------------------------------
+def explicit_slope(scene: Any, x: Any) -> list[Any]:
+    return leaves(scene.rhs(x))
+
+
+def explicit_step(
+    tableau: Tableau,
+    scene: Any,
+    x: Any,
+    h: Any,
+    xp: Any,
+    stages: int,
+    loop: Repeat | None = None,
+    first: Any = None,
+) -> tuple[Any, list[list[Any]]]:
+    """Return the state after a step, and h times the slopes of all stages; first : the slope at its beginning."""
+    y = leaves(x)
+
+    def evaluate(i: Any, moved: list[Any] | None) -> list[Any]:
+        at = x if moved is None else rebuild(x, [a + d for a, d in zip(y, moved, strict=True)])
+        return [h * c for c in explicit_slope(scene, at)]
+
+    start = None if first is None else [h * c for c in first]
+    slopes = run_stages(tableau, stages, evaluate, y, xp, loop, start)
+    change = combine(tableau.weights[0], slopes, xp)
+    return rebuild(x, [a + d for a, d in zip(y, change, strict=True)]), slopes
+
+
+# -- z'' = f(t, z) -------------------------------------------------------------------------------------
+class Undamped(NamedTuple):
+    """q and u, which are z and z' where a step begins; the time, where the scene has one; and s − ½ q·p."""
+
+    q: Any
+    u: Any
+    t: Any = None
+    action: Any = None
+
+
+class Factors(NamedTuple):
+    """e^{G/2} at every stage of a step of size h, times h; e^{−G/2}, times h, and ch; 1 − e^{−G/2} at the end."""
+
+    grown: Any
+    pushed: Any
+    shrunk: Any
+    way: Any
+    far: Any
+    loss: Any
+
+
+@lru_cache(64)
+def rate_slope(rate: Any, names: tuple[str, ...]) -> Formula:
+    """Return γ'(t); may raise `CannotRecord`."""
+    return (rate if isinstance(rate, Formula) else formula(rate, (0,), names)).gradient()
+
+
+def masses(scene: Any, q: Any) -> tuple[Any, ...]:
+    one = tuple(1.0 + 0 * c for c in q) if scene.by_sites else (1.0,) * len(q)
+    return tuple(1 / c for c in scene.velocity(one))
+
+
+def at(scene: Any, q: Any, t: Any) -> Any:
+    return scene.state(q=q, p=q, **({} if t is None else {"t": t}))
+
+
+def undamped(scene: Any, x: Any) -> Undamped:
+    half = scene.damping_at(x) / 2
+    u = tuple(v + half * c for v, c in zip(scene.velocity(x.p), x.q, strict=True))
+    s = x.s
+    return Undamped(x.q, u, getattr(x, "t", None), None if s is None else s - scene.product(x.q, x.p) / 2)
+
+
+def damped(scene: Any, y: Undamped) -> Any:
+    x = at(scene, y.q, y.t)
+    half = scene.damping_at(x) / 2
+    v = (u - half * c for u, c in zip(y.u, y.q, strict=True))
+    p = tuple(m * c for m, c in zip(masses(scene, y.q), v, strict=True))
+    return x._replace(p=p, s=None if y.action is None else y.action + scene.product(y.q, p) / 2)
+
+
+def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any, loop: Repeat | None = None) -> Factors:
+    """Return the factors of a step from t, which does not matter where γ is constant."""
+    nodes = (*tableau.nodes, Fraction(1))
+    if not scene.rate_changes:
+        whole = scene.gamma * h / 2
+        if loop is None:
+            pairs = exponentials(nodes, whole, xp)
+        else:
+            column = table(tableau.nodes, xp, loop)
+            grown = xp.exp(column * whole)
+            return Factors(grown, h * grown, 1 / grown, h / grown, column * (h / grown), -xp.expm1(-whole))
+    else:
+        if scene.span is not None:
+            spent = [scene.spent(t, number(c, xp) * h, xp)[0] for c in nodes]
+        else:
+            spent = quadrature.running(scene.rate_at, t, h, nodes, tableau.order, xp)
+        whole = spent[-1] / 2
+        pairs = [(grown := xp.exp(each / 2), 1 / grown) for each in spent]
+    grown, shrunk = zip(*pairs[:-1], strict=True)
+    pushed, way = (tuple(h * c for c in each) for each in (grown, shrunk))
+    far = tuple(number(c, xp) * w for c, w in zip(nodes, way, strict=False))
+    return Factors(grown, pushed, shrunk, way, far, -xp.expm1(-whole))
+
+
+def exponentials(nodes: Sequence[Fraction], whole: Any, xp: Any) -> list[tuple[Any, Any]]:
+    """Return e^{cx} and e^{−cx} for some c, those of a sum of two or three others as products."""
+    one = 1.0 + 0 * whole
+    found: dict[Fraction, Any] = {Fraction(0): (one, one)}
+    for c in sorted(set(nodes) - found.keys()):
+        sums = (terms for n in (2, 3) for terms in combinations_with_replacement(found, n) if sum(terms) == c)
+        if (terms := next(sums, None)) is not None:
+            found[c] = tuple(prod(found[term][k] for term in terms) for k in (0, 1))
+        else:
+            grown = xp.exp(number(c, xp) * whole)
+            found[c] = grown, 1 / grown
+    return [found[c] for c in nodes]
+
+
+def pull(scene: Any, q: Any, t: Any, acts: bool) -> list[Any]:
+    """Return what a stage evaluates: e^{−G/2} z''; ½ q·∇V − V where s is carried; γ'/2 where γ changes."""
+    x = at(scene, q, t)
+    gradient, gamma = tuple(scene.gradient_at(x)), scene.damping_at(x)
+    stiffness, turn = gamma * gamma / 4, []
+    if scene.rate_changes:
+        turn = [rate_slope(scene.rate, tuple(scene.parameters))(t, **scene.parameters)[0] / 2]
+        stiffness = stiffness + turn[0]
+    rate = [stiffness * c - a for c, a in zip(q, scene.velocity(gradient), strict=True)]
+    action = [scene.product(q, gradient) / 2 - scene.potential_at(x)] if acts else []
+    return [*rate, *action, *turn]
+
+
+def nystrom_step(
+    tableau: Tableau,
+    scene: Any,
+    y: Undamped,
+    h: Any,
+    xp: Any,
+    stages: int,
+    loop: Repeat | None = None,
+    first: Any = None,
+    factors: Factors | None = None,
+) -> tuple[Undamped, list[list[Any]], list[Any]]:
+    """Return the state after a step, and h times what its stages are worth: z'', e^{G} (½ q·∇V − V), γ'/2.
+
+    first : `pull` at its beginning; that of its last stage comes last.
+    """
+    grown, pushed, shrunk, way, far, loss = factors or factors_of(tableau, scene, y.t, h, xp, loop)
+    acts, nodes, d = y.action is not None, table(tableau.nodes, xp, loop), len(y.q)
+    seen: list[list[Any]] = []
+
+    def scale(i: Any, own: Sequence[Any]) -> list[Any]:
+        rest = [pushed[i] * grown[i] * own[d]] if acts else []
+        return [*scaled(pushed[i], own[:d]), *rest, *(h * c for c in own[d + acts :])]
+
+    def evaluate(i: Any, moved: list[Any] | None) -> list[Any]:
+        if moved is None:
+            seen.append(pull(scene, y.q, y.t, acts))
+        else:
+            parts = zip(y.q, y.u, moved[:d], strict=True)
+            q = tuple(shrunk[i] * a + far[i] * b + way[i] * c for a, b, c in parts)
+            seen.append(pull(scene, q, None if y.t is None else y.t + nodes[i] * h, acts))
+        return scale(i, seen[-1])
+
+    like = [*y.q, *([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
+    slopes = run_stages(tableau, stages, evaluate, like, xp, loop, None if first is None else scale(0, first))
+    position, change = (combine(row, slopes, xp) for row in tableau.weights)
+    z = (a + h * (b + c) for a, b, c in zip(y.q, y.u, position[:d], strict=True))
+    velocity = (a + b for a, b in zip(y.u, change[:d], strict=True))
+    q, u = (tuple(a - loss * a for a in part) for part in (z, velocity))
+    t, action = None if y.t is None else y.t + h, y.action
+    if acts:
+        action = action + change[d]
+        action = action - loss * (2 - loss) * action
+    if scene.rate_changes:  # what a jump of γ does to u; of the order of the method where γ is smooth
+        before, after = (scene.damping_at(at(scene, y.q, time)) / 2 for time in (y.t, t))
+        jump = after - before - change[-1]
+        u = tuple(a + jump * c for a, c in zip(u, q, strict=True))
+    return Undamped(q, u, t, action), slopes, seen[-1]
+
+
+@dataclass(frozen=True)
+class RungeKutta(FixedStep):
+    """A step of a tableau, of y, or of z where it is a Nyström method."""
+
+    tableau: Tableau = field(kw_only=True)
+
+    def refuses(self, scene: Scene) -> str | None:
+        return refusal(self.name, self.tableau, scene)
+
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+        tableau, stages = self.tableau, self.tableau.used
+        large = scene.by_sites or len(leaves(x)) > LARGE
+        loop = repeat if repeat.over_stages and large and stages > 4 and not scene.rate_changes else None
+        if not tableau.nystrom:
+            return repeat(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages, loop)[0], x)
+        factors = None if scene.rate_changes else factors_of(tableau, scene, None, h, xp, loop)
+        another = lambda y: nystrom_step(tableau, scene, y, h, xp, stages, loop, factors=factors)[0]  # noqa: E731
+        return damped(scene, repeat(n, another, undamped(scene, x)))
+
+
+def refusal(name: str, tableau: Tableau, scene: Any) -> str | None:
+    """Return why a scene is out of reach, or None."""
+    if not tableau.nystrom:
+        return None
+    if scene.kind not in ("mechanical", "driven", "many") or scene.nonlinear_damping:
+        return f"{name} needs a configuration q in Rⁿ and damping Γ = γ s, which scene {scene.name!r} does not have"
+    if scene.clock is not None and "rate" in scene.functions_of_floats:
+        return f"{name} needs γ'(t), and the rate of scene {scene.name!r} cannot be recorded"
+    return scene.own_equations
+
+
+def runge_kutta(name: str, tableau: Tableau, about: str) -> RungeKutta:
+    def step(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+        return METHODS[name].advance(scene, x, h, 1, xp)
+
+    kind = "gradient" if tableau.nystrom else "rhs"
+    return RungeKutta(
+        name, tableau.order, step, tableau.used, kind, f"{about}; {tableau.source}", tableau=tableau
+    )
+
+
+RKN8, RKN12, RK8 = map(read_tableau, ("rkn8-6", "rkn12-10", "rk8"))
+METHODS.add(runge_kutta("rk4", read_tableau("rk4"), "classical Runge–Kutta"))
+METHODS.add(runge_kutta("rk8", RK8, "explicit Runge–Kutta"))
+METHODS.add(runge_kutta("rkn8", RKN8, "explicit Runge–Kutta–Nyström on z = e^{γt/2} q"))
+METHODS.add(runge_kutta("rkn12", RKN12, "explicit Runge–Kutta–Nyström on z = e^{γt/2} q"))

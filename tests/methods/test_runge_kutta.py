@@ -1,0 +1,269 @@
+"""Runge–Kutta and Runge–Kutta–Nyström methods: coefficients, orders, and pairs by tolerance."""
+
+import math
+from dataclasses import replace
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from mpmath import mp
+
+import contactbench as cb
+from contactbench.measure.order import order_at
+from contactbench.methods.by_tolerance import Explicit, RungeKuttaPair
+from contactbench.methods.runge_kutta import read_tableau, runge_kutta
+from contactbench.solution import Status
+from trees import defects
+
+TABLEAUX = {name: read_tableau(name) for name in ("rk4", "rk8", "rk8-7", "rkn8-6", "rkn12-10")}
+#: what the coefficients are known to
+DIGITS = {"rk8": 27, "rkn12-10": 49}
+#: a defect that is no rounding of doubles
+NOTICED = 1e-10
+PAIRS = ("rk8-7", "rkn8-6", "rkn12-10")
+FIXED = ("rk4", "rk8", "rkn8", "rkn12")
+OSCILLATOR, PARTICLE, CENTRAL = (cb.SCENES[name] for name in ("oscillator", "particle", "central"))
+#: at 10⁻⁶, 10⁻⁹ and 10⁻¹² an independent RKN12(10) by tolerance
+EVALUATIONS = {"oscillator": (119, 187, 374), "particle": (136, 221, 408), "central": (238, 459, 714)}
+
+
+def formulas():
+    for name, tableau in TABLEAUX.items():
+        yield pytest.param(name, tableau.weights, tableau.order, id=name)
+        if tableau.lower:
+            yield pytest.param(name, tableau.lower, tableau.lower_order, id=f"{name}, embedded")
+
+
+def largest(tableau, weights, order):
+    return float(max(map(abs, defects(tableau.matrix, tableau.nodes, weights, order))))
+
+
+# -- coefficients ----------------------------------------------------------------------------------
+@pytest.mark.parametrize(("name", "weights", "order"), [*formulas()])
+def test_coefficients_solve_the_order_conditions(name, weights, order):
+    """In fractions, up to the digits that are printed; and not those of the next order."""
+    tableau = TABLEAUX[name]
+    assert largest(tableau, weights, order) <= 10.0 ** -DIGITS.get(name, math.inf)
+    if order < 10:
+        assert largest(tableau, weights, order + 1) > 1e-8
+
+
+@pytest.mark.parametrize("name", TABLEAUX)
+def test_stages_are_where_their_nodes_say(name):
+    tableau = TABLEAUX[name]
+    gap = 2 if tableau.nystrom else 1
+    for row, c in zip(tableau.matrix, tableau.nodes, strict=True):
+        assert abs(sum(row, Fraction(0)) - c**gap / gap) <= Fraction(10) ** -DIGITS.get(name, 60)
+
+
+def changed(rows):
+    """Rows with one coefficient a thousandth larger, for every coefficient that is not 0."""
+    for i, row in enumerate(rows):
+        for j, a in enumerate(row):
+            if a:
+                yield (*rows[:i], (*row[:j], a * 1.001, *row[j + 1 :]), *rows[i + 1 :])
+
+
+@pytest.mark.parametrize("name", TABLEAUX)
+def test_a_changed_coefficient_is_noticed(name):
+    """In doubles, by the conditions up to order nine and the sums of rows."""
+    tableau = TABLEAUX[name]
+    matrix, weights, lower = (
+        [[*map(float, row)] for row in rows] for rows in (tableau.matrix, tableau.weights, tableau.lower)
+    )
+    nodes, gap = [*map(float, tableau.nodes)], len(weights)
+
+    def seen(matrix, weights, order):
+        sums = (sum(row) - c**gap / gap for row, c in zip(matrix, nodes, strict=True))
+        return max(map(abs, (*sums, *defects(matrix, nodes, weights, min(order, 9)))))
+
+    for mutant in changed(matrix):
+        assert seen(mutant, weights, tableau.order) > NOTICED
+    for rows, order in ((weights, tableau.order), (lower, tableau.lower_order)):
+        for mutant in changed(rows):
+            assert seen(matrix, mutant, order) > NOTICED
+
+
+@pytest.mark.parametrize("name", FIXED)
+@pytest.mark.parametrize("scene", ["particle", "forced_pulsating", "central"])
+def test_the_order_is_measured(name, scene):
+    """At 50 digits, with s; γ constant and γ(t)."""
+    method = cb.METHODS[name]
+    assert order_at(method, cb.SCENES[scene], 1.0, 10) == pytest.approx(method.order, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["rkn8-6", "rkn12-10"])
+def test_the_embedded_formula_has_its_order(name):
+    tableau = TABLEAUX[name]
+    own = replace(tableau, weights=tableau.lower, order=tableau.lower_order)
+    method = runge_kutta("rk4", own, "the embedded formula")
+    step = lambda scene, x, h, xp: method.advance(scene, x, h, 1, xp)  # noqa: E731
+    assert order_at(replace(method, step=step), PARTICLE, 1.0, 10) == pytest.approx(own.order, abs=0.1)
+
+
+# -- fixed steps -----------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["rkn8", "rkn12", "rkn8-6", "rkn12-10"])
+@pytest.mark.parametrize(
+    "scene", ["oscillator", "forced_oscillator", "forced_pulsating", "lane_emden_1", "central"]
+)
+def test_undamped_coordinates_solve_the_equations(name, scene):
+    chosen = {"rtol": 1e-12} if "-" in name else {"step": cb.SCENES[scene].t_end / 400}
+    solution = cb.solve(scene, name, save_at=[cb.SCENES[scene].t_end], **chosen)
+    reference = cb.reference(cb.SCENES[scene], [cb.SCENES[scene].t_end])
+    assert np.abs(solution.y - reference.y).max() < 1e-8 * np.abs(reference.y).max(), "q, p and s"
+
+
+@pytest.mark.parametrize("name", ["rkn8", "rkn12", "rk8"])
+def test_many_sites_and_their_components_are_one_motion(name):
+    """Stages written out in one, a loop over rows of fields in the other."""
+    scene = cb.SCENES["fput"].with_(gamma=0.1)
+    times = [0.7, 2.0]
+    together, apart = (cb.solve(each, name, step=0.1, save_at=times).y for each in (scene, scene.unrolled()))
+    assert np.abs(together - apart).max() < 1e-13
+
+
+@pytest.mark.parametrize("engine", ["python", "jax"])
+@pytest.mark.parametrize("name", ["rkn12", "rk8"])
+def test_engines_agree_where_stages_are_a_loop(engine, name):
+    scene = cb.SCENES["fput"].with_(gamma=0.1)
+    runs = [cb.solve(scene, name, step=0.1, save_at=[2.0], engine=each).y for each in ("numba", engine)]
+    assert np.abs(runs[0] - runs[1]).max() < 1e-13
+
+
+# -- by tolerance ----------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.parametrize("scene", ["oscillator", "particle", "central", "duffing"])
+def test_the_error_follows_the_tolerance(name, scene):
+    end = min(cb.SCENES[scene].t_end, 20.0)
+    errors = []
+    for rtol in (1e-4, 1e-6, 1e-8, 1e-10):
+        errors.append(cb.LAWS["solution_error"](cb.solve(scene, name, rtol=rtol, save_at=[end], carry=())))
+        assert errors[-1] < 100 * rtol
+    assert all(5 * fine < coarse for coarse, fine in pairwise(errors))
+    assert errors[0] < 3e8 * errors[-1]
+
+
+def evaluations_at(name, scene, error):
+    """Interpolated between tolerances, as the tables do."""
+    points = []
+    for rtol in 10.0 ** -np.arange(1, 14):
+        solution = cb.solve(scene, name, rtol=rtol, save_at=[cb.SCENES[scene].t_end], carry=())
+        points.append((-math.log(cb.LAWS["solution_error"](solution)), math.log(solution.counts.evaluations)))
+    return math.exp(np.interp(-math.log(error), *zip(*points, strict=True)))
+
+
+@pytest.mark.parametrize("scene", EVALUATIONS)
+def test_a_nystrom_pair_takes_as_few_evaluations_as_is_known(scene):
+    for error, known in zip((1e-6, 1e-9, 1e-12), EVALUATIONS[scene], strict=True):
+        assert evaluations_at("rkn12-10", scene, error) <= 1.15 * known
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_saved_times_are_stepped_onto(name):
+    times = np.array([0.0, 0.37, 2.0, 2.0 + 1e-9, 11.0])
+    solution = cb.solve("particle", name, rtol=1e-10, save_at=times)
+    truth = cb.reference(PARTICLE, times[1:]).y
+    assert np.abs(solution.y[1:] - truth).max() < 1e-9
+    assert np.array_equal(solution.y[0], PARTICLE.pack(PARTICLE.initial(("s",))))
+
+
+@pytest.mark.parametrize("name", [*PAIRS, "rkn8", "rkn12", "rk8"])
+def test_steps_end_at_breaks(name):
+    """A force that jumps: without breaks no better than its first order in the step across the jump."""
+    jump, setting = 3.3, {"rtol": 1e-10} if "-" in name else {"step": 0.25}
+    force = lambda q, t: (q[0] + cb.math.where(t < jump, 0.0, 1.0),)  # noqa: E731
+    potential = lambda q, t: q[0] ** 2 / 2 + cb.math.where(t < jump, 0.0, 1.0) * q[0]  # noqa: E731
+    own = {"potential": potential, "gradient": force, "gamma": 0.2, "q": (1.0,), "p": (0.0,), "t_end": 8.0}
+    broken = cb.Driven(name="jump", breaks=(jump,), **own)
+    omega = math.sqrt(1 - 0.01)
+
+    def free(q, p, t):
+        decay, c, s = math.exp(-0.1 * t), math.cos(omega * t), math.sin(omega * t)
+        return decay * (q * c + (p + 0.1 * q) / omega * s), decay * (p * c - (q + 0.1 * p) / omega * s)
+
+    q, p = free(1.0, 0.0, jump)
+    q, p = free(q + 1.0, p, 8.0 - jump)
+    solution = cb.solve(broken, name, save_at=[8.0], carry=(), **setting)
+    assert solution.ok
+    assert np.allclose(solution.y[-1][:2], (q - 1.0, p), rtol=0, atol=2e-9)
+
+
+@pytest.mark.parametrize("name", ["rkn8", "rkn12", "rkn8-6", "rkn12-10"])
+def test_a_damping_that_jumps_is_seen_once(name):
+    jump, setting = 3.3, {"rtol": 1e-11} if "-" in name else {"step": 0.1}
+    scene = cb.Driven(
+        name="brake",
+        potential=lambda q, t: q[0] ** 2 / 2,
+        rate=lambda t: cb.math.where(t < jump, 0.2, 0.6),
+        span=None,
+        q=(1.0,),
+        p=(0.0,),
+        t_end=8.0,
+        breaks=(jump,),
+    )
+    pieces = [
+        cb.Mechanical(name="m", potential=lambda q: q[0] ** 2 / 2, gamma=g, q=(1.0,), p=(0.0,), t_end=8.0)
+        for g in (0.2, 0.6)
+    ]
+    first = cb.solve(pieces[0], "contact-rkn8", step=0.02, save_at=[jump], carry=()).y[-1]
+    last = cb.solve(
+        pieces[1].with_(q=first[:1], p=first[1:]), "contact-rkn8", step=0.02, save_at=[8.0 - jump], carry=()
+    ).y[-1]
+    found = cb.solve(scene, name, save_at=[8.0], carry=(), **setting).y[-1]
+    assert np.abs(found[:2] - last).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_a_spent_budget_and_a_singularity_are_told_apart(name):
+    spent = cb.solve("particle", name, rtol=1e-8, max_steps=7)
+    assert spent.status is Status.budget
+    assert spent.counts.steps + spent.counts.rejected == 7
+    escaped = cb.solve("escape", name, rtol=1e-8)
+    assert escaped.status is Status.diverged
+    assert np.isnan(escaped.y[-1]).all()
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_rejected_steps_leave_no_trace(name):
+    """A force that grows a hundredfold within one step."""
+    scene = cb.Mechanical(
+        name="wall",
+        potential=lambda q: cb.math.exp(30 * (q[0] - 1)) / 30,
+        gamma=0.1,
+        q=(0.0,),
+        p=(0.4,),
+        t_end=9.0,
+    )
+    solution = cb.solve(scene, name, rtol=1e-10, save_at=[9.0], carry=())
+    assert solution.counts.rejected > 0
+    fine = cb.solve(scene, "contact-rkn8", step=9.0 / 20_000, save_at=[9.0], carry=())
+    assert np.abs(solution.y - fine.y).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_python_runs_the_same_steps(name):
+    runs = [cb.solve("particle", name, rtol=1e-7, save_at=[1.0, 20.0], engine=e) for e in ("numba", "python")]
+    assert runs[0].counts == runs[1].counts
+    assert np.abs(runs[0].y - runs[1].y).max() < 1e-12
+
+
+def test_a_mutated_pair_loses_its_proportionality():
+    """The error estimate of another formula: a weight of the embedded one off by a part in a thousand."""
+    tableau = TABLEAUX["rk8-7"]
+    row = tableau.lower[0]
+    mutant = replace(tableau, lower=((row[0] * Fraction(1001, 1000), *row[1:]),))
+    method = RungeKuttaPair("mutant", 8, "planted", Explicit(mutant))
+    own, planted = (
+        cb.solve(OSCILLATOR, m, rtol=1e-10, save_at=[20.0]).counts.evaluations for m in ("rk8-7", method)
+    )
+    assert planted > 3 * own
+
+
+def test_digits_are_those_of_the_numbers():
+    """At 50 digits coefficients are divided as such, not rounded to doubles before."""
+    with mp.workdps(50):
+        x = PARTICLE.initial(())
+        x = x._replace(q=tuple(map(mp.mpf, x.q)), p=tuple(map(mp.mpf, x.p)))
+        end = cb.METHODS["rk8"].advance(PARTICLE, x, mp.mpf("0.1"), 1, mp)
+        assert isinstance(end.q[0], mp.mpf)
