@@ -49,11 +49,32 @@ def test_a_cost_that_is_not_reached_says_whether_our_own_limit_ended_a_finer_run
 
 
 # -- what takes part -------------------------------------------------------------------------------
-def test_loops_and_chosen_steps_do_not_compete():
-    chosen = [r | {"variant": "chosen"} for r in ladder("rk4", 0.1)]
+def test_loops_and_steps_chosen_by_pilots_do_not_compete_with_an_oracle():
+    chosen = [r | {"variant": "pilots"} for r in ladder("rk4", 0.1)]
     rows = found(ladder("contact-a"), ladder("rk4", 2.0), ladder("limit-c", 0.1, engine="c"), chosen)
     assert set(rows["method"]) == {"contact-a", "rk4"}
-    assert set(contests(rows)["winner"]) == {"contact"}
+    assert set(contests(rows)["winner"]) == {"ours"}
+
+
+def test_a_contest_by_tolerance_is_of_pilots_and_of_solvers_that_take_one():
+    chosen = [r | {"variant": "pilots", "control": "rtol"} for r in ladder("contact-a", 3.0)]
+    adaptive = [r | {"control": "rtol"} for r in ladder("cvode-adams", 2.0, engine="c")]
+    rows = [*ladder("contact-a"), *ladder("rk4"), *chosen, *adaptive]
+    spent = costs(contest.contestants(table("work_precision", rows), by_tolerance=True), COMPILED)
+    assert spent.groupby("method")["cost"].min().to_dict() == pytest.approx(
+        {"contact-a": 3e-3, "cvode-adams": 2e-3}
+    )
+    assert set(contests(spent)["winner"]) == {"other"}
+
+
+def test_what_this_package_runs_beside_the_libraries():
+    theirs = [r | {"package": "CyRK"} for r in ladder("cyrk-vern8", 2.0, engine="c++")]
+    rows = found(ladder("contact-a", 3.0), ladder("rk4"), theirs)
+    assert set(contests(rows)["winner"]) == {"other"}
+    won = contests(rows, contest.of_this_package)
+    assert set(won["winner"]) == {"ours"}
+    assert set(won["ours"]) == {"rk4"}
+    assert set(won["other"]) == {"cyrk-vern8"}
 
 
 def test_kinds_of_engine_are_never_mixed():
@@ -91,7 +112,7 @@ def test_a_marginal_time_needs_halves_and_no_closed_form():
 
 # -- who wins --------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("factor", "winner"), [(1.1, "contact"), (1.03, "tie"), (1 / 1.03, "tie"), (1 / 1.1, "other")]
+    ("factor", "winner"), [(1.1, "ours"), (1.03, "tie"), (1 / 1.03, "tie"), (1 / 1.1, "other")]
 )
 def test_win_tie_and_loss_of_the_contact_methods(factor, winner):
     rows = found(ladder("contact-a"), ladder("rk4", factor))
@@ -106,7 +127,7 @@ def test_win_tie_and_loss_of_the_contact_methods(factor, winner):
 def test_a_method_is_of_the_family_that_it_declares():
     rows = [*ladder("contact-a", 2.0), *ladder("mine")]
     assert winners(rows) == {"other"}
-    assert winners([r | {"family": "contact"} for r in rows], ladder("rk4", 3.0)) == {"contact"}
+    assert winners([r | {"family": "contact"} for r in rows], ladder("rk4", 3.0)) == {"ours"}
     assert winners(ladder("contact-a", 2.0), ladder("herglotz1")) == {"other"}
 
 
@@ -114,7 +135,7 @@ def test_a_margin_is_of_its_pair_and_of_two_processes():
     quiet = [ladder("contact-a"), ladder("rk4", 1.1)]
     noisy = [ladder(m, scene="noisy", time_halves_ratio=1 / 1.08) for m in ("contact-a", "rk4")]
     won = contests(found(*quiet, *noisy)).groupby("scene")
-    assert won["winner"].unique().map(list).to_dict() == {"s": ["contact"], "noisy": ["tie"]}
+    assert won["winner"].unique().map(list).to_dict() == {"s": ["ours"], "noisy": ["tie"]}
     margins = won["margin"].first()
     assert margins["s"] == pytest.approx(1.04)
     assert margins["noisy"] == pytest.approx(math.exp(math.hypot(math.log(1.04), 2**0.5 * math.log(1.08))))

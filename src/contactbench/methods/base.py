@@ -117,6 +117,8 @@ class Method(ABC):
     iterates: ClassVar[bool] = False
     #: whether only the profile `full` runs it
     appendix: bool = False
+    #: what is imported for it; blank where this package runs it by itself
+    package: str = ""
 
     @property
     def control(self) -> str:

@@ -143,7 +143,7 @@ for _solver, _order, _stages, _implicit, _about in (
     METHODS.add(
         Peer(
             f"diffrax-{_solver.lower()}",
-            *(_about, Diffrax, ("jax",), (ROUNDING, 1e-1), _solver),
+            *(_about, Diffrax, ("jax",), (ROUNDING, 1e-1), _solver, "diffrax"),
             order=_order,
             stages=_stages,
             implicit=_implicit,

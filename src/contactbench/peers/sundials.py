@@ -137,7 +137,7 @@ for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
     METHODS.add(
         Peer(
             f"cvode-{_solver.lower()}",
-            *(_about, cvode, ("c", "c+python"), (ROUNDING, 1e-1), _solver),
+            *(_about, cvode, ("c", "c+python"), (ROUNDING, 1e-1), _solver, "sksundae"),
             implicit=True,
             costs={"c+python": 2},
         )
@@ -146,6 +146,6 @@ METHODS.add(
     Peer(
         "cvode-adams-fixed",
         "variable-order Adams–Moulton, fixed-point iteration: cheaper steps, more evaluations",
-        *(cvode, ("c",), (ROUNDING, 1e-1), "Adams"),
+        *(cvode, ("c",), (ROUNDING, 1e-1), "Adams", "sksundae"),
     )
 )

@@ -21,12 +21,15 @@ from contactbench.results.contest import (
     EVALUATIONS,
     KINDS,
     OTHER,
+    OURS,
     Cost,
     Kind,
     contestants,
     contests,
     cost_rows,
     costs,
+    of_contact,
+    of_this_package,
     standings,
 )
 
@@ -34,7 +37,7 @@ SOURCE = "work_precision.csv"
 LEGEND: str = PROSE["work_precision"]["legend"]
 #: by kind of cost
 QUESTIONS: dict[str, str] = PROSE["work_precision"]["questions"]
-MARKS = {"win": Mark.best, CONTACT: Mark.best, "tie": Mark.tie, "undecided": Mark.tie}
+MARKS = {"win": Mark.best, OURS: Mark.best, "tie": Mark.tie, "undecided": Mark.tie}
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,11 @@ class Contest:
     contests: pd.DataFrame
 
 
+#: contests beside those of contact methods at settings that an oracle chooses, one for each kind of cost: whose side is
+#: counted, and whether everybody is given a tolerance
+MORE = {"package": (of_this_package, False), "tolerance": (of_contact, True)}
+
+
 def contest(work: pd.DataFrame, kind: Kind) -> Contest:
     found = costs(contestants(work), kind)
     return Contest(kind, standings(found), contests(found))
@@ -51,24 +59,32 @@ def contest(work: pd.DataFrame, kind: Kind) -> Contest:
 
 @lru_cache(2)
 def all_contests(frames: Frames) -> dict[str, Contest]:
+    """Return the contests of contact methods with all others, by kind of cost."""
     return {kind.name: contest(frames["work_precision"], kind) for kind in KINDS}
+
+
+def more_contests(frames: Frames) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield the name of a question and its contests, in compiled time."""
+    for name, (ours, by_tolerance) in MORE.items():
+        yield name, contests(costs(contestants(frames["work_precision"], by_tolerance), COMPILED), ours)
 
 
 def tally(won: pd.DataFrame) -> tuple[str, str]:
     judged = won[won["winner"] != ""]
     counted = judged["winner"].value_counts()
     others = judged[judged["winner"] == OTHER]["other"].value_counts()
-    text = f"{counted.get(CONTACT, 0)} of {len(judged)} pairs of scene and error"
+    text = f"{counted.get(OURS, 0)} of {len(judged)} pairs of scene and error"
     for winner, word in (("tie", "tied"), ("undecided", "undecided")):
         text += f", {counted[winner]} {word}" if winner in counted else ""
     rest = ", ".join(f"{method} {n}" for method, n in others.items())
-    return how_often(counted.get(CONTACT, 0), len(judged)), text + (f"; others: {rest}" if rest else "")
+    return how_often(counted.get(OURS, 0), len(judged)), text + (f"; others: {rest}" if rest else "")
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
-    for name, own in all_contests(frames).items():
-        if len(own.contests):
-            yield Answer(QUESTIONS[name], *tally(own.contests))
+    every = {name: own.contests for name, own in all_contests(frames).items()} | dict(more_contests(frames))
+    for name, won in every.items():
+        if len(won):
+            yield Answer(QUESTIONS[name], *tally(won))
 
 
 # -- who is cheapest -------------------------------------------------------------------------------
@@ -185,8 +201,8 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     if not len(table):
         return f"{scene}: cost against error", []
     row = table.iloc[(len(table) - 1) // 2]
-    at, both, ratio = f"at {power(row['error'])}", [row["contact"], row["other"]], row["ratio"]
-    if row["winner"] not in (CONTACT, OTHER):
+    at, both, ratio = f"at {power(row['error'])}", [row["ours"], row["other"]], row["ratio"]
+    if row["winner"] not in (OURS, OTHER):
         return f"{scene}: {both[0]} and {both[1]} take about the same time {at}", both
     if row["winner"] == OTHER:
         both, ratio = both[::-1], 1 / ratio

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol, cast
@@ -25,7 +25,7 @@ from contactbench.measure.statistics import (
     verdict,
 )
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
-from contactbench.solution import GROWING
+from contactbench.solution import EXACT, GROWING, PILOTS
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -33,8 +33,8 @@ TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 CONTACT = "contact"
 #: rows that do not compete: plain C loops
 LIMIT = "limit"
-#: the winner of a contest that no contact method wins
-OTHER = "other"
+#: the winner of a contest of two sides
+OURS, OTHER = "ours", "other"
 CALLBACKS = ("python", "c+python")
 #: statuses of runs that our own limits ended: a finer setting might be more accurate
 CUT = ("budget", "timeout")
@@ -112,9 +112,13 @@ def cost_rows(frame: pd.DataFrame) -> Iterator[Cost]:
     return cast("Iterator[Cost]", frame.itertuples())
 
 
-def contestants(work: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows that compete: one setting of one method, not chosen by pilots, no C loops."""
-    return work[(work["family"] != LIMIT) & work["variant"].fillna("").isin(["", GROWING])]
+def contestants(work: pd.DataFrame, by_tolerance: bool = False) -> pd.DataFrame:
+    """Return the rows that compete, no C loops: at any setting, as if an oracle chose it, or by tolerance."""
+    variant = work["variant"].fillna("")
+    chosen = variant.isin(["", GROWING])
+    if by_tolerance:
+        chosen = (variant == PILOTS) | (chosen & work["control"].isin(["rtol", EXACT]))
+    return work[(work["family"] != LIMIT) & chosen]
 
 
 def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "method")) -> pd.DataFrame:
@@ -122,7 +126,7 @@ def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "metho
 
     One row per `keys` and error, with the columns
 
-    - family, engine
+    - family, engine; package: the library, blank where this one runs it
     - cost : nan where the error is not reached.  reason : why no finer setting was tried, blank where none would help.
     - bound : every setting is more accurate than the error; the cost is that of the cheapest.
     - fixed : the share of the cost that does not grow with the run, nan where it was not measured.
@@ -138,9 +142,21 @@ def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "metho
     for key, own in part.groupby(list(keys), sort=False):
         engines = [one for _, one in own.groupby("engine", sort=False)] if kind.timed else [own]
         tried = [list(_costs_on(one, kind, spreads[one["engine"].iloc[0]])) for one in engines]
-        lead = dict(zip(keys, key, strict=True)) | {"family": own["family"].iloc[0]}
+        declared = {name: own[name].iloc[0] for name in ("family", "package") if name in own}
+        lead = dict(zip(keys, key, strict=True)) | declared
         found += [lead | min(same, key=_preference) for same in zip(*tried, strict=True)]
-    columns = ("family", "engine", "error", "cost", "bound", "reason", "fixed", "halves", "processes")
+    columns = (
+        "family",
+        "package",
+        "engine",
+        "error",
+        "cost",
+        "bound",
+        "reason",
+        "fixed",
+        "halves",
+        "processes",
+    )
     return pd.DataFrame(found, columns=list(dict.fromkeys([*keys, *columns])))
 
 
@@ -215,32 +231,40 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
     return pd.concat(ranked, ignore_index=True) if ranked else costs.assign(ratio=[], margin=[], verdict=[])
 
 
-def contests(costs: pd.DataFrame) -> pd.DataFrame:
-    """Return the best contact method beside the best other, one row per error and scene on which both kinds ran.
+def of_contact(costs: pd.DataFrame) -> pd.Series:
+    return costs["family"] == CONTACT
 
-    ratio : the other's cost over the contact method's, inf and 0 where one is alone.  winner : contact, other, tie,
-    undecided, or blank where nobody reaches the error.
+
+def of_this_package(costs: pd.DataFrame) -> pd.Series:
+    return costs["package"].fillna("") == ""
+
+
+def contests(costs: pd.DataFrame, ours: Callable[[pd.DataFrame], pd.Series] = of_contact) -> pd.DataFrame:
+    """Return the best method of one side beside the best other, a row per error and scene on which both sides ran.
+
+    ours : which costs are of the side.  ratio : the other's cost over that side's, inf and 0 where one is alone.
+    winner : ours, other, tie, undecided, or blank where nobody reaches the error.
     """
     rows = []
     for scene, here in costs.groupby("scene", sort=False):
-        if (here["family"] == CONTACT).nunique() < 2:
+        if ours(here).nunique() < 2:
             continue
         for target, part in here.groupby("error", sort=False):
             part = part[part["cost"].notna()].sort_values("cost", kind="stable")
-            contact = part["family"] == CONTACT
-            ours, theirs = (next(cost_rows(part[own]), None) for own in (contact, ~contact))
-            rows.append({"scene": scene, "error": target} | _contest(ours, theirs))
-    names = "scene error contact contact_cost other other_cost ratio margin winner"
+            own = ours(part)
+            pair = (next(cost_rows(part[side]), None) for side in (own, ~own))
+            rows.append({"scene": scene, "error": target} | _contest(*pair))
+    names = "scene error ours our_cost other other_cost ratio margin winner"
     return pd.DataFrame(rows, columns=names.split())
 
 
 def _contest(ours: Cost | None, theirs: Cost | None) -> Record:
-    row = {"contact": ours.method, "contact_cost": ours.cost} if ours else {"contact": ""}
+    row = {"ours": ours.method, "our_cost": ours.cost} if ours else {"ours": ""}
     row |= {"other": theirs.method, "other_cost": theirs.cost} if theirs else {"other": ""}
     if ours is None or theirs is None:
-        alone = (CONTACT, math.inf) if ours else (OTHER, 0.0) if theirs else ("", math.nan)
+        alone = (OURS, math.inf) if ours else (OTHER, 0.0) if theirs else ("", math.nan)
         return row | {"ratio": alone[1], "winner": alone[0]}
     most = pair_margin(ours, theirs)
     found = verdict(ours.cost / theirs.cost, most)
-    winner = {Verdict.win: CONTACT, Verdict.loss: OTHER}.get(found, str(found))
+    winner = {Verdict.win: OURS, Verdict.loss: OTHER}.get(found, str(found))
     return row | {"ratio": theirs.cost / ours.cost, "margin": most, "winner": winner}

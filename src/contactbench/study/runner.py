@@ -135,10 +135,10 @@ class Run:
         return None
 
     def complete(self, task: Task, table: Table, row: Row) -> Row:
-        """Add the family of the method, and the smallest profile that has the cell; raise `BadInput` for a bad row."""
-        known = "family" in table.columns and row["method"] in METHODS
-        family = {"family": METHODS[row["method"]].family} if known else {}
-        row = {**family, **row, "profile": task.experiment.profile_of(task.cell)}
+        """Add what the method declares, and the smallest profile that has the cell; raise `BadInput` for a bad row."""
+        declared = {"family", "package"} & set(table.columns) if row["method"] in METHODS else ()
+        known = {name: getattr(METHODS[row["method"]], name) for name in declared}
+        row = {**known, **row, "profile": task.experiment.profile_of(task.cell)}
         check(table, row)
         if row.get("status", "ok") != "ok" and not row["message"]:
             raise BadInput(f"table {table.name!r}: status {row['status']} without a message")
