@@ -73,6 +73,7 @@ def test_a_process_pool_that_lost_a_worker_is_refused():
             solved(executor=executor, chunk=CHUNK)
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_dask_cluster_dies_midway(alone):
     from distributed import Client, LocalCluster
 
