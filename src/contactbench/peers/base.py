@@ -279,6 +279,7 @@ class Variational(System):
     # tangents do not move the time, and have none; they may grow as they like
     clock = property(lambda self: self.base.clock)
     motion = property(lambda self: self.base.motion)
+    canonical = property(lambda self: self.base.canonical)
 
     def initial(self, carry: Sequence[str], **data: Any) -> Bundle:
         x = self.base.initial(carry, **data)
