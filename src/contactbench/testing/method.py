@@ -78,7 +78,7 @@ class MethodCase:
         return float(np.abs(a - b).max() / np.abs(b).max())
 
     def error(self, level: str = "coarse", **options: Any) -> float:
-        return LAWS["solution_error"](self.run(level, **options)())
+        return float(LAWS["solution_error"](self.run(level, **options)()))
 
     def require_below(self, bound: float, what: str, value: float, message: str) -> None:
         self.measured[what] = value

@@ -7,16 +7,14 @@ as far as they agree.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.scene.many import Many
 from contactbench.truth.engines import (
     OutOfTime,
     Slope,
@@ -65,9 +63,9 @@ def doubles(
                 y: np.ndarray,
                 times: list[float],
                 begin: float,
-                solver: Any = solver,
+                solver: Callable[..., list[np.ndarray]] = solver,
                 watch: Stopwatch = watch,
-            ) -> Any:
+            ) -> list[np.ndarray]:
                 return solver(slope, y, times, watch=watch, begin=begin)
 
             try:
@@ -88,7 +86,7 @@ def doubles(
     try:
         y, digits = agreed(explicit)
     except OutOfTime as late:
-        if isinstance(scene, Many):  # a dense Jacobian
+        if scene.by_sites:  # a dense Jacobian
             raise
         try:
             y, digits = agreed(implicit)
@@ -98,7 +96,7 @@ def doubles(
         raise BadInput(
             f"no reference for scene {scene.name!r}: two solvers agree on no digit at t = {t[-1]:g}"
         )
-    return y if scene.clock is None else np.insert(y, scene.clock, origin + t, axis=1), digits
+    return y if scene.clock is None else np.insert(y, scene.clock, float(origin) + t, axis=1), digits
 
 
 def by_scipy(
