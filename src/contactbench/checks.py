@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from contextlib import suppress
-from typing import Any, NoReturn
+from typing import Any, NoReturn, SupportsFloat, TypeGuard
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def finite(name: str, value: object) -> float:
     return number if math.isfinite(number) else refuse(name, value, "a finite number")
 
 
-def is_real(value: object) -> bool:
+def is_real(value: object) -> TypeGuard[SupportsFloat]:
     """Whether a value is one real number: no text, no complex number, no date, no array."""
     if isinstance(value, np.ndarray | np.generic):
         return value.ndim == 0 and value.dtype.kind in "fiubO"
@@ -68,7 +68,7 @@ def real_array(name: str, value: object, wanted: str) -> np.ndarray:
     refuse(name, value, wanted)
 
 
-def vector(name: str, value: object, length: int | None = None) -> tuple[float, ...]:
+def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...]:
     """`value` as a tuple of finite floats (of the given length), or `BadInput`."""
     try:
         items = () if isinstance(value, str | bytes | dict | set) else tuple(value)
@@ -79,7 +79,7 @@ def vector(name: str, value: object, length: int | None = None) -> tuple[float, 
     return tuple(finite(f"{name}[{i}]", item) for i, item in enumerate(items))
 
 
-def items_of(name: str, value: object, wanted: str) -> list[Any]:
+def items_of(name: str, value: Any, wanted: str) -> list[Any]:
     """The items of `value`, or `BadInput`, which says what is `wanted`; a string is no list of letters."""
     try:
         return refuse(name, value, wanted) if isinstance(value, str | bytes) else list(value)

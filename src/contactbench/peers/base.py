@@ -358,7 +358,7 @@ INTERPOLANT, BEFORE = 3, 2
 
 
 #: f(t, y), or its Jacobian, of floats
-type Rates = Callable[[float, Sequence[float]], Any]
+type Rates = Callable[[float, Sequence[float]], Sequence[Any]]
 
 
 class Solver(Protocol):

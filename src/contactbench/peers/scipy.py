@@ -8,16 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactbench.methods.base import CLAMPED, METHODS
-from contactbench.peers.base import Callback, Peer, Rates, Solver
+from contactbench.peers.base import Callback, Peer, Rates
+
+if TYPE_CHECKING:
+    from scipy.integrate import OdeSolver
 
 
 class Scipy(Callback):
-    def begin(self, start: float, y: np.ndarray, rhs: Rates) -> Solver:
+    def begin(self, start: float, y: np.ndarray, rhs: Rates) -> OdeSolver:
         import scipy.integrate
 
         r, jacobian = self.request, self.jacobian

@@ -9,7 +9,7 @@ from `max_steps` and the result's status is read.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from contactbench.peers.base import Call, Callback, Peer, Rates
 from contactbench.peers.compiled import FACTS, KNOWN, TOO_MUCH_WORK, Compiled, Connection
 from contactbench.solution import Status
 
+if TYPE_CHECKING:
+    from sksundae.cvode import CVODE
+
 #: components times steps of CVODE that take some hundredths of a second
 PIECE = 10**5
 FLAG, SAVED = map(FACTS.index, ("flag", "saved"))
@@ -27,7 +30,7 @@ FLAG, SAVED = map(FACTS.index, ("flag", "saved"))
 class Stepper:
     """scikit-sundae's CVODE, one internal step at a time, with the interface of SciPy's solvers."""
 
-    def __init__(self, solver: Any, y: np.ndarray, end: float) -> None:
+    def __init__(self, solver: CVODE, y: np.ndarray, end: float) -> None:
         self.solver, self.end, self.status, self.njev = solver, end, "running", 0
         self.t, self.y = 0.0, solver.init_step(0.0, y).y
 
@@ -56,7 +59,7 @@ class CvodeCallback(Callback):
     def begin(self, start: float, y: np.ndarray, rhs: Rates) -> Stepper:
         return Stepper(self.solver(start, rhs), y, self.end)
 
-    def solver(self, start: float, rhs: Rates) -> Any:
+    def solver(self, start: float, rhs: Rates) -> CVODE:
         from sksundae.cvode import CVODE
 
         r, scene, jacobian = self.request, self.scene, self.jacobian

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -59,8 +59,9 @@ class SceneCase:
     def exact(self) -> list[AnyState]:
         return [self.read([self.xp.mpf(repr(float(c))) for c in self.scene.pack(x)]) for x in self.states]
 
-    def read(self, y: Sequence[Arithmetic]) -> Any:
-        return self.scene.unpack(y, self.scene.carry())
+    def read(self, y: Sequence[Arithmetic]) -> AnyState:
+        state: AnyState = self.scene.unpack(y, self.scene.carry())
+        return state
 
     def moved(self, x: AnyState, v: AnyState, amount: Arithmetic) -> AnyState:
         pairs = zip(self.scene.pack(x), self.scene.pack(v), strict=True)
@@ -139,11 +140,9 @@ def derives(case: SceneCase) -> None:
     verify(scene)
     verify_along(scene)
     for x in case.states:
-        given = scene.slopes(
-            0.0 if scene.clock is None else scene.pack(x)[scene.clock],
-            scene.without_clock(scene.pack(x)),
-            scene.carry(),
-        )
+        y = scene.pack(x)
+        t = 0.0 if scene.clock is None else y[scene.clock]
+        given = scene.slopes(t, scene.without_clock(y), scene.carry())
         case.near(given, scene.without_clock(scene.pack(scene.rhs(x))), "slopes are not those of rhs")
     for x in case.exact:
         rows = case.twin.jacobian(x)
