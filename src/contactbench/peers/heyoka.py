@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from copy import copy
 from threading import Lock
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
