@@ -37,8 +37,8 @@ class ExactRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         one = np.ones(len(self.later), dtype=np.int64)
-        parts = [slice(None)] if self.together else [slice(k, k + 1) for k in range(len(self.later))]
-        self.steps = [(self.later[part], one[part]) for part in parts]
+        apart = [slice(None)] if self.together else [slice(k, k + 1) for k in range(len(self.later))]
+        self.steps = [(self.later[part], one[part]) for part in apart]
         self.ready = [self.loop.ready(*step) for step in self.steps]
         self.bare = self.loop.last(self.ready[-1])  # type: ignore
         self.compile_s = self.loop.seconds

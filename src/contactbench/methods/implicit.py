@@ -55,11 +55,19 @@ def fixed_point[K](
 
 @dataclass(frozen=True)
 class Implicit(FixedStep):
-    """A method whose step returns x and iterations; each : evaluations of an iteration, one more comes first."""
+    """A method whose step returns x and iterations.
+
+    each : evaluations of an iteration, one more comes first.  kinds : of scenes whose forces it takes; by default any.
+    """
 
     each: int = field(kw_only=True)
+    kinds: tuple[str, ...] = ()
     engines: tuple[str, ...] = ("numba", "python")
     iterates = True
+
+    def refuses(self, scene: Scene) -> str | None:
+        fits = not self.kinds or scene.kind in self.kinds
+        return unfit(self, scene, fits, "forces that depend on q alone")
 
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
@@ -105,15 +113,9 @@ def gauss_tableau(stages: int, xp: Namespace) -> tuple[list[list[Arithmetic]], l
     return A, [one * 5 / 18, one * 4 / 9, one * 5 / 18]
 
 
-@dataclass(frozen=True)
-class Gauss(Implicit):
-    """Gauss's collocation, of order twice its stages; an iteration takes momenta first, which converges faster."""
-
-    def refuses(self, scene: Scene) -> str | None:
-        return unfit(self, scene, True, "")
-
-
 def gauss(stages: int) -> Callable[[Any, State, Arithmetic, Namespace], tuple[State, Arithmetic]]:
+    """Return a step of Gauss's collocation; an iteration takes momenta first, which converges faster."""
+
     def step(scene: Any, x: State, h: Arithmetic, xp: Namespace) -> tuple[State, Arithmetic]:
         A, b = gauss_tableau(stages, xp)
 
@@ -138,22 +140,14 @@ def gauss(stages: int) -> Callable[[Any, State, Arithmetic, Namespace], tuple[St
 
 
 # -- a discrete gradient -------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class DiscreteGradient(Implicit):
-    """Damping for h/2, a step that keeps H0 = T + V, and damping for h/2: H0 never rises where Γ' ≥ 0."""
-
-    def refuses(self, scene: Scene) -> str | None:
-        fits = scene.kind in ("mechanical", "general damping")
-        return unfit(self, scene, fits, "forces that depend on q alone")
-
-
 #: where the motion turns: of a way² smaller than this part of q², what lacks in V is rounding, being of order way³
 TURNING = 1e-10
 
 
 def discrete_gradient(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> tuple[State, Arithmetic]:
-    """p₁ = p − h ∇̄V, q₁ = q + h (p + p₁)/2m with the midpoint discrete gradient ∇̄V·(q₁ − q) = V(q₁) − V(q).
+    """Damping for h/2, a step that keeps H0, and damping for h/2: H0 never rises where Γ' ≥ 0.
 
+    p₁ = p − h ∇̄V, q₁ = q + h (p + p₁)/2m with the midpoint discrete gradient ∇̄V·(q₁ − q) = V(q₁) − V(q):
     Gonzalez, J. Nonlinear Sci. 6, 449 (1996), doi:10.1007/BF02440162, eq. (3.5).
     """
     damp = scene.flows["damp"]
@@ -189,12 +183,8 @@ def discrete_gradient(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace)
 
 _source = "Hairer, Lubich, Wanner, Geometric Numerical Integration, §II.1.3, by fixed-point iteration"
 for _stages in (2, 3):
-    METHODS.add(
-        Gauss(f"gauss{2 * _stages}", 2 * _stages, gauss(_stages), about=_source, each=_stages, symmetric=True)
-    )
+    _name, _order = f"gauss{2 * _stages}", 2 * _stages
+    METHODS.add(Implicit(_name, _order, gauss(_stages), about=_source, each=_stages, symmetric=True))
 _source = "discrete gradient of Gonzalez, doi:10.1007/BF02440162, between halves of exact damping"
-METHODS.add(
-    DiscreteGradient(
-        "discrete-gradient", 2, discrete_gradient, kind="gradient", about=_source, each=1, symmetric=True
-    )
-)
+_both: dict[str, Any] = {"kind": "gradient", "kinds": ("mechanical", "general damping"), "symmetric": True}
+METHODS.add(Implicit("discrete-gradient", 2, discrete_gradient, about=_source, each=1, **_both))

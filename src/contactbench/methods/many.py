@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Hashable
-from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, cached_property
 from time import monotonic
@@ -47,6 +46,8 @@ from contactbench.trace.sweeps import (
 from contactbench.xla import jax, lax
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from jax.sharding import Mesh, NamedSharding
     from numpy.typing import ArrayLike
 
@@ -83,8 +84,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
         start = State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None)
         before = see(0, start)
         x = advance(twin, start, h, n, xp, repeat)
-        parts = [*x.q, *x.p], [x.s] if with_s else []
-        end = [number(c) for part in parts for number in (value, slope)[:blocks] for c in part]
+        components = [*x.q, *x.p], [x.s] if with_s else []
+        end = [number(c) for part in components for number in (value, slope)[:blocks] for c in part]
         return [*end, *before, *see(1, x)]
 
     seen = 2 * SEEN * watch
@@ -94,6 +95,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
 @cache
 def others(count: int) -> Executor:
     """Threads beside this one."""
+    from concurrent.futures import ThreadPoolExecutor
+
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
 
 
