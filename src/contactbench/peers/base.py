@@ -281,6 +281,9 @@ class Variational(System):
     motion = property(lambda self: self.base.motion)
     canonical = property(lambda self: self.base.canonical)
 
+    def unrolled(self) -> Self:
+        return self
+
     def initial(self, carry: Sequence[str], **data: Any) -> Bundle:
         x = self.base.initial(carry, **data)
         return Bundle(x, tuple(self.base.tangents(x)))
