@@ -273,15 +273,12 @@ def extrapolation(
     """
     context = decimal_context(digits + 15)  # extrapolation amplifies round-off
     twin = with_decimals(scene, context.mpf)
-    most = 4 + digits // 2
-    tolerance = context.mpf(10) ** -digits
 
     slope, y0, origin = initial_value_problem(twin, carry)
     watch, breaks = Stopwatch(scene, float(times[-1]), deadline), scene.breaks_until(float(times[-1]))
 
-    def solve(y: np.ndarray, times: Sequence[Arithmetic], begin: Arithmetic) -> list[np.ndarray]:
-        return extrapolate(slope, y, times, most, tolerance, watch, collapse, begin)
-
+    limits = {"most": 4 + digits // 2, "tolerance": context.mpf(10) ** -digits}
+    solve = partial(extrapolate, slope, watch=watch, collapse=collapse, **limits)
     saved = list(map(context.mpf, times))
     rows = across_breaks(solve, slope, y0, saved, breaks)
     return [list(twin.with_clock(y.tolist(), origin + t)) for t, y in zip(saved, rows, strict=True)]
@@ -321,7 +318,7 @@ def across_breaks(
     breaks: Breaks,
     begin: Arithmetic = 0.0,
 ) -> list[np.ndarray]:
-    """Return states at increasing times, `sides` of breaks among them, by `solve(y, times, begin)`.
+    """Return states at increasing times, `sides` of breaks among them, by `solve(y, times, begin=…)`.
 
     Over a break itself nothing converges: there a state moves by the mean of the slopes on both sides.
     """
@@ -329,7 +326,7 @@ def across_breaks(
     for time in times:
         before = group[-1] if group else begin
         if before < time and any(b - m <= float(before) and float(time) <= b + m for b, m in breaks):
-            rows += solve(y, group, begin)
+            rows += solve(y, group, begin=begin)
             y = rows[-1] if rows else y
             here = slope(before, y)
             y = y + (time - before) / 2 * (here + slope(time, y + (time - before) * here))
@@ -337,7 +334,7 @@ def across_breaks(
             begin, group = time, []
         else:
             group.append(time)
-    return rows + solve(y, group, begin)
+    return rows + solve(y, group, begin=begin)
 
 
 def extrapolate(

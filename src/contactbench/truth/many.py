@@ -7,7 +7,7 @@ as far as they agree.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from time import perf_counter
 
@@ -52,22 +52,9 @@ def doubles(
     def agreed(pair: tuple[str, str]) -> tuple[np.ndarray, int]:
         found, begun = list[np.ndarray](), perf_counter()
         for name in pair:
-            solver, spent, left = (
-                partial(by_scipy, name=name) if name else gragg,
-                perf_counter() - begun,
-                SOLVERS - len(found),
-            )
+            spent, left = perf_counter() - begun, SOLVERS - len(found)
             watch = Stopwatch(scene, float(t[-1]), deadline, PATIENCE)
-
-            def solve(
-                y: np.ndarray,
-                times: list[float],
-                begin: float,
-                solver: Callable[..., list[np.ndarray]] = solver,
-                watch: Stopwatch = watch,
-            ) -> list[np.ndarray]:
-                return solver(slope, y, times, watch=watch, begin=begin)
-
+            solve = partial(partial(by_scipy, name=name) if name else gragg, slope, watch=watch)
             try:
                 with np.errstate(all="ignore"):
                     rows = np.array(across_breaks(solve, slope, start, times, breaks))[saved]

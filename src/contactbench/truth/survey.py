@@ -148,7 +148,7 @@ class Survey:
         due, shortest = [bound], SHORTEST * self.end
         while due:
             if any(time - m <= ends[-1] and due[-1] <= time + m for time, m in self.breaks):
-                (y,) = across_breaks(lambda *_: [], self.slope, y, [due[-1]], self.breaks, ends[-1])
+                (y,) = across_breaks(lambda *_, **__: [], self.slope, y, [due[-1]], self.breaks, ends[-1])
                 ends.append(due.pop())
                 continue
             solver = DOP853(self.slope, ends[-1], y, due[-1], rtol=STEP, atol=STEP * self.scale().min())
