@@ -75,7 +75,7 @@ class ChosenStep(Prepared):
             step, pilots = self.choose(y0)
             self.run.divide(step)
             evaluations = sum(pilot.evaluations for pilot in pilots)
-            known = [pilot.y for pilot in pilots if pilot.steps == self.run.needed]
+            known = [pilot.y[1:] for pilot in pilots if pilot.steps == self.run.needed]
             if known:
                 out = self.run.outcome(y0, known[0], self.run.totals)
             else:
