@@ -37,7 +37,7 @@ REACH = 6.0
 
 
 class Pilot(NamedTuple):
-    """A run: its steps, their size, the smallest step asked for that makes them, evaluations, and states."""
+    """A run: its steps, their size, the smallest step asked for that makes them, evaluations; its states, the start first."""
 
     steps: int
     size: float
@@ -75,7 +75,7 @@ class ChosenStep(Prepared):
             step, pilots = self.choose(y0)
             self.run.divide(step)
             evaluations = sum(pilot.evaluations for pilot in pilots)
-            known = [pilot.y for pilot in pilots if pilot.steps == self.run.needed]
+            known = [pilot.y[1:] for pilot in pilots if pilot.steps == self.run.needed]
             if known:
                 out = self.run.outcome(y0, known[0], self.run.totals)
             else:
