@@ -73,6 +73,7 @@ def test_a_process_pool_that_lost_a_worker_is_refused():
             solved(executor=executor, chunk=CHUNK)
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_dask_cluster_dies_midway(alone):
     from distributed import Client, LocalCluster
 
@@ -144,7 +145,7 @@ def test_a_few_chunks_are_begun_ahead_and_no_more(monkeypatch):
     """Memory stays bounded where only the statistics are kept, however slowly they are asked for."""
     begun, integrate = [], chunks.side_by_side
     monkeypatch.setattr(chunks, "side_by_side", lambda *args: begun.append(1) or integrate(*args))
-    results = on_cores(*prepared(), [ENERGY], states(100 * LANES), 2, LANES)
+    results = on_cores(*prepared(), [ENERGY], states(100 * LANES), 2, LANES, {})
     for done in range(3):
         next(results)
         assert done < len(begun) <= done + 1 + 2 * AHEAD
@@ -156,9 +157,9 @@ def test_a_few_chunks_are_begun_ahead_and_no_more(monkeypatch):
 def test_the_number_of_cores_changes_nothing(workers):
     y0 = states(1001)
     run, loop = prepared()
-    parts = list(on_cores(run, loop, [ENERGY], y0, workers, 300))
+    parts = list(on_cores(run, loop, [ENERGY], y0, workers, 300, {}))
     y, measures, end = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
-    (alone,) = on_cores(run, loop, [ENERGY], y0, 1, 2000)
+    (alone,) = on_cores(run, loop, [ENERGY], y0, 1, 2000, {})
     for ours, theirs in zip((y, measures, end), alone, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 

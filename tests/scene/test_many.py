@@ -168,7 +168,6 @@ def test_saved_times_take_no_gigabytes(setting, monkeypatch):
 @pytest.mark.parametrize("scene", [SMALL["free masses"], SMALL["bodies 2D"]])
 @pytest.mark.parametrize("method", ["contact-strang", "scipy-dop853"])
 @pytest.mark.quick(method="contact-strang", scene="chain")
-@pytest.mark.quick(method="scipy-dop853", scene="bodies")
 def test_methods_keep_their_rules_on_it(method, scene):
     check_method(cb.METHODS[method], engines=cb.METHODS[method].engines[:1], scenes=[scene.with_(t_end=4.0)])
 

@@ -69,10 +69,10 @@ class Task:
             chosen = METHODS[self.method]
             assert isinstance(chosen, FixedStep)
             run = FixedStepRun(self.method, self.request, chosen)
-            parts = list(self.chunks(run, y0, own, y0.shape[1], cores=1))
+            made = list(self.chunks(run, y0, own, y0.shape[1], cores=1))
         except Exception as error:
             return error
-        y, measures, end_time = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
+        y, measures, end_time = (np.concatenate(arrays, axis=-1) for arrays in zip(*made, strict=True))
         return y, measures, end_time
 
     def chunks(
@@ -120,27 +120,28 @@ def on_cores(
     y0: np.ndarray,
     cores: int,
     chunk: int,
-    own: Own | None = None,
+    own: Own,
 ) -> Iterator[Result]:
     """Yield the results of chunks of one size, of which a few are begun ahead, so that no core waits for another."""
     scene: Any = run.request.scene
-    own = own or {}
     work: Callable[..., Result]
     if scene.by_sites:
         chunk = min(chunk, max(1, AT_ONCE // (len(run.n) * len(y0))))
         cores = cores if scene.sites < SHARED else 1
         work, share = partial(one_by_one, run, loop, names), equal_share(y0.shape[1], cores, chunk, 1)
     else:
-        rows = loop.rows(np.array(scene.numbers()), run.h, run.n)
-        work = partial(side_by_side, run, loop, rows, names)
-        share = equal_share(y0.shape[1], cores, chunk, loop.lanes)
+        loop.many  # noqa: B018, compiled now, once
+        work, share = (
+            partial(side_by_side, run, loop, names),
+            equal_share(y0.shape[1], cores, chunk, loop.lanes),
+        )
     ahead: deque[Future[Result]] = deque()
     threads = futures.ThreadPoolExecutor(cores)
     try:
         for first in range(0, y0.shape[1], share):
             part = slice(first, first + share)
-            rest = ({place: values[part] for place, values in own.items()},) if own else ()
-            ahead.append(threads.submit(work, y0[:, part], *rest))
+            numbers = {place: values[part] for place, values in own.items()}
+            ahead.append(threads.submit(work, y0[:, part], numbers))
             if len(ahead) > AHEAD * cores:
                 yield ahead.popleft().result()
         while ahead:
@@ -156,11 +157,9 @@ def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
     return whole if whole <= chunk else share
 
 
-def side_by_side(
-    run: FixedStepRun, loop: Loop, rows: tuple[np.ndarray, np.ndarray], names: Sequence[str], y0: np.ndarray
-) -> Result:
+def side_by_side(run: FixedStepRun, loop: Loop, names: Sequence[str], y0: np.ndarray, _: Own) -> Result:
     """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core."""
-    w, shape = rows
+    w, shape = loop.rows(np.array(run.request.scene.numbers()), run.h, run.n)
     place = len(loop.program.shape)
 
     def states() -> Iterator[np.ndarray]:
@@ -172,13 +171,11 @@ def side_by_side(
     return measured(run, run.request.scene, names, y0, states(), run.until)
 
 
-def one_by_one(
-    run: FixedStepRun, loop: Loop, names: Sequence[str], y0: np.ndarray, own: Own | None = None
-) -> Result:
+def one_by_one(run: FixedStepRun, loop: Loop, names: Sequence[str], y0: np.ndarray, own: Own) -> Result:
     """Return the same of scenes of many sites, one trajectory after the other, each with parameters of its own."""
     base = run.request.scene
     numbers = np.tile(base.numbers(), (y0.shape[1], 1))
-    for place, values in (own or {}).items():
+    for place, values in own.items():
         numbers[:, place] = values
     paths = [
         loop.states(base.with_numbers(row), start, run.h, run.n)
@@ -248,9 +245,9 @@ def on_devices(
         arrays = (np.pad(a, filled, mode="edge") for a in (y0[:, part], bound, individual[:, part]))
         return program(*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.until))
 
-    parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
-    ahead = begin(parts[0])
-    for part, following in zip(parts, [*parts[1:], None], strict=True):
+    slices = [slice(first, min(first + count, n)) for first in range(0, n, count)]
+    ahead = begin(slices[0])
+    for part, following in zip(slices, [*slices[1:], None], strict=True):
         out = ahead
         if following is not None:  # begun before this one is waited for: no device idles at its end
             ahead = begin(following)

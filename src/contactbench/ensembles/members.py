@@ -65,13 +65,13 @@ def components(name: str, value: Any, default: object) -> dict[str, np.ndarray]:
     if not isinstance(default, tuple):
         return {name: column(name, value)}
     try:
-        parts = tuple(value)
+        given = tuple(value)
     except TypeError:  # one number: the identity may be written as 1
-        parts = quaternion_of(value) if name == "R" else (value,)
-    if len(parts) != len(default):
+        given = quaternion_of(value) if name == "R" else (value,)
+    if len(given) != len(default):
         wanted = f"{len(default)} components, each a number or an array"
-        raise BadInput(f"{name}: must be {wanted}; got {len(parts)}")
-    return {f"{name}[{i}]": column(f"{name}[{i}]", part) for i, part in enumerate(parts)}
+        raise BadInput(f"{name}: must be {wanted}; got {len(given)}")
+    return {f"{name}[{i}]": column(f"{name}[{i}]", part) for i, part in enumerate(given)}
 
 
 def column(name: str, value: object) -> np.ndarray:
@@ -142,8 +142,8 @@ class Watch:
 
     def quantity(self, name: str, x: AnyState) -> Array:
         value = getattr(self.scene, DECAYING[name])(x)
-        parts = value if isinstance(value, tuple) else (value,)
-        stacked: Array = self.xp.stack(self.xp.broadcast_arrays(*parts), axis=-1)
+        vector = value if isinstance(value, tuple) else (value,)
+        stacked: Array = self.xp.stack(self.xp.broadcast_arrays(*vector), axis=-1)
         return stacked
 
     def deviation(self, name: str, x: AnyState, t: float | Array) -> Array:

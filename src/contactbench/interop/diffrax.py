@@ -1,15 +1,4 @@
-"""Run the integrators inside `diffrax.diffeqsolve`: differentiable, vmappable, with diffrax's adjoints and saving.
-
-import contactbench as cb
-import diffrax
-
-velocity = diffrax.ODETerm(lambda t, p, args: p)
-force = diffrax.ODETerm(lambda t, q, args: -q)
-damping = diffrax.ODETerm(lambda t, p, args: -0.1 * p)
-terms = velocity, diffrax.MultiTerm(force, damping)
-solver = cb.diffrax.Contact("contact-rkn6")
-diffrax.diffeqsolve(terms, solver, 0, 10, 0.1, (q, p), stepsize_controller=diffrax.ConstantStepSize())
-"""
+"""Run the integrators inside `diffrax.diffeqsolve`: differentiable, vmappable, with diffrax's adjoints and saving."""
 
 from __future__ import annotations
 

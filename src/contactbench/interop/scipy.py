@@ -1,11 +1,4 @@
-"""Run the integrators inside `scipy.integrate.solve_ivp`, with its events and dense output.
-
-import contactbench as cb
-from scipy.integrate import solve_ivp
-
-contact = cb.scipy.Contact("contact-rkn6", "particle")
-sol = solve_ivp(contact.rhs, (0, 20), contact.start, method=contact, max_step=0.1, dense_output=True)
-"""
+"""Run the integrators inside `scipy.integrate.solve_ivp`, with its events and dense output."""
 
 from __future__ import annotations
 

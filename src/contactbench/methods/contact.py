@@ -49,8 +49,8 @@ class ContactMethod(FixedStep):
     def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
         if by_the_clock(self.composition, scene):  # the clock is no part of the state
             return super().pieces(scene, whole)
-        parts = pieces(self.composition, scene, whole)
-        return tuple(partial(run_stages, stages) if stages else None for stages in parts)
+        made = pieces(self.composition, scene, whole)
+        return tuple(partial(run_stages, stages) if stages else None for stages in made)
 
     def log_factor(self, scene: Scene, x: AnyState, h: float, n: int) -> float | None:
         if not scene.rate_changes:  # the coefficients of every composition add up to one

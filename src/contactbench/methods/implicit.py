@@ -61,6 +61,9 @@ class Implicit(FixedStep):
     engines: tuple[str, ...] = ("numba", "python")
     iterates = True
 
+    def refuses(self, scene: Scene) -> str | None:
+        return unfit(self, scene, True, "")
+
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> AnyState:
@@ -105,15 +108,9 @@ def gauss_tableau(stages: int, xp: Namespace) -> tuple[list[list[Arithmetic]], l
     return A, [one * 5 / 18, one * 4 / 9, one * 5 / 18]
 
 
-@dataclass(frozen=True)
-class Gauss(Implicit):
-    """Gauss's collocation, of order twice its stages; an iteration takes momenta first, which converges faster."""
-
-    def refuses(self, scene: Scene) -> str | None:
-        return unfit(self, scene, True, "")
-
-
 def gauss(stages: int) -> Callable[[Any, State, Arithmetic, Namespace], tuple[State, Arithmetic]]:
+    """Return a step of Gauss's collocation; an iteration takes momenta first, which converges faster."""
+
     def step(scene: Any, x: State, h: Arithmetic, xp: Namespace) -> tuple[State, Arithmetic]:
         A, b = gauss_tableau(stages, xp)
 
@@ -138,10 +135,7 @@ def gauss(stages: int) -> Callable[[Any, State, Arithmetic, Namespace], tuple[St
 
 
 # -- a discrete gradient -------------------------------------------------------------------------------
-@dataclass(frozen=True)
 class DiscreteGradient(Implicit):
-    """Damping for h/2, a step that keeps H0 = T + V, and damping for h/2: H0 never rises where Γ' ≥ 0."""
-
     def refuses(self, scene: Scene) -> str | None:
         fits = scene.kind in ("mechanical", "general damping")
         return unfit(self, scene, fits, "forces that depend on q alone")
@@ -152,8 +146,9 @@ TURNING = 1e-10
 
 
 def discrete_gradient(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> tuple[State, Arithmetic]:
-    """p₁ = p − h ∇̄V, q₁ = q + h (p + p₁)/2m with the midpoint discrete gradient ∇̄V·(q₁ − q) = V(q₁) − V(q).
+    """Damping for h/2, a step that keeps H0, and damping for h/2: H0 never rises where Γ' ≥ 0.
 
+    p₁ = p − h ∇̄V, q₁ = q + h (p + p₁)/2m with the midpoint discrete gradient ∇̄V·(q₁ − q) = V(q₁) − V(q):
     Gonzalez, J. Nonlinear Sci. 6, 449 (1996), doi:10.1007/BF02440162, eq. (3.5).
     """
     damp = scene.flows["damp"]
@@ -189,9 +184,8 @@ def discrete_gradient(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace)
 
 _source = "Hairer, Lubich, Wanner, Geometric Numerical Integration, §II.1.3, by fixed-point iteration"
 for _stages in (2, 3):
-    METHODS.add(
-        Gauss(f"gauss{2 * _stages}", 2 * _stages, gauss(_stages), about=_source, each=_stages, symmetric=True)
-    )
+    _name, _order = f"gauss{2 * _stages}", 2 * _stages
+    METHODS.add(Implicit(_name, _order, gauss(_stages), about=_source, each=_stages, symmetric=True))
 _source = "discrete gradient of Gonzalez, doi:10.1007/BF02440162, between halves of exact damping"
 METHODS.add(
     DiscreteGradient(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Hashable
-from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, cached_property
 from time import monotonic
@@ -15,6 +14,7 @@ import numpy as np
 
 from contactbench.methods.jax_engine import Traced
 from contactbench.methods.loops import (
+    Count,
     Loop,
     Plain,
     StepLoop,
@@ -25,9 +25,10 @@ from contactbench.methods.loops import (
     loop_of,
 )
 from contactbench.methods.prepared import Request, stopwatch
+from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
-from contactbench.scene import Cache, Scene, State, key
+from contactbench.scene import Cache, Scene, State, Vector, key
 from contactbench.scene.many import Many
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.fields import FieldProgram, record_fields
@@ -47,6 +48,8 @@ from contactbench.trace.sweeps import (
 from contactbench.xla import jax, lax
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from jax.sharding import Mesh, NamedSharding
     from numpy.typing import ArrayLike
 
@@ -69,7 +72,9 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
     """
     (d, with_s, blocks), names = packing, tuple(scene.constants)
 
-    def fields(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:
+    def fields(
+        numbers: Vector, h: Arithmetic, n: Count, f: Any, s: Any, constants: Vector, xp: Any, repeat: Repeat
+    ) -> list[Arithmetic]:
         if blocks > 1:
             f, s, xp = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else [], DualNumbers(xp)
         twin = scene.with_numbers(numbers)._replaced(**dict(zip(names, constants, strict=True)))
@@ -83,8 +88,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
         start = State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None)
         before = see(0, start)
         x = advance(twin, start, h, n, xp, repeat)
-        parts = [*x.q, *x.p], [x.s] if with_s else []
-        end = [number(c) for part in parts for number in (value, slope)[:blocks] for c in part]
+        components = [*x.q, *x.p], [x.s] if with_s else []
+        end = [number(c) for part in components for number in (value, slope)[:blocks] for c in part]
         return [*end, *before, *see(1, x)]
 
     seen = 2 * SEEN * watch
@@ -94,6 +99,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
 @cache
 def others(count: int) -> Executor:
     """Threads beside this one."""
+    from concurrent.futures import ThreadPoolExecutor
+
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
 
 
@@ -153,7 +160,7 @@ class FieldLoop(Loop):
         return made
 
     @cached_property
-    def run(self) -> Any:
+    def run(self) -> Callable[..., int]:
         pointer = ctypes.c_void_p
         return ctypes.CFUNCTYPE(None, pointer, ctypes.c_double, pointer, pointer)(self.sweeps.address)
 

@@ -84,7 +84,7 @@ class Multistep(FixedStep):
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
         """Return n, one for the momentum, and those of the points before the start."""
-        each = sum(parts + 1 for parts in range(1, self.order // 2 + 1)) + 1
+        each = sum(divisions + 1 for divisions in range(1, self.order // 2 + 1)) + 1
         return self.forces * each + n + 1
 
     def advance(
@@ -112,17 +112,12 @@ class Multistep(FixedStep):
             at = self.back(scene, at, h, xp, repeat)
             shrunk, grown = shrunk + gain * shrunk, grown - loss * grown
             older = scaled(grown, at.q)
-            increment = tuple(a - b for a, b in zip(z, older, strict=True))
             rate, psi = force(older, shrunk, grown)
-            return (
-                at,
-                older,
-                shrunk,
-                grown,
-                (*increments[1:], increment),
-                (*rates[1:], rate),
-                (*psis[1:], psi),
+            newest = tuple(a - b for a, b in zip(z, older, strict=True)), rate, psi
+            histories = (
+                (*past[1:], new) for past, new in zip((increments, rates, psis), newest, strict=True)
             )
+            return at, older, shrunk, grown, *histories
 
         def step(carried: Any) -> Any:
             z, increments, rates, psis, total, shrunk, grown = carried
@@ -158,9 +153,9 @@ class Multistep(FixedStep):
 
     def back(self, scene: Scene, x: State, h: Arithmetic, xp: Namespace, repeat: Repeat) -> State:
         """Return x one step before, extrapolated from Strang's method to the order of this one."""
-        parts = range(1, self.order // 2 + 1)
-        shares = [prod(Fraction(m * m, m * m - k * k) for k in parts if k != m) for m in parts]
-        found = [composition.advance(STRANG, scene, x, -h / m, m, xp, repeat) for m in parts]
+        divisions = range(1, self.order // 2 + 1)
+        shares = [prod(Fraction(m * m, m * m - k * k) for k in divisions if k != m) for m in divisions]
+        found = [composition.advance(STRANG, scene, x, -h / m, m, xp, repeat) for m in divisions]
         by_share = [number(Fraction(c), xp) for c in shares]
         return State(
             *(

@@ -172,19 +172,13 @@ class OneStep:
         default, orders = tuple(map(float, self.scene.numbers())), tuple(self.scene.orders())
         if not orders:
             return plain
-        zero, why = (
-            len(default),
-            f"numbers: make scene {self.scene.name!r} another problem: step_map of that one",
-        )
+        why = f"numbers: make scene {self.scene.name!r} another problem: step_map of that one"
 
         @numba.njit
         def guarded(y, h, numbers=default):  # type: ignore[no-untyped-def]
+            known = (*numbers, 0.0)
             for i, j, strict in orders:
-                low, high = 0.0, 0.0
-                if i < zero:
-                    low = numbers[i]
-                if j < zero:
-                    high = numbers[j]
+                low, high = known[i], known[j]
                 if not (low < high or (low == high and not strict)):
                     raise BadInput(why)
             return plain(y, h, numbers)

@@ -51,13 +51,14 @@ class Request:
     def to_scale(self, takes_atol: bool, **data: Any) -> Request:
         """Return the request with the scales of the motion from its start, or other data, and the atol of these.
 
-        Coordinates and momenta have one, the largest of theirs, as the error of a run is measured: with a scale each,
-        tolerances would hold the small ones to digits that nobody asks for, at a fifth more evaluations.
+        Coordinates have one, and momenta, the largest of theirs: with one for every component the momenta of light
+        bodies would be held to digits that nobody asks for, at a fifth more evaluations (planets).
         """
         assert self.rtol is not None
         start = self.scene.initial(self.carry, **data)
         each = self.scene.scales(start, float(self.save_at[-1]))
-        each[: self.scene.motion] = each[: self.scene.motion].max()
+        for part in np.split(each[: self.scene.motion], 2 if self.scene.canonical else 1):
+            part[:] = part.max()
         scales = 1.0 if (each == 1).all() else each
         return replace(self, scales=scales, atol=self.rtol * scales if takes_atol else None)
 
@@ -457,21 +458,15 @@ def scale(x: Any, v: Any, units: Any) -> float:
 
 
 def differences(run: Prepared, y0: np.ndarray, out: Outcome | Solution) -> Differential:
-    """dΦ at y0 by differences of `run.integrate`, run a `Prepared` and out its `Outcome` there.
+    """Return dΦ at y0, of the map its user gets, choice of steps included, by differences of `run.integrate`.
 
-    The only thing asked of an engine is that it runs from another initial state.  Where a solver chooses its
-    steps from the state, this is the derivative of the map its user gets, choice of steps included.
-
-    Initial data are moved along the scene's tangents (the attitude of a body along the rotation group) by
-    increments falling by `RATIO`, and every two neighbouring central differences D give one estimate without
-    their error of second order, R = (r² D(δ/r) − D(δ))/(r² − 1).  Truncation makes the first of them differ,
-    round-off over δ the last; and a choice of steps that jumps between the two sides makes a single one differ.
-    Where neighbours agree best is therefore the value, and twice their disagreement the error bar.  Where even the
-    last two disagree by a tenth of themselves, and by more than the roundings of the state, the map bends within
-    the smallest increment and no value is given.
-
-    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9 (extrapolation); for the balance of
-    truncation and round-off, Ridders, Adv. Eng. Software 4, 75 (1982), doi:10.1016/S0141-1195(82)80057-0.
+    Initial data are moved along the scene's tangents by increments falling by `RATIO`, and every two neighbouring
+    central differences D give one estimate without their error of second order, R = (r² D(δ/r) − D(δ))/(r² − 1):
+    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9.  Truncation makes the first of them
+    differ, round-off over δ the last, a choice of steps that jumps between the two sides a single one.  Where
+    neighbours agree best is the value, and twice their disagreement the error bar (Ridders, Adv. Eng. Software 4, 75
+    (1982), doi:10.1016/S0141-1195(82)80057-0).  Where even the last two disagree by a tenth of themselves, and by more
+    than the roundings of the state, the map bends within the smallest increment and no value is given.
     """
     scene: Scene = run.request.scene
     x = scene.unpack(tuple(y0.tolist()), run.request.carry)

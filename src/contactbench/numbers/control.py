@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -70,6 +71,13 @@ def scan(
     if can.branch:
         raise ArithmeticError(f"no convergence in {ENDLESS} turns")
     return x, outs
+
+
+def iterate(body: Callable[[Any], Any], x: Any, turns: int, xp: Namespace) -> Any:
+    """x after so many turns of ``x = body(x)``: a loop where one is compiled, which would take seconds unrolled."""
+    if (recorded := getattr(xp, "iterate", None)) is not None:
+        return recorded(turns, body, x)
+    return scan(lambda x: (body(x), 0.0), x, turns, lambda _: math.inf, xp)[0]
 
 
 def repeat_while(condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any, xp: Namespace) -> Any:

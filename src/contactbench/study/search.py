@@ -14,7 +14,7 @@ from contactbench.blame import UserError
 from contactbench.measure.laws import motion_size, observables
 from contactbench.methods.base import ENGINES, METHODS, prepare
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.prepared import IMPLICIT, Prepared, Refused
+from contactbench.methods.prepared import IMPLICIT, Prepared
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution, Status
@@ -161,10 +161,6 @@ class Attempt:
         return columns | {"evaluations": self.work if counted else math.nan}
 
 
-class Unsupported(Exception):
-    """A method cannot do a scene, as is found out only when it is prepared."""
-
-
 class Search:
     """Try one method from its coarsest setting to the one that reaches the smallest error.
 
@@ -173,7 +169,7 @@ class Search:
 
     def __init__(self, question: Question, method: str) -> None:
         self.question, self.method = question, METHODS[method]
-        self.engine = self.method.engines[0]
+        self.engine, self.control = self.method.engines[0], control_of(question.scene, self.method)
         self.attempts: list[Attempt] = []
         self.why: tuple[str, str] | None = None
         self.compile_s, self.spent, self.a_step = 0.0, 0.0, math.nan
@@ -181,10 +177,6 @@ class Search:
     @property
     def kind(self) -> str:
         return ENGINES.get(self.engine, "compiled")
-
-    @property
-    def control(self) -> str:
-        return control_of(self.question.scene, self.method)
 
     @property
     def finest(self) -> Attempt | None:
@@ -202,14 +194,16 @@ class Search:
         try:
             for attempt in self.coarse_to_fine():
                 yield
+                if attempt.status is Status.unsupported:  # as is found out only when it is prepared
+                    self.why = ("unsupported", attempt.message)
+                    self.attempts.clear()
+                    return
                 if attempt.status is Status.budget:
                     most = f"more than a run may take here, {self.question.longest:.2g} s"
                     self.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
                     break
             for error in self.question.errors:
                 yield from self.refine(error)
-        except Unsupported as reason:
-            self.why = ("unsupported", str(reason))
         except UserError as error:
             self.why = ("failed", str(error))
         except BROKEN as error:
@@ -284,8 +278,6 @@ class Search:
 
         start = perf_counter()
         run = prepared(end)
-        if isinstance(run, Refused):
-            raise Unsupported(run.why)
         self.engine = run.request.engine
         if first:
             solved(run)  # the first call of a program may compile yet

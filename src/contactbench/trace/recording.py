@@ -276,6 +276,9 @@ class RecordedNumbers(ChoosingNumbers):
     def repeat_while(self, condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any) -> Any:
         return self.tape.repeat_while(condition, body, x)
 
+    def iterate(self, turns: int, body: Callable[[Any], Any], x: Any) -> Any:
+        return self.tape.repeat(turns, body, x)
+
     def where(self, condition: Any, a: Any, b: Any) -> Any:
         if isinstance(a, Dual) or isinstance(b, Dual):
             return DualNumbers(self).where(condition, a, b)
