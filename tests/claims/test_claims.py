@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from cases import few_slow
-from contactbench.claims import CLAIMS, Correction, Verdict, algebra, integrator, rigid_body, verdict
+from contactbench.claims import (
+    CLAIMS,
+    Correction,
+    Verdict,
+    algebra,
+    geometry,
+    integrator,
+    rigid_body,
+    verdict,
+)
 from contactbench.claims.curves import FIGURES, rows
 from contactbench.claims.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
@@ -247,6 +256,11 @@ def frictionless(scene, x, rhs=Mechanical.rhs):
     return rhs(scene, x)._replace(p=tuple(-g for g in scene.dV(x.q)))
 
 
+def without_s(scene, x, rhs=Mechanical.rhs):
+    """s' = T − V: what accumulates does not decay."""
+    return rhs(scene, x)._replace(s=scene.kinetic(x.p) - scene.V(x.q))
+
+
 def without_torque(scene, x, rhs=RigidBody.rhs):
     """Without M × Ω every axis is as good as another: the intermediate one is no saddle."""
     return rhs(scene, x)._replace(M=tuple(-d for d in scene.damp_matrix_function(x.M, lambda rate: rate)))
@@ -254,12 +268,66 @@ def without_torque(scene, x, rhs=RigidBody.rhs):
 
 @pytest.mark.parametrize(
     ("kind", "rhs", "refuted"),
-    [(Mechanical, frictionless, ("C03", "C06", "C37")), (RigidBody, without_torque, ("C15", "C50"))],
+    [
+        (Mechanical, frictionless, ("C03", "C06")),
+        (Mechanical, without_s, ("C03", "C37")),
+        (RigidBody, without_torque, ("C15", "C50")),
+    ],
 )
 def test_a_term_missing_in_the_equations(kind, rhs, refuted, monkeypatch, fresh):
     monkeypatch.setattr(kind, "rhs", rhs)
     for claim in refuted:
         assert changes(claim) == ("holds", "refuted")
+
+
+def without_friction(hamiltonian, equations=geometry.contact_equations):
+    """Hamilton's equations in place of the contact equations: p' without −p H_s."""
+
+    def field(y):
+        n = (len(y) - 1) // 2
+        rate = geometry.gradient(hamiltonian)(y)[-1]
+        return equations(hamiltonian)(y).at[n : 2 * n].add(rate * y[n : 2 * n])
+
+    return field
+
+
+@pytest.mark.parametrize("name", few_slow(["C44", "C46", "C47", "C49"], "C44", "C47"))
+def test_momentum_hangs_on_friction(name, monkeypatch):
+    monkeypatch.setattr(geometry, "contact_equations", without_friction)
+    row = CLAIMS[name].row()
+    assert "fails" in row.get("corrected_evidence", row["evidence"])
+    assert row["verdict"] == "refuted"
+
+
+@pytest.mark.slow
+def test_another_form_has_another_lie_derivative(monkeypatch):
+    monkeypatch.setattr(geometry, "eta", lambda y, eta=geometry.eta: 2 * eta(y) + y)
+    assert "fails" in CLAIMS["C45"].row()["corrected_evidence"]
+
+
+def test_an_action_that_does_not_decay_is_no_herglotz_action(monkeypatch):
+    def halved(scene, t, *carry, reference=geometry.reference):
+        true = reference(scene, t, *carry)
+        return replace(true, y=true.y * [1.0, 1.0, 0.5])
+
+    monkeypatch.setattr(geometry, "reference", halved)
+    assert changes("C38") == ("holds", "refuted")
+
+
+@pytest.mark.parametrize(("name", "then"), [("C36", "refuted"), ("C43", "holds")])
+def test_another_method_in_place_of_the_printed_one(name, then, monkeypatch):
+    """Explicit Euler is unstable where the splitting is not; RK4 lowers H0 in every step."""
+    monkeypatch.setattr(integrator, "PRINTED", "rk4")
+    if name == "C36":
+        monkeypatch.setattr(integrator, "radius", lambda method, gamma, h: np.hypot(1, h))
+        monkeypatch.setattr(integrator, "border", lambda method, gamma: 2.0)
+        monkeypatch.setattr(integrator, "unconditional_from", lambda method: 0.0)
+    assert changes(name) == (expected(name), then)
+
+
+def test_an_integrator_of_another_order_fills_no_gap(monkeypatch):
+    monkeypatch.setattr(integrator, "PUBLISHED", {"herglotz1": 2019})
+    assert CLAIMS["C51"].row(scene="central")["verdict"] == "holds"
 
 
 def test_body_momentum_taken_for_the_momentum_map(monkeypatch, fresh):

@@ -37,7 +37,7 @@ REACH = 6.0
 
 
 class Pilot(NamedTuple):
-    """A run: its steps, their size, the smallest step asked for that makes them, evaluations, and states."""
+    """A run: its steps, their size, the least step asked for that makes them, evaluations; states, the start first."""
 
     steps: int
     size: float
