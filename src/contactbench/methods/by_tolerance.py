@@ -391,6 +391,7 @@ class RungeKuttaPair(Adaptive):
     form: Explicit
     engines: tuple[str, ...] = ("numba", "python")
     family: str = "established"
+    largest: int = 32
 
     @property
     def kind(self) -> str:
