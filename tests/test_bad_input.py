@@ -288,7 +288,7 @@ def test_a_step_map_need_not_be_hashable(engine):
 
 # -- the command line ------------------------------------------------------------------------------
 LINES = [
-    ("solve particle rk5 --step 0.1", "unknown method 'rk5': did you mean 'rk4'?"),
+    ("solve particle rk44 --step 0.1", "unknown method 'rk44': did you mean 'rk4'?"),
     ("solve particle rk4 --step 0.1 --set gamma=abc", "--set gamma=abc"),
     ("solve particle rk4 --step 0.1 --set gamma=" + "9" * 5000, "gamma"),
     ("solve particle rk4 --step 0.1 --set gamma=" + "[" * 3000, "gamma"),

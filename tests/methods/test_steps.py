@@ -9,7 +9,7 @@ from cases import mine, pairs
 from chains import chain
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_until
-from contactbench.methods.step_choice import ChosenStep, Pilot
+from contactbench.methods.step_choice import FIRST, ChosenStep, Pilot
 from contactbench.xla import jax, jnp
 
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step]
@@ -144,7 +144,8 @@ def test_error_is_within_a_factor_of_ten_of_the_tolerance(method, scene):
         h = scene.t_end / chosen.counts.steps
         runs = [cb.solve(scene, method.name, step=k * h, **options) for k in (1, 2, 4)]  # some diverge
         constants = [cb.LAWS["solution_error"](run) / run.step**method.order for run in runs]
-        assert np.nanmax(constants) * h**method.order > rtol / 10
+        coarsest = chosen.counts.steps == FIRST  # an error below the tolerance with the fewest steps
+        assert coarsest or np.nanmax(constants) * h**method.order > rtol / 10
 
 
 def test_the_pilots_are_counted():

@@ -38,7 +38,7 @@ from contactbench.methods.runge_kutta import (
     undamped,
 )
 from contactbench.numbers.control import repeat_while
-from contactbench.numbers.dual import leaves, rebuild
+from contactbench.numbers.dual import Dual, DualNumbers, leaves, rebuild, slope, value
 from contactbench.numbers.protocol import Abilities, CannotRecord, ChoosingNumbers, abilities
 from contactbench.scene import Cache, Mechanical, Scene, State, key
 from contactbench.scene.algebra import scaled
@@ -97,14 +97,15 @@ class Explicit:
         """Return the state after a step, the slope there where the pair evaluates it, and the error."""
         tableau = self.tableau
         after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first=first)
-        return after, None, scene.without_clock(combine(tableau.estimate[0], slopes, xp))
+        error = rebuild(y, combine(tableau.estimate[0], slopes, xp))
+        return after, None, scene.without_clock(scene.pack(error))
 
     def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
         """Return how fast the slope changes along it: |λ| of y' = λy."""
-        time = NUDGE * size / (norm(slope, xp) + TINY)
+        time = NUDGE * size / (norm(scene.without_clock(slope), xp) + TINY)
         nudged = rebuild(y, [a + time * b for a, b in zip(leaves(y), slope, strict=True)])
-        there = self.slope(scene, nudged, xp)
-        return norm([a - b for a, b in zip(there, slope, strict=True)], xp) / (NUDGE * size)
+        change = [a - b for a, b in zip(self.slope(scene, nudged, xp), slope, strict=True)]
+        return norm(scene.without_clock(change), xp) / (NUDGE * size)
 
 
 @dataclass(frozen=True)
@@ -184,8 +185,12 @@ def march(
     most: Any,
     tolerances: Sequence[Any],
     xp: Any,
+    plain: Any = None,
 ) -> tuple[Any, list[Any]]:
-    """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run."""
+    """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run.
+
+    plain : the same state x, where its numbers are dual.
+    """
     rtol, *atol = tolerances
     tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
     reuses = tableau.first_same_as_last
@@ -201,14 +206,15 @@ def march(
     def first_step(y: Any) -> Any:
         packed = parts(y)
         weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
-        size = norm(leaves(y)[: len(x.q) if isinstance(form, Nystrom) else len(packed)], xp) + atol[0] / rtol
+        size = norm(y.q if isinstance(form, Nystrom) else packed, xp) + atol[0] / rtol
         rate = form.rate(scene, y, form.slope(scene, y, xp), size, xp)
         error = unit_error(form) * (norm(weighed, xp) + 1)
         return START * xp.exp(power * xp.log(AIM / error)) / (rate + TINY)
 
     y, (step, past, tried, rejected, lag) = form.enter(scene, x), beside
     left = xp.where(lag > 0, 0.0, span)
-    step = when(step <= 0, lambda _, y: first_step(y), step, xp, y)
+    start = y if plain is None else form.enter(scene, plain)
+    step = when(step <= 0, lambda _, y: first_step(y), step, xp, start)
     first = form.slope(scene, y, xp) if reuses else None
     factors = rebuild(known := form.factors(scene, span, xp), [0 * span] * len(leaves(known)))
 
@@ -227,7 +233,7 @@ def march(
                 raise
             after, slope, error = y, first, [math.inf]
         weighed = (e / c for e, c in zip(error, scales(parts(y), parts(after)), strict=False))
-        square = sum(e * e for e in weighed)
+        square = value(sum(e * e for e in weighed))
         accepted = square <= 1
 
         def advance(_: Any) -> Any:
@@ -249,31 +255,39 @@ def march(
         change = xp.maximum(xp.minimum(xp.exp(power * change), MOST), LEAST)
         return xp.where((square <= 1) & (step > h * change), step, h * change)
 
-    start = y, first, factors, 0 * span, left, step, past, tried, rejected
-    y, _, _, _, left, step, past, tried, rejected = repeat_while(going, turn, start, xp)
+    before = y, first, factors, 0 * span, left, step, past, tried, rejected
+    y, _, _, _, left, step, past, tried, rejected = repeat_while(going, turn, before, xp)
     lag = xp.where(lag > 0, lag + span, left)
     return form.leave(scene, y), [step, past, tried, rejected, lag]
 
 
 # -- the run -------------------------------------------------------------------------------------------
-def pair_program(form: Explicit, scene: Any, carry: tuple[str, ...]) -> Program:
-    """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`."""
+def pair_program(form: Explicit, scene: Any, carry: tuple[str, ...], tangent: bool) -> Program:
+    """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`.
+
+    tangent : a tangent vector follows the state and is carried along by the steps that are taken.
+    """
     d, given = len(scene.labels(carry)), len(scene.numbers())
+    whole = d * (1 + tangent)
     tolerances = 1 + d - (scene.clock is not None)
 
     def advance(numbers: Any, span: Any, most: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
-        twin, start = scene.with_numbers(numbers[:given]), scene.unpack(y[:d], carry)
-        x, beside = march(form, twin, start, y[d:], span, most, numbers[given:], xp)
-        return [*scene.pack(x), *beside]
+        twin, beside, plain = scene.with_numbers(numbers[:given]), y[whole:], scene.unpack(y[:d], carry)
+        x = plain
+        if tangent:
+            x, xp = scene.unpack(list(map(Dual, y[:d], y[d:whole])), carry), DualNumbers(xp)
+        x, beside = march(form, twin, x, beside, span, most, numbers[given:], xp, plain)
+        end = scene.pack(x)
+        return [*map(value, end), *(map(slope, end) if tangent else ()), *beside]
 
     def started(statement: Any) -> Any:
         """A packed state alone is given; zeros are beside it."""
         match statement:
-            case Assign(target, Element("start", (int(i),))) if i >= d:
+            case Assign(target, Element("start", (int(i),))) if i >= whole:
                 return Update((target,), (0.0,))
         return statement
 
-    program = record(advance, given + tolerances, d + BESIDE, scene.motion, DIVERGENCE)
+    program = record(advance, given + tolerances, whole + BESIDE, scene.motion, DIVERGENCE)
     return program._replace(run=replace(program.run, body=tuple(map(started, program.run.body))))
 
 
@@ -285,6 +299,8 @@ class ToleranceRun(Prepared):
     """Run a pair, from saved time to saved time and from break to break."""
 
     method_: Any
+
+    sensitivity_source = "forward-mode AD through the steps taken"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -308,7 +324,7 @@ class ToleranceRun(Prepared):
         def bare(y0: np.ndarray) -> np.ndarray:
             after = empty(size)
             run(y0, w, shape, after)
-            return after[last]
+            return self.dated_end(y0, after[last])
 
         self.states, self.bare = states, bare  # type: ignore[method-assign]
 
@@ -317,13 +333,22 @@ class ToleranceRun(Prepared):
         numbers = np.array([*self.request.scene.numbers(), *self.tolerances])
         return loop.rows(numbers, self.spans, np.full(len(self.spans), self.request.max_steps))
 
-    def make(self) -> Loop:
+    def make(self, tangent: bool = False) -> Loop:
         elapsed, r = stopwatch(), self.request
-        program = pair_program(self.method_.form, r.scene, r.carry)
+        program = pair_program(self.method_.form, r.scene, r.carry, tangent)
         return Loop(program, elapsed())
 
+    def loop(self, tangent: bool = False) -> Loop:
+        known = key(self.request.scene.identity, self.method_, self.request.carry, tangent)
+        return _loops.get(known, lambda: self.make(tangent))
+
+    def dated_end(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
+        if (clock := self._clock) is not None:
+            y[clock] = y0[clock] + self._end
+        return y
+
     def compiled(self) -> tuple[Callable[..., Any], Any, Any]:
-        loop = _loops.get(key(self.request.scene.identity, self.method_, self.request.carry), self.make)
+        loop = self.loop()
         run, tables = loop.run, self.arguments(loop)
         self.compile_s = loop.seconds
         return run, *tables
@@ -352,6 +377,15 @@ class ToleranceRun(Prepared):
             after[:] = as_written(y0.tolist())
 
         return run, *tables
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        loop, d = self.loop(tangent=True), len(y0)
+        tangents, after = self.tangents(y0), np.empty((len(self.spans), 2 * d + BESIDE))
+        columns = []
+        for v in tangents:
+            loop.run(np.concatenate([y0, v]), *self.arguments(loop), after.reshape(-1))
+            columns.append(np.where(after[self.saved, -1:] == 0, after[self.saved, d : 2 * d], math.nan))
+        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
 
     def __call__(self, **data: Any) -> Solution:
         """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
@@ -391,6 +425,7 @@ class RungeKuttaPair(Adaptive):
     form: Explicit
     engines: tuple[str, ...] = ("numba", "python")
     family: str = "established"
+    largest: int = 32
 
     @property
     def kind(self) -> str:
