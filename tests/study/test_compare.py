@@ -4,6 +4,7 @@ import math
 import re
 import sys
 from dataclasses import replace
+from time import sleep
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 import contactbench as cb
 from contactbench.methods.base import ENGINES
+from contactbench.report import race
 from contactbench.solution import Counts, Status
 from contactbench.study import compare, schedule
 from contactbench.study.compare import COLUMNS, with_verdicts
@@ -293,3 +295,41 @@ def test_a_reference_of_ones_own_is_taken():
     assert other["time_s"].isna().all()
     with pytest.raises(cb.BadInput, match="reference: gives shape"):
         cb.compare(scene, ["rk4"], reference=lambda t: known(t)[:, :1])
+
+
+# -- who begins, and when --------------------------------------------------------------------------
+def test_every_method_has_a_first_run_before_any_has_a_second():
+    """One of each engine in turn, high orders first."""
+    names = ["rk4", "contact-rkn8", "scipy-dop853", "contact-strang", "cvode-adams"]
+    schedule, seen = Schedule(cb.SCENES["particle"], names, (1e-3,), 60.0, False), list[str]()
+    for each in schedule.searches:
+        attempt = each.attempt
+        each.attempt = lambda value, each=each, attempt=attempt: (
+            seen.append(each.method.name) or attempt(value)
+        )
+    schedule.search()
+    first = ["contact-rkn8", "scipy-dop853", "cvode-adams", "rk4", "contact-strang"]
+    assert seen[:5] == first
+    assert schedule.unbegun == []
+
+
+def test_where_not_all_can_begin_those_that_have_go_on_and_the_others_are_named_first(monkeypatch):
+    """Compiling takes a seventh of the search."""
+    attempt = Search.attempt
+
+    def slow(search, value):
+        if not search.attempts:
+            sleep(1.5)
+        return attempt(search, value)
+
+    monkeypatch.setattr(Search, "attempt", slow)
+    names = [name for name in cb.METHODS if name.startswith("contact-") and name != "contact-exact"][:12]
+    found = cb.compare("particle", names, (1e-2,), budget=16.0)
+    assert 1 <= found["time_s"].notna().sum() <= 8
+    unbegun = found.attrs["unbegun"]
+    assert set(unbegun) == set(
+        found.loc[found["reason"].str.startswith(("no time was left to", "comp")), "method"]
+    )
+    first = race.text(found).splitlines()[0]
+    assert first == f"Not begun, for want of time (--budget): {', '.join(unbegun)}."
+    assert "compiling it takes" not in race.text(found)

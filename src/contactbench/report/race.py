@@ -35,6 +35,7 @@ def answers(frame: pd.DataFrame) -> Iterator[Answer]:
 
 
 def notes(frame: pd.DataFrame) -> Iterator[str]:
+    yield from unbegun(frame)
     reference = frame.attrs["reference"]
     second = reference["confirmed"]
     agreed, confirmed = "two precisions of one engine agree", f"{second} of them confirmed by a second engine"
@@ -65,9 +66,14 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
         yield "Interrupted: this is what there was."
 
 
+def unbegun(frame: pd.DataFrame) -> Iterator[str]:
+    if missing := frame.attrs["unbegun"]:
+        yield f"Not begun, for want of time (--budget): {', '.join(missing)}."
+
+
 def cuts(frame: pd.DataFrame) -> Iterator[str]:
     found: dict[tuple[str, str, str], list[str]] = {}
-    missing = frame[frame["reason"] != ""]
+    missing = frame[(frame["reason"] != "") & ~frame["method"].isin(frame.attrs["unbegun"])]
     for (method, status, reason), rows in missing.groupby(["method", "status", "reason"], sort=False):
         everywhere = len(rows) == frame["error_asked"].nunique()
         at = "" if everywhere else f" at {names([f'{error:g}' for error in rows['error_asked']])}"
@@ -202,4 +208,5 @@ def text(frame: pd.DataFrame) -> str:
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         rows = ("  ".join(t.ljust(w) for t, w in zip(line, widths, strict=True)).rstrip() for line in lines)
         blocks.append("\n".join([f"{each.title}: {legends[each.name]}", *rows]))
-    return "\n\n".join([*blocks, "\n".join(notes(frame))])
+    first = list(unbegun(frame))
+    return "\n\n".join([*first, *blocks, "\n".join(list(notes(frame))[len(first) :])])

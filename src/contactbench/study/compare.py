@@ -79,8 +79,9 @@ def compare(
         (win; tie; undecided where the margin is too wide to judge, or a rival was cut off that might be sooner done;
         loss), laws_kept, a column for each law, status, reason (why a method got no further, or was not timed).
         ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
-        claimed), "runs" (every setting tried), "of_floats" (functions that cannot be recorded), "unrefined" (methods
-        without a last search for a coarser setting), "interrupted", "seconds".
+        claimed), "runs" (every setting tried), "of_floats" (functions that cannot be recorded), "unbegun" (methods
+        that no time was left for), "unrefined" (those without a last search for a coarser setting), "interrupted",
+        "seconds".
 
     Raises
     ------
@@ -141,6 +142,7 @@ def frame_of(race: Schedule) -> pd.DataFrame:
         "runs": Runs(run for each in race.searches for run in runs_of(each)),
         "reference": known | {"error": race.floor},
         "of_floats": scene.functions_of_floats,
+        "unbegun": race.unbegun,
         "unrefined": race.unrefined,
         "interrupted": race.interrupted,
     }

@@ -34,16 +34,8 @@ MAIN, RINGS, PERIOD, ERROR = "fput", ("fput", "linear_ring"), 16, 1e-6
 #: lengths of rings, by the profile from which on they are run
 SIZES = {"smoke": (PERIOD,), "standard": (128, 1024, 10_000), "full": (100_000, 1_000_000)}
 #: the methods on other scenes than the main one; the one that is run by all of its engines
-FEW = (
-    "contact-strang",
-    "contact-rkn6",
-    "rk4",
-    "scipy-dop853",
-    "cvode-adams",
-    "cyrk-dop853",
-    "ias15",
-    "whfast",
-)
+FEW: tuple[str, ...] = ("contact-strang", "contact-rkn6", "rk4", "scipy-dop853", "cvode-adams", "cyrk-dop853")
+FEW += ("ias15", "whfast")
 CROSS_CHECKED = "contact-rkn6"
 #: sites from which on compiled sweeps are run by two cores too
 SHARED = 100_000

@@ -25,8 +25,9 @@ from contactbench.study.search import Attempt, Question, Search
 from contactbench.study.settings import ENDS, carry_of, setting_to, times
 from contactbench.truth import OutOfTime, Reference, confirmed, reference
 
-#: by when, in parts of the budget, the reference, its check, the search and the laws are over
-REFERENCE, CHECK, SEARCH, LAWS = 0.4, 0.42, 0.6, 0.8
+#: by when, in parts of the budget, the reference (half of it is for high precision, the rest for two solvers), its
+#: check, the search and the laws are over
+REFERENCE, CHECK, SEARCH, LAWS = 0.4, 0.25, 0.65, 0.8
 #: how much longer the rounds may take that every run is to have
 LATE = 0.05
 #: seconds for the reference at least, which it takes to compile it on a loaded machine: without one there is no race
@@ -36,8 +37,8 @@ FEWEST_CALLS = 1 + VISITS
 KINDS = ("compiled", "callbacks")
 #: seconds that compiling the first method of an engine takes: without them it is not begun
 COMPILING = {"jax": 5.0, "c++": 1.5}
-#: what compiles so slowly begins when every other method is done or had this part of the budget
-PATIENCE = 0.03
+#: a method without an order is begun as one of this
+MIDDLE = 8
 #: what a single run may take, as a share of the whole budget
 RUN_SHARE = 0.006
 #: what a derivative of the map costs, roughly: compilations of the solver, and runs
@@ -51,8 +52,8 @@ MANY = 20
 class Schedule:
     """The state of one race: what was found of each method, and the laws and times at the settings that reach an error.
 
-    floor : what the reference may be off by, relative to the largest state; no error below is claimed.  unrefined :
-    methods without a last search for a coarser setting.
+    floor : what the reference may be off by, relative to the largest state; no error below is claimed.  unbegun :
+    methods that no time was left for; unrefined : those without a last search for a coarser setting.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Schedule:
         self.bar.update()
         self.searches = [Search(self.question, name) for name in methods]
         self.interrupted = False
+        self.unbegun: list[str] = []
         self.unrefined: list[str] = []
         self.laws: dict[int, Row] = {}
         self.times: dict[int, Row] = {}
@@ -122,21 +124,38 @@ class Schedule:
 
     # -- search ----------------------------------------------------------------------------------------
     def search(self) -> None:
-        """Give the next turn to the method that has had the least time: what a cheap one leaves goes to the others."""
+        """Give every method a first run, then the next turn to what has had the least time.
+
+        What a cheap method leaves goes to the others.  First runs: high orders first, one of each engine in turn, those
+        last that compile for seconds.
+
+        When half of the time is over those that have begun go on: runs of one setting each are no race.
+        """
         for each in self.searches:
             if (why := each.method.refuses(self.question.scene)) is not None:
                 each.why = ("unsupported", why)
         turns = {each: each.turns() for each in self.searches if each.why is None}
         self.bar.update(len(self.searches) - len(turns))
+        half, ranked = (
+            self.left(SEARCH) / 2,
+            sorted(self.searches, key=lambda one: -(one.method.order or MIDDLE)),
+        )
+        engines = [each.engine for each in ranked]
+        places = {each: engines[:k].count(each.engine) for k, each in enumerate(ranked)}
+
+        def turn(one: Search) -> tuple[bool, bool, float]:
+            if one.attempts:
+                return self.left(SEARCH) > half, False, one.spent
+            return self.left(SEARCH) <= half, one.engine in COMPILING, places[one]
+
         while turns and (left := self.left(SEARCH)) > 0:
-            slow = {each for each in turns if each.engine in COMPILING and not each.attempts}
-            # the others go first
-            each = min(turns, key=lambda one: PATIENCE * self.budget if one in slow else one.spent)
+            each = min(turns, key=turn)
             self.bar.set_description(each.method.name)
             seen = [one.compile_s for one in self.searches if one.engine == each.engine and one.compile_s]
             expected = 0.0 if each.attempts else max(COMPILING.get(each.engine, 0.0), min(seen, default=0.0))
             if expected > left:
                 each.why = ("budget", f"compiling it takes about {expected:.2g} s, {left:.2g} s were left")
+                self.unbegun.append(each.method.name)
                 del turns[each]
                 continue
             begun, compiled = perf_counter(), each.compile_s
@@ -155,6 +174,7 @@ class Schedule:
             last = each.finest
             if last is None:
                 each.why = (status, before)
+                self.unbegun.append(each.method.name)
             elif not each.done:
                 each.why = (status, f"{after} {last.setting}, {each.spent:.2g} s of its own")
             else:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from decimal import Decimal, localcontext
 from functools import partial
 from importlib.util import find_spec
+from threading import Thread
 from time import perf_counter, thread_time
 from typing import TYPE_CHECKING, Any
 
@@ -171,6 +173,29 @@ class Stopwatch:
             )
 
 
+def within[Made](make: Callable[[], Made], watch: Stopwatch) -> Made:
+    """Return what a compiler makes in time; late, `OutOfTime`, and its thread, which nothing ends, is left alone.
+
+    The interpreter ends when that thread has.
+    """
+    if watch.deadline == NEVER:
+        return make()
+    made = Future[Made]()
+
+    def work() -> None:
+        try:
+            made.set_result(make())
+        except BaseException as error:
+            made.set_exception(error)
+
+    Thread(target=work).start()
+    try:
+        return made.result(max(0.0, watch.deadline - perf_counter()))
+    except TimeoutError:
+        watch.check(0.0)
+        raise
+
+
 # -- Taylor series -----------------------------------------------------------------------------------
 def taylor_system(
     scene: Scene, carry: tuple[str, ...], bits: int
@@ -206,8 +231,8 @@ def taylor(
     system, own = taylor_system(scene, carry, bits)
     origin_state = own if start is None else [heyoka.real(x, bits) for x in start]
     kind = {"fp_type": heyoka.real, "prec": bits, "compact_mode": True}
-    integrator = heyoka.taylor_adaptive(system, np.array(origin_state), **kind)
     end, watch, longest, steps = float(times[-1]), Stopwatch(scene, float(times[-1]), deadline), 0.0, 0
+    integrator = within(lambda: heyoka.taylor_adaptive(system, np.array(origin_state), **kind), watch)
     context, limits, due = decimal_context(bits * 3 // 10 + 5), heyoka.taylor_outcome, 0.0
 
     def keep_going(integrator: heyoka.taylor_adaptive) -> bool:
