@@ -55,19 +55,14 @@ def fixed_point[K](
 
 @dataclass(frozen=True)
 class Implicit(FixedStep):
-    """A method whose step returns x and iterations.
-
-    each : evaluations of an iteration, one more comes first.  kinds : of scenes whose forces it takes; by default any.
-    """
+    """A method whose step returns x and iterations; each : evaluations of an iteration, one more comes first."""
 
     each: int = field(kw_only=True)
-    kinds: tuple[str, ...] = ()
     engines: tuple[str, ...] = ("numba", "python")
     iterates = True
 
     def refuses(self, scene: Scene) -> str | None:
-        fits = not self.kinds or scene.kind in self.kinds
-        return unfit(self, scene, fits, "forces that depend on q alone")
+        return unfit(self, scene, True, "")
 
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
@@ -140,6 +135,12 @@ def gauss(stages: int) -> Callable[[Any, State, Arithmetic, Namespace], tuple[St
 
 
 # -- a discrete gradient -------------------------------------------------------------------------------
+class DiscreteGradient(Implicit):
+    def refuses(self, scene: Scene) -> str | None:
+        fits = scene.kind in ("mechanical", "general damping")
+        return unfit(self, scene, fits, "forces that depend on q alone")
+
+
 #: where the motion turns: of a way² smaller than this part of q², what lacks in V is rounding, being of order way³
 TURNING = 1e-10
 
@@ -186,5 +187,8 @@ for _stages in (2, 3):
     _name, _order = f"gauss{2 * _stages}", 2 * _stages
     METHODS.add(Implicit(_name, _order, gauss(_stages), about=_source, each=_stages, symmetric=True))
 _source = "discrete gradient of Gonzalez, doi:10.1007/BF02440162, between halves of exact damping"
-_both: dict[str, Any] = {"kind": "gradient", "kinds": ("mechanical", "general damping"), "symmetric": True}
-METHODS.add(Implicit("discrete-gradient", 2, discrete_gradient, about=_source, each=1, **_both))
+METHODS.add(
+    DiscreteGradient(
+        "discrete-gradient", 2, discrete_gradient, kind="gradient", about=_source, each=1, symmetric=True
+    )
+)
