@@ -47,10 +47,11 @@ def cost(rows: pd.DataFrame, column: str) -> float:
 def costs(rows: pd.DataFrame) -> pd.DataFrame:
     """Return evaluations and time by method and end, least time first; bound : the cheapest setting exceeds it."""
     found = [
-        (m, end, own["family"].iloc[0], own["energy_error"].max() < ALLOWED, *(cost(own, c) for c in COSTS))
+        (m, end, own["family"].iloc[0], own["starts"].max(), own["energy_error"].max() < ALLOWED)
+        + tuple(cost(own, c) for c in COSTS)
         for (m, end), own in rows.groupby(["method", "t_end"], sort=False)
     ]
-    frame = pd.DataFrame(found, columns=["method", "t_end", "family", "bound", *COSTS])
+    frame = pd.DataFrame(found, columns=["method", "t_end", "family", "starts", "bound", *COSTS])
     return frame.sort_values(["run_s", "evaluations_per_time"], kind="stable")
 
 
@@ -66,7 +67,7 @@ def answers(frames: Frames) -> Iterator[Answer]:
         others = rows[(rows["family"] != CONTACT) & ~first]
         beside = [f"{o['method']} {times(o[column] / least)}" for _, o in others.iterrows()]
         after = f"T = {power(rows['t_end'].iloc[0])}, γ = {power(GAMMA)}"
-        what = f"the energy left in a chaotic ring of {SITES} after {after}, within 1 % (median start)"
+        what = f"the energy left in a chaotic ring of {SITES} after {after}, within 1 % (median of {rows['starts'].max()} starts)"
         question = f"Which {asked} to have {what}?"
         methods = names([str(m) for m in rows["method"][first]], 3)
         yield Answer(question, methods, "; ".join(filter(None, [show(least) + unit, ", ".join(beside)])))
@@ -100,11 +101,14 @@ def costs_view(rows: pd.DataFrame) -> View:
         at = at_allowed(rows[rows["method"] == method])
         line.append(at["setting"].iloc[0] if len(at) else None)
         errors = [("energy_error", end) for end in spans] + [("rate_error", spans[-1])]
-        lines.append([*line, *(at[at["t_end"] == end][column].max() for column, end in errors)])
+        line += [at[at["t_end"] == end][column].max() for column, end in errors]
+        ends = at[at["t_end"] == spans[-1]][["energy_error_low", "energy_error_high"]]
+        lines.append([*line, " to ".join(map(scientific, ends.iloc[0])) if len(ends) else None])
     at_spans = [f"T = {power(end)}" for end in spans]
     heads = [(f"to 1 %, {at}", head) for at in at_spans for head in ("time", "evaluations", "ratio")]
     heads += [("one setting", "setting")]
     heads += [("its error", at) for at in at_spans] + [("|γ_eff/γ − 1|", at_spans[-1])]
+    heads += [("its error, 95 % interval", at_spans[-1])]
     table = frame_of(lines, [("", "method"), *heads])
     main = {"scene": SCENE, "sites": SITES, "gamma": power(GAMMA)}
     return view("structure_costs", table, {"": scientific}, **main, counted=COUNTED)

@@ -9,6 +9,7 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from scipy.stats import bootstrap
 
 import contactbench as cb
 from contactbench.measure.clock import Call
@@ -32,6 +33,8 @@ STEPS = {
     "contact-rkn4": MIDDLE,
     "contact-rkn6": MIDDLE,
     "contact-rkn8": (*HIGH, *MIDDLE[1:]),
+    "rkn8": MIDDLE,
+    "rkn12": (*HIGH, *MIDDLE[1:4]),
     "rk4": (0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025),
 }
 #: tolerances from the loosest that a method holds, as powers of ten
@@ -46,8 +49,8 @@ MORE = {
     "full": [(1e-4, 1e5, N), (GAMMA, 1e6, N), (GAMMA, SPAN, 256), (GAMMA, SPAN, 1024)],
 }
 FEW = ("contact-strang", "contact-rkn4", "rk4", "cyrk-vern8")
-#: starts of a run; of longer ones fewer, of adaptive solvers two
-STARTS, FEWER, AMPLITUDE, SEED = 8, 2, 1e-2, 1
+#: starts of a run, and the probability that the true median lies in its interval
+STARTS, AMPLITUDE, SEED, CONFIDENCE = 16, 1e-2, 1, 0.95
 TRUTH, BESIDE = ("contact-rkn8", {"step": 0.2}), ("cyrk-vern8", {"rtol": 1e-10})
 #: methods without long runs
 BRIEF = {"contact-bm4", "contact-rkn8"}
@@ -104,11 +107,11 @@ def prepared(method: str, case: Cell, end: float, saves: int, **setting: float) 
     return cb.prepare(shaped(method, *case), method, max_steps=MOST_STEPS, **given)
 
 
-def runs(method: str, case: Cell, count: int, **setting: float) -> tuple[list[Solution], np.ndarray]:
-    """Return the solutions from so many starts, until one ends badly, and the energies left along them."""
+def runs(method: str, case: Cell, **setting: float) -> tuple[list[Solution], np.ndarray]:
+    """Return the solutions from all starts, until one ends badly, and the energies left along them."""
     run, n = prepared(method, case, case[2], SAVES, **setting), case[-1]
     found: list[Solution] = []
-    for q, p in starts(n)[:count]:
+    for q, p in starts(n):
         found.append(run(q=q, p=p))
         if not found[-1].ok:
             break
@@ -119,27 +122,35 @@ def runs(method: str, case: Cell, count: int, **setting: float) -> tuple[list[So
 def truth(*case: object) -> tuple[np.ndarray, float]:
     """Return the energy left from every start, and by how much it differs from another accurate method's."""
     (method, setting), (other, tolerance) = TRUTH, BESIDE
-    left = runs(method, case, STARTS, **setting)[1]
-    beside = runs(other, case, FEWER, **tolerance)[1]
-    return left, float(np.abs(beside / left[:FEWER] - 1).max())
+    left, beside = (runs(name, case, **keys)[1] for name, keys in ((method, setting), (other, tolerance)))
+    return left, float(np.abs(beside / left - 1).max())
+
+
+def interval(errors: np.ndarray) -> tuple[float, float]:
+    """Return the bootstrap's interval of the median over the starts (percentiles)."""
+    found = bootstrap(
+        (errors,), np.median, confidence_level=CONFIDENCE, method="percentile", rng=np.random.default_rng(SEED)
+    )
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def errors(cell: Cell) -> Row:
     """Return the row of a cell but for what is timed."""
     name, method, engine, gamma, span, n, value = cell
     case, control = (name, gamma, span, n), cb.METHODS[method].control
-    count = STARTS if span <= SPAN or method in STEPS else FEWER
-    found, left = runs(method, case, count, **keywords(control, value))
+    found, left = runs(method, case, **keywords(control, value))
     last, (true, floor) = found[-1], truth(*case)
     row = key(name, method, engine, control, value) | {"gamma": gamma, "t_end": span, "n": n}
-    row |= {"shape": shaped(method, *case).kind, "starts": count, "floor": floor}
+    row |= {"shape": shaped(method, *case).kind, "starts": STARTS, "floor": floor}
     row |= {"status": str(last.status), "message": last.message, "evaluation_kind": last.counts.kind}
     if not last.ok:
         return row
-    error = np.abs(left / true[:count] - 1).max(axis=1)
-    start = energy_left(*starts(n)[:count].transpose(1, 2, 0))
-    loss = np.log(left[:, -1] / start) / np.log(true[:count, -1] / start)
-    numbers = {"energy_left": np.median(true[:count, -1] / start), "energy_error": np.median(error)}
+    error = np.abs(left / true - 1).max(axis=1)
+    start = energy_left(*starts(n).transpose(1, 2, 0))
+    loss = np.log(left[:, -1] / start) / np.log(true[:, -1] / start)
+    numbers = {"energy_left": np.median(true[:, -1] / start), "energy_error": np.median(error)}
+    low, high = interval(error)
+    numbers |= {"energy_error_low": low, "energy_error_high": high}
     numbers |= {"energy_error_least": error.min(), "energy_error_most": error.max()}
     numbers |= {"rate_error": np.median(np.abs(loss - 1))}
     numbers |= {"evaluations_per_time": np.mean([each.counts.evaluations for each in found]) / span}
