@@ -85,9 +85,8 @@ class Counts(NamedTuple):
 #: components that are drawn
 DRAWN = 8
 
-#: the control of a method that has neither step nor tolerance; that of steps that grow, by their mean; and that of an
-#: equal step that pilots choose for a tolerance
-EXACT, GROWING, PILOTS = "exact", "growing", "pilots"
+#: the control of a method that has neither step nor tolerance, and that of steps that grow, by their mean
+EXACT, GROWING = "exact", "growing"
 
 
 def setting_key(control: str, value: float) -> str:

@@ -56,17 +56,6 @@ def test_loops_and_steps_chosen_by_pilots_do_not_compete_with_an_oracle():
     assert set(contests(rows)["winner"]) == {"ours"}
 
 
-def test_a_contest_by_tolerance_is_of_pilots_and_of_solvers_that_take_one():
-    chosen = [r | {"variant": "pilots", "control": "rtol"} for r in ladder("contact-a", 3.0)]
-    adaptive = [r | {"control": "rtol"} for r in ladder("cvode-adams", 2.0, engine="c")]
-    rows = [*ladder("contact-a"), *ladder("rk4"), *chosen, *adaptive]
-    spent = costs(contest.contestants(table("work_precision", rows), by_tolerance=True), COMPILED)
-    assert spent.groupby("method")["cost"].min().to_dict() == pytest.approx(
-        {"contact-a": 3e-3, "cvode-adams": 2e-3}
-    )
-    assert set(contests(spent)["winner"]) == {"other"}
-
-
 def test_what_this_package_runs_beside_the_libraries():
     theirs = [r | {"package": "CyRK"} for r in ladder("cyrk-vern8", 2.0, engine="c++")]
     rows = found(ladder("contact-a", 3.0), ladder("rk4"), theirs)

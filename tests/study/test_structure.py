@@ -30,7 +30,7 @@ def test_the_energy_left_is_that_of_the_scene_without_its_centre_of_mass():
 
 
 def test_either_shape_has_the_same_motion():
-    lattice = structure.runs("rk4", SHORT, 1, step=0.05)[0][0]
+    lattice = structure.runs("rk4", SHORT, step=0.05)[0][0]
     flat = cb.solve(structure.shaped("contact-strang", *SHORT), "rk4", step=0.05, save_at=lattice.t, carry=())
     assert (lattice.scene.kind, flat.scene.kind) == ("many", "mechanical")
     np.testing.assert_allclose(lattice.y[0], flat.y[0], rtol=0, atol=1e-10)

@@ -28,7 +28,6 @@ from contactbench.results.contest import (
     contests,
     cost_rows,
     costs,
-    of_contact,
     of_this_package,
     standings,
 )
@@ -47,11 +46,6 @@ class Contest:
     contests: pd.DataFrame
 
 
-#: contests beside those of contact methods at settings that an oracle chooses, one for each kind of cost: whose side is
-#: counted, and whether everybody is given a tolerance
-MORE = {"package": (of_this_package, False), "tolerance": (of_contact, True)}
-
-
 def contest(work: pd.DataFrame, kind: Kind) -> Contest:
     found = costs(contestants(work), kind)
     return Contest(kind, standings(found), contests(found))
@@ -63,10 +57,9 @@ def all_contests(frames: Frames) -> dict[str, Contest]:
     return {kind.name: contest(frames["work_precision"], kind) for kind in KINDS}
 
 
-def more_contests(frames: Frames) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield the name of a question and its contests, in compiled time."""
-    for name, (ours, by_tolerance) in MORE.items():
-        yield name, contests(costs(contestants(frames["work_precision"], by_tolerance), COMPILED), ours)
+def of_package(frames: Frames) -> pd.DataFrame:
+    """Return the contests, in compiled time, of what this package runs with what the libraries run."""
+    return contests(costs(contestants(frames["work_precision"]), COMPILED), of_this_package)
 
 
 def tally(won: pd.DataFrame) -> tuple[str, str]:
@@ -81,7 +74,7 @@ def tally(won: pd.DataFrame) -> tuple[str, str]:
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
-    every = {name: own.contests for name, own in all_contests(frames).items()} | dict(more_contests(frames))
+    every = {name: own.contests for name, own in all_contests(frames).items()} | {"package": of_package(frames)}
     for name, won in every.items():
         if len(won):
             yield Answer(QUESTIONS[name], *tally(won))

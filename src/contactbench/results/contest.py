@@ -25,7 +25,7 @@ from contactbench.measure.statistics import (
     verdict,
 )
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
-from contactbench.solution import EXACT, GROWING, PILOTS
+from contactbench.solution import GROWING
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -112,13 +112,9 @@ def cost_rows(frame: pd.DataFrame) -> Iterator[Cost]:
     return cast("Iterator[Cost]", frame.itertuples())
 
 
-def contestants(work: pd.DataFrame, by_tolerance: bool = False) -> pd.DataFrame:
-    """Return the rows that compete, no C loops: at any setting, as if an oracle chose it, or by tolerance."""
-    variant = work["variant"].fillna("")
-    chosen = variant.isin(["", GROWING])
-    if by_tolerance:
-        chosen = (variant == PILOTS) | (chosen & work["control"].isin(["rtol", EXACT]))
-    return work[(work["family"] != LIMIT) & chosen]
+def contestants(work: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows that compete: one setting of one method, not chosen by pilots, no C loops."""
+    return work[(work["family"] != LIMIT) & work["variant"].fillna("").isin(["", GROWING])]
 
 
 def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "method")) -> pd.DataFrame:

@@ -10,7 +10,7 @@ import numpy as np
 from contactbench.methods.base import Method
 from contactbench.methods.prescribed import geometric_steps
 from contactbench.scene import Scene
-from contactbench.solution import GROWING, PILOTS, keywords
+from contactbench.solution import GROWING, keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
@@ -62,7 +62,7 @@ def control_of(scene: Scene, method: Method) -> str:
 def setting_to(end: float, scene: Scene, control: str, value: float) -> dict[str, Any]:
     """Return the keywords of `prepare` for a run to an end; the mean of growing steps is that over the scene's span."""
     if control != GROWING:
-        return keywords("rtol" if control == PILOTS else control, value)
+        return keywords(control, value)
     a = scene.slows_after
     assert a is not None
     share = math.log1p(end / a) / math.log1p(scene.t_end / a)

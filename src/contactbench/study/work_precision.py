@@ -18,14 +18,13 @@ from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import scenes_of
-from contactbench.solution import EXACT, GROWING, PILOTS, Solution
+from contactbench.solution import EXACT, GROWING, Solution
 from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.study.settings import (
     BETWEEN,
     ENDS,
     LOOSEST,
-    RTOLS,
     carry_of,
     control_of,
     setting_to,
@@ -34,9 +33,6 @@ from contactbench.study.settings import (
     tolerances,
 )
 
-#: contact methods that are given a tolerance, too, and choose their step by pilots; to no less than the tolerance
-#: from where two pilots differ by round-off
-BY_TOLERANCE, FINEST = ("contact-bm4", "contact-rkn6", "contact-rkn8", "contact-o8"), 1e-11
 #: of tolerances down to this a profile chooses some; tighter ones are all run
 TIGHT = 1e-13
 
@@ -59,9 +55,6 @@ def ladder(profile: Profile) -> list[Cell]:
             else:
                 values = profile.choose(steps(scene, method.order))
             rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
-            if name in BY_TOLERANCE and engine == method.engines[0]:
-                chosen = [r for r in profile.choose(RTOLS) if r <= method.rtol_range[1]]
-                rows += [(scene.name, name, engine, PILOTS, rtol) for rtol in chosen if rtol >= FINEST]
     return rows
 
 
@@ -103,9 +96,9 @@ def errors(cell: Cell, profile: Profile) -> Row:
     carried = scene.initial(run.request.carry)._asdict().items()
     own = ("t",) if method.own_time else ()
     row |= {"carried": " ".join(name for name, field in carried if field is not None and name not in own)}
-    variant = control if control in (GROWING, PILOTS) else ""
-    if variant:
-        row |= controlled("rtol" if control == PILOTS else method.control, value, variant)
+    variant = GROWING if control == GROWING else ""
+    if control == GROWING:
+        row |= controlled(method.control, value, variant)
     if not solution.ok:
         return outcome(solution, variant) | row
     earlier = times(scene, ENDS)[:-1].tolist()
