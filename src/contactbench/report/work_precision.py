@@ -132,7 +132,10 @@ def costs_view(own: Contest, scene: str) -> View:
 def parts(frames: Frames) -> list[Part]:
     work, found = frames["work_precision"], all_contests(frames).values()
     scenes = [
-        Section(scene, (figure(work, scene), *(costs_view(own, scene) for own in found)))
+        Section(
+            scene,
+            (figure(work, scene), *(costs_view(own, scene) for own in found if own.kind.by == "oracle")),
+        )
         for scene in dict.fromkeys(work["scene"])
     ]
     return [
