@@ -87,6 +87,8 @@ DRAWN = 8
 
 #: the control of a method that has neither step nor tolerance, and that of steps that grow, by their mean
 EXACT, GROWING = "exact", "growing"
+#: the variant of a fixed-step method that is given rtol: pilots choose its step
+PILOTS = "pilots"
 
 
 def setting_key(control: str, value: float) -> str:

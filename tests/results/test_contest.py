@@ -99,6 +99,19 @@ def test_a_marginal_time_needs_halves_and_no_closed_form():
     assert not len(found(exact, noise, ladder("contact-a"), kind=contest.MARGINAL))
 
 
+def test_settings_of_an_oracle_and_those_of_a_tolerance_are_never_mixed():
+    """Contact methods by their pilots, adaptive ones as they are; neither steps nor pilots in the other's contest."""
+    pilots = [r | {"variant": "pilots", "control": "rtol"} for r in ladder("contact-a", 3.0)]
+    steps = [r | {"control": "step"} for r in [*ladder("contact-a"), *ladder("rk4", 0.1)]]
+    adaptive = [r | {"control": "rtol"} for r in ladder("cyrk-dop853", 2.0)]
+    by_tolerance = found(pilots, steps, adaptive, kind=contest.BY_TOLERANCE[1])
+    assert set(by_tolerance["method"]) == {"contact-a", "cyrk-dop853"}
+    assert set(contests(by_tolerance)["ratio"]) == {pytest.approx(2 / 3)}
+    oracle = found(pilots, steps, adaptive)
+    assert oracle[oracle["method"] == "contact-a"]["cost"].tolist() == found(steps[:13])["cost"].tolist()
+    assert {kind.by for kind in contest.BY_TOLERANCE} == {"tolerance"}
+
+
 # -- who wins --------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("factor", "winner"), [(1.1, "ours"), (1.03, "tie"), (1 / 1.03, "tie"), (1 / 1.1, "other")]

@@ -40,7 +40,10 @@ def structure_answer(frames: Frames) -> Iterator[Answer]:
 
 def cost_answers(frames: Frames) -> Iterator[Answer]:
     costs = {answer.question: answer for answer in work_precision.answers(frames)}
-    asked = (work_precision.QUESTIONS[kind] for kind in ("compiled", "package", "evaluations"))
+    asked = (
+        work_precision.QUESTIONS[kind]
+        for kind in ("compiled", "tolerance", "package", "evaluations", "tolerance_evaluations")
+    )
     yield from (costs[question] for question in asked if question in costs)
     won = work_precision.all_contests(frames)["compiled"].contests
     judged = won[won["winner"] != ""]

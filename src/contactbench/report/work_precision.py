@@ -74,7 +74,9 @@ def tally(won: pd.DataFrame) -> tuple[str, str]:
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
-    every = {name: own.contests for name, own in all_contests(frames).items()} | {"package": of_package(frames)}
+    every = {name: own.contests for name, own in all_contests(frames).items()} | {
+        "package": of_package(frames)
+    }
     for name, won in every.items():
         if len(won):
             yield Answer(QUESTIONS[name], *tally(won))
@@ -141,7 +143,10 @@ def costs_view(own: Contest, scene: str) -> View:
 def parts(frames: Frames) -> list[Part]:
     work, found = frames["work_precision"], all_contests(frames).values()
     scenes = [
-        Section(scene, (figure(work, scene), *(costs_view(own, scene) for own in found)))
+        Section(
+            scene,
+            (figure(work, scene), *(costs_view(own, scene) for own in found if own.kind.by == "oracle")),
+        )
         for scene in dict.fromkeys(work["scene"])
     ]
     return [

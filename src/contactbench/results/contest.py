@@ -25,7 +25,7 @@ from contactbench.measure.statistics import (
     verdict,
 )
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
-from contactbench.solution import GROWING
+from contactbench.solution import EXACT, GROWING, PILOTS
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -54,6 +54,7 @@ class Kind:
     """A kind of cost, declared in kinds.toml.
 
     cost, halves, processes : its column, those of the ratio of a cell's halves, and of a second process to the first.
+    by : who sets a method to an error: an oracle, or a tolerance that each is given, contact methods by their pilots.
     resolved : neither a cost whose halves differ by more than `RESOLVED` takes part, nor a closed form.
     """
 
@@ -66,11 +67,14 @@ class Kind:
     halves: str = "time_halves_ratio"
     processes: str = "time_process_ratio"
     resolved: bool = False
+    by: Literal["oracle", "tolerance"] = "oracle"
 
     def compares(self, rows: pd.DataFrame) -> pd.Series:
         called_back, chosen = rows["engine"].isin(CALLBACKS), rows["engine"] != "mpmath"
         if self.engines != "any":
             chosen &= called_back if self.engines == "callbacks" else ~called_back
+        pilots = rows["variant"].fillna("") == PILOTS
+        chosen &= pilots | rows["control"].isin(["rtol", EXACT]) if self.by == "tolerance" else ~pilots
         if self.resolved:
             halves = rows[self.halves].astype(float)
             chosen &= (rows["control"] != "exact") & halves.between(1 / RESOLVED, RESOLVED)
@@ -90,7 +94,7 @@ ROTATIONS = {"free": FREE_COST, "momentum": MOMENTUM_COST}
 KINDS = tuple(
     Kind(name, **given | {"about": given["about"].format(**ROTATIONS)}) for name, given in DECLARED.items()
 )
-EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK = KINDS
+EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK, *BY_TOLERANCE = KINDS
 
 
 class Cost(Protocol):
@@ -113,8 +117,8 @@ def cost_rows(frame: pd.DataFrame) -> Iterator[Cost]:
 
 
 def contestants(work: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows that compete: one setting of one method, not chosen by pilots, no C loops."""
-    return work[(work["family"] != LIMIT) & work["variant"].fillna("").isin(["", GROWING])]
+    """Return the rows that compete: one setting of one method, no C loops."""
+    return work[(work["family"] != LIMIT) & work["variant"].fillna("").isin(["", GROWING, PILOTS])]
 
 
 def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "method")) -> pd.DataFrame:

@@ -129,7 +129,11 @@ def truth(*case: object) -> tuple[np.ndarray, float]:
 def interval(errors: np.ndarray) -> tuple[float, float]:
     """Return the bootstrap's interval of the median over the starts (percentiles)."""
     found = bootstrap(
-        (errors,), np.median, confidence_level=CONFIDENCE, method="percentile", rng=np.random.default_rng(SEED)
+        (errors,),
+        np.median,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(SEED),
     )
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 

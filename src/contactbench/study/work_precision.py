@@ -16,9 +16,11 @@ from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
+from contactbench.results.contest import CONTACT
 from contactbench.results.tables import WORK_PRECISION
+from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
-from contactbench.solution import EXACT, GROWING, Solution
+from contactbench.solution import EXACT, GROWING, PILOTS, Solution
 from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.study.settings import (
@@ -35,6 +37,9 @@ from contactbench.study.settings import (
 
 #: of tolerances down to this a profile chooses some; tighter ones are all run
 TIGHT = 1e-13
+#: contact methods from this order on are given tolerances too
+HIGH_ORDER = 4
+PILOTED = [10.0**-k for k in range(3, 13)]
 
 
 def ladder(profile: Profile) -> list[Cell]:
@@ -55,7 +60,15 @@ def ladder(profile: Profile) -> list[Cell]:
             else:
                 values = profile.choose(steps(scene, method.order))
             rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
+            if by_pilots(scene, method, engine) and (not profile.brief or scene.name == SMOKE):
+                rows += [(scene.name, name, engine, "rtol", rtol) for rtol in profile.choose(PILOTED)]
     return rows
+
+
+def by_pilots(scene: Scene, method: Method, engine: str) -> bool:
+    """Return whether a fixed-step method is run by tolerance too: a contact one of high order, on its first engine."""
+    contact = method.family == CONTACT and method.control == "step" and (method.order or 0) >= HIGH_ORDER
+    return contact and engine == method.engines[0] and scene.slows_after is None
 
 
 def error(solutions: Sequence[Solution]) -> float:
@@ -96,7 +109,7 @@ def errors(cell: Cell, profile: Profile) -> Row:
     carried = scene.initial(run.request.carry)._asdict().items()
     own = ("t",) if method.own_time else ()
     row |= {"carried": " ".join(name for name, field in carried if field is not None and name not in own)}
-    variant = GROWING if control == GROWING else ""
+    variant = GROWING if control == GROWING else PILOTS if control != method.control else ""
     if control == GROWING:
         row |= controlled(method.control, value, variant)
     if not solution.ok:
