@@ -56,7 +56,7 @@ STAY, STRETCH = 1.1, 1.1
 PROPORTIONAL = 0.5
 #: by how much a little step along the motion moves it, relative to its size
 NUDGE = 1e-5
-#: what follows the packed state: the step, log of the error before, attempts, those rejected, time not covered
+#: what follows the packed state: the step, log of the error before over that aimed at, attempts, those rejected, time not covered
 BESIDE = 5
 #: below it a number is none
 TINY = 1e-30
@@ -242,18 +242,20 @@ def march(
         kept = y, first, left, step, rejected + 1
         y, first, left, step, rejected = when(accepted, advance, kept, xp)
         within = (square >= keeps[0]) & (square <= keeps[1])
-        step = when(xp.where(within, 0.0, 1.0) > 0, changed, step, xp, h, square, past)
-        return y, first, factors, h, left, step, xp.where(accepted, square, past), tried + 1, rejected
+        step, past = when(xp.where(within, 0.0, 1.0) > 0, changed, (step, 0.0), xp, h, square, past)
+        return y, first, factors, h, left, step, past, tried + 1, rejected
 
     def last_steps(step: Any, left: Any) -> Any:
         return xp.where(left <= STRETCH * step, left, left / 2)
 
-    def changed(step: Any, h: Any, square: Any, past: Any) -> Any:
-        log, before = (xp.log(xp.maximum(each, TINY)) / 2 - math.log(AIM) for each in (square, past))
+    def changed(step_and_past: Any, h: Any, square: Any, past: Any) -> Any:
+        step, _ = step_and_past
+        log = xp.log(xp.maximum(square, TINY)) / 2 - math.log(AIM)
         log = xp.where(square <= 1 / TINY, log, -math.log(TINY))  # of what is not finite, too
-        change = xp.where(square <= 1, PROPORTIONAL * before - (1 + PROPORTIONAL) * log, -log)
+        change = xp.where(square <= 1, PROPORTIONAL * past - (1 + PROPORTIONAL) * log, -log)
         change = xp.maximum(xp.minimum(xp.exp(power * change), MOST), LEAST)
-        return xp.where((square <= 1) & (step > h * change), step, h * change)
+        longest = xp.where((square <= 1) & (step > h * change), step, h * change)
+        return longest, xp.where(square <= 1, log, past)
 
     before = y, first, factors, 0 * span, left, step, past, tried, rejected
     y, _, _, _, left, step, past, tried, rejected = repeat_while(going, turn, before, xp)
@@ -324,9 +326,14 @@ class ToleranceRun(Prepared):
         def bare(y0: np.ndarray) -> np.ndarray:
             after = empty(size)
             run(y0, w, shape, after)
-            return self.dated_end(y0, after[last])
+            return after[last]
 
-        self.states, self.bare = states, bare  # type: ignore[method-assign]
+        def dated(y0: np.ndarray) -> np.ndarray:
+            y = bare(y0)
+            y[self._clock] = y0[self._clock] + self._end
+            return y
+
+        self.states, self.bare = states, bare if self._clock is None else dated  # type: ignore[method-assign]
 
     def arguments(self, loop: Loop) -> tuple[np.ndarray, np.ndarray]:
         """Return what a recorded loop takes beside states."""
@@ -341,11 +348,6 @@ class ToleranceRun(Prepared):
     def loop(self, tangent: bool = False) -> Loop:
         known = key(self.request.scene.identity, self.method_, self.request.carry, tangent)
         return _loops.get(known, lambda: self.make(tangent))
-
-    def dated_end(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
-        if (clock := self._clock) is not None:
-            y[clock] = y0[clock] + self._end
-        return y
 
     def compiled(self) -> tuple[Callable[..., Any], Any, Any]:
         loop = self.loop()
