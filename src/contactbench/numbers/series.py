@@ -36,7 +36,8 @@ class Series(Unknown):
         if n != int(n) or not 3 <= n <= LARGEST_POWER:  # a square has a recurrence of its own
             return Series(self.expression**exponent)
         half: Any = self ** (n // 2) if n >= 4 else self
-        return half * half * self if n % 2 else half * half
+        power: Series = half * half * self if n % 2 else half * half
+        return power
 
     def __rpow__(self, base: Any) -> Series:
         import heyoka
@@ -53,13 +54,14 @@ class Series(Unknown):
         raise CannotRecord("heyoka has no |x|")
 
 
-def bare(x: Any) -> Any:
+def expression_of(x: Any) -> Any:
+    """Return heyoka's expression, of a number the number itself."""
     return x.expression if isinstance(x, Series) else x
 
 
 def _arithmetic(apply: Callable[[Any, Any], Any]) -> tuple[Callable[..., Series], Callable[..., Series]]:
     def forward(self: Series, other: Any) -> Series:
-        return Series(apply(self.expression, bare(other)))
+        return Series(apply(self.expression, expression_of(other)))
 
     def reflected(self: Series, other: Any) -> Series:
         return Series(apply(other, self.expression))
@@ -80,9 +82,10 @@ class SeriesNumbers(Numbers):
         function = getattr(heyoka, name, None)
         if function is None:
             raise CannotRecord(f"heyoka has no function {name!r}")
-        return lambda *numbers: Series(function(*map(bare, numbers)))
+        return lambda *numbers: Series(function(*map(expression_of, numbers)))
 
 
 def equations(system: Any, variables: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:
+    """Return the right-hand side of a scene as heyoka's expressions, on its variables."""
     x = system.unpack([Series(variable) for variable in variables], carry)
-    return [bare(slope) for slope in system.pack(system.rhs(x))]
+    return [expression_of(slope) for slope in system.pack(system.rhs(x))]

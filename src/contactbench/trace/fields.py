@@ -16,7 +16,6 @@ import numpy as np
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, leaves, rebuild, value
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.numbers.sites import parts
 from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Update, text
 from contactbench.trace.program import ProgramTape, RecordedArrays, setup
 from contactbench.trace.recording import Block, Recorded, attempt
@@ -180,7 +179,7 @@ class FieldTape(ProgramTape):
         self, function: Callable[..., tuple[Any, ...]], x: Sequence[Any], weights: Sequence[Any]
     ) -> tuple[Any, ...]:
         """Return Σ_{j ≠ i} function(x_i − x_j, w_i, w_j, …), as `numbers.sites.pairs` does."""
-        sweep = self.sweep(*((part, 1) for c in (*x, *weights) for part in parts(c)))
+        sweep = self.sweep(*((part, 1) for c in (*x, *weights) for part in leaves(c)))
         loop = Block(sweep)
 
         def sides(c: Any) -> tuple[Any, Any]:
@@ -201,7 +200,7 @@ class FieldTape(ProgramTape):
         made, sums = [], []
         for result in found:
             fields = []
-            for part in parts(result):
+            for part in leaves(result):
                 name = self.name()
                 sums.append((name, self.read(xp.where(same, 0.0, part), loop)))
                 fields.append(Field(self, name, sweep))
