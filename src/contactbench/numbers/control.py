@@ -9,7 +9,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Abilities, Arithmetic, Namespace, Numbers, abilities, has_where
+from contactbench.numbers.protocol import (
+    Abilities,
+    Arithmetic,
+    Condition,
+    Namespace,
+    Numbers,
+    abilities,
+    has_where,
+)
 from contactbench.xla import jnp, lax
 
 #: turns after which a loop over plain numbers is given up: a thousand digits take forty
@@ -48,7 +56,7 @@ def turns[X](n: Any, body: Callable[[X], X], x: X) -> X:
 repeat = Repeat(turns)
 
 
-def choose(condition: Any, yes: Arithmetic, no: Arithmetic, xp: Namespace) -> Arithmetic:
+def choose(condition: Condition, yes: Arithmetic, no: Arithmetic, xp: Namespace) -> Arithmetic:
     """Return yes or no, entry by entry for arrays.  Both have been computed: neither may divide by zero."""
     if has_where(xp):
         return xp.where(condition, yes, no)
@@ -82,7 +90,7 @@ def scan[X](
     return x, outs
 
 
-def repeat_while[X](condition: Callable[[X], Any], body: Callable[[X], X], x: X, xp: Namespace) -> X:
+def repeat_while[X](condition: Callable[[X], Condition], body: Callable[[X], X], x: X, xp: Namespace) -> X:
     """Return x after ``x = body(x)`` for as long as the condition holds at it, entry by entry for arrays."""
     can = abilities(xp)
     if can.branch:

@@ -13,6 +13,7 @@ from contactbench.numbers.protocol import (
     Arithmetic,
     ChoosingNamespace,
     ChoosingNumbers,
+    Condition,
     Number,
     abilities,
 )
@@ -145,7 +146,7 @@ class DualNumbers(ChoosingNumbers):
 
         return lifted
 
-    def where(self, condition: Any, a: Arithmetic, b: Arithmetic) -> Arithmetic:
+    def where(self, condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
         if not isinstance(a, Dual) and not isinstance(b, Dual):
             return self.base.where(condition, a, b)
         values = self.base.where(condition, value(a), value(b))

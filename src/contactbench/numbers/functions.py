@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.protocol import Arithmetic, ChoosingNamespace, Number
+from contactbench.numbers.protocol import Arithmetic, ChoosingNamespace, Condition, Number
 
 __all__ = ["acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "hypot"]
 __all__ += ["log", "pi", "sin", "sinh", "sqrt", "tan", "tanh", "where"]
@@ -85,7 +85,7 @@ sinh, cosh, tanh = map(function, ("sinh", "cosh", "tanh"))
 asinh, acosh, atanh = map(function, ("asinh", "acosh", "atanh"))
 
 
-def where(condition: Any, a: Arithmetic, b: Arithmetic) -> Arithmetic:
+def where(condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
     """Return a where a condition holds, else b, entry by entry of arrays.  Both are computed, and neither may fail."""
     if isinstance(condition, bool | np.bool_):
         return a if condition else b

@@ -8,10 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeGuard
-
-if TYPE_CHECKING:
-    from mpmath import MPContext
+from typing import Any, NamedTuple, Protocol, TypeGuard
 
 
 class Arithmetic(Protocol):
@@ -31,12 +28,14 @@ class Arithmetic(Protocol):
     def __pow__(self, other: Any, /) -> Arithmetic: ...
     def __neg__(self) -> Arithmetic: ...
     def __abs__(self) -> Arithmetic: ...
-    def __lt__(self, other: Any, /) -> Any: ...
-    def __le__(self, other: Any, /) -> Any: ...
-    def __gt__(self, other: Any, /) -> Any: ...
-    def __ge__(self, other: Any, /) -> Any: ...
+    def __lt__(self, other: Any, /) -> Condition: ...
+    def __le__(self, other: Any, /) -> Condition: ...
+    def __gt__(self, other: Any, /) -> Condition: ...
+    def __ge__(self, other: Any, /) -> Condition: ...
 
 
+#: a comparison of numbers: a bool, an array of them, or a traced or recorded value
+Condition = Any
 #: the components of a vector
 Vector = tuple[Arithmetic, ...]
 
@@ -97,6 +96,15 @@ class ArrayNamespace(ChoosingNamespace, Protocol):
     def linalg(self) -> Any: ...
 
 
+class ExactNamespace(Namespace, Protocol):
+    """An mpmath context, of as many digits as are wanted."""
+
+    dps: int
+
+    def mpf(self, x: Any, /) -> Arithmetic: ...
+    def quad(self, f: Callable[[Any], Arithmetic], span: Any, /) -> Arithmetic: ...
+
+
 class Abilities(NamedTuple):
     """What a kind of number can do.
 
@@ -152,7 +160,7 @@ def has_arrays(xp: Namespace) -> TypeGuard[ArrayNamespace]:
     return abilities(xp).vectors
 
 
-def has_digits(xp: Namespace) -> TypeGuard[MPContext]:
+def has_digits(xp: Namespace) -> TypeGuard[ExactNamespace]:
     return abilities(xp).digits
 
 

@@ -66,16 +66,17 @@ def integrals(rate: Rate, t: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[
     return h * weigh(weights, values), h * weigh(weights, kept)
 
 
-def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> Any:
+def integral(rate: Rate, t: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
     """Return ∫_t^{t+h} γ over a span of any length, on plain numbers or arrays: halved until it no longer changes."""
     nodes, weights, _ = rule(xp)
-    before = None
+    before: Any = None
     for k in range(HALVINGS):
-        parts, width = 2**k, h / 2**k
-        total = 0 * h
-        for j in range(parts):
+        width = h / 2**k
+        total: Any = 0 * h
+        for j in range(2**k):
             total = total + width * weigh(weights, [rate(t + (j + c) * width) for c in nodes])
         if before is not None and bool(abs(total - before).max() <= 1e-15 * abs(total).max()):
             break
         before = total
-    return total
+    found: Arithmetic = total
+    return found

@@ -12,6 +12,7 @@ q' = ∂H/∂p, p' = −∂H/∂q − p Γ'(s), s' = p·∂H/∂p − H  (paper,
 from contactbench.scene.algebra import (
     AnyState,
     BodyState,
+    DrivenState,
     State,
     Vector,
     cross,
@@ -27,7 +28,7 @@ from contactbench.scene.algebra import (
 )
 from contactbench.scene.base import Cache, Scene, System, key
 from contactbench.scene.definition import verify
-from contactbench.scene.driven import Driven, DrivenState
+from contactbench.scene.driven import Driven
 from contactbench.scene.flow import Flow
 from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.heavy_top import HeavyTop

@@ -8,7 +8,7 @@ import inspect
 import math
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -21,9 +21,9 @@ from contactbench.checks import finite, function, items_of, positive, switch, te
 from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.notebook import html_table
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import CannotRecord, Namespace
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace, Vector
 from contactbench.registry import Registry
-from contactbench.scene.algebra import shifted
+from contactbench.scene.algebra import AnyState, shifted
 from contactbench.scene.flow import Flow
 from contactbench.scene.scales import in_order
 from contactbench.trace.formula import Formula, formula
@@ -37,26 +37,27 @@ ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time
 TRIED = 1e-3
 #: what returns the value of a field as it is kept, or raises `BadInput`; called with its name and the value given
-Check = Callable[[str, Any], Any]
+Check = Callable[[str, object], Any]
 
 
 def optional(check: Check) -> Check:
     return lambda name, value: None if value is None else check(name, value)
 
 
-def experiment_names(name: str, value: Any) -> tuple[str, ...]:
+def experiment_names(name: str, value: object) -> tuple[str, ...]:
     if isinstance(value, tuple) and all(isinstance(e, str) and e in EXPERIMENTS for e in value):
         return value
     raise BadInput(f"{name} = {excerpt(value)}: must be a tuple of names among {', '.join(EXPERIMENTS)}")
 
 
-def named_numbers(name: str, value: Any) -> dict[str, float]:
+def named_numbers(name: str, value: object) -> dict[str, float]:
     if isinstance(value, Mapping) and all(isinstance(key, str) and key.isidentifier() for key in value):
         return {key: finite(key, number) for key, number in value.items()}
     raise BadInput(f"{name} = {excerpt(value)}: must be a dict of numbers by name")
 
 
-def reciprocal(value: Any) -> Any:
+def reciprocal[X](value: X) -> X:
+    """Return 1/value, of each number in a tuple."""
     return rebuild(value, [1 / number for number in leaves(value)])
 
 
@@ -78,7 +79,7 @@ class Cache[Made]:
         return made
 
 
-def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
+def key(identity: Hashable | None, *rest: Hashable) -> Hashable | None:
     """Return the key of what depends on a scene or a method, and more; None where the first of them is."""
     return None if identity is None else (identity, *rest)
 
@@ -153,7 +154,7 @@ class System(ABC):
         return len(self.without_clock(self.labels(())))
 
     @abstractmethod
-    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+    def initial(self, carry: Sequence[str], **data: object) -> Any:
         """Return the initial state; `data` overrides the scene's own initial values."""
 
     @property
@@ -165,11 +166,11 @@ class System(ABC):
         """Return times since the start, from 0 to an end, that no step straddles, and how exact they are."""
         return []
 
-    def without_clock(self, y: Sequence[Any]) -> Sequence[Any]:
+    def without_clock[X](self, y: Sequence[X]) -> Sequence[X]:
         """Return a packed state less the time, as a solver integrates it that has a time of its own."""
         return y if self.clock is None else [*y[: self.clock], *y[self.clock + 1 :]]
 
-    def with_clock(self, y: Sequence[Any], t: Any) -> Sequence[Any]:
+    def with_clock(self, y: Sequence[Arithmetic], t: Arithmetic) -> Sequence[Arithmetic]:
         """Return the packed state again."""
         return y if self.clock is None else [*y[: self.clock], t, *y[self.clock :]]
 
@@ -186,7 +187,7 @@ class System(ABC):
         return tuple(y)
 
     @staticmethod
-    def pack(state: Sequence[Any]) -> list[Any]:
+    def pack(state: Iterable[object]) -> list[Any]:
         """Return a state, numbers and tuples of them, as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
         for part in state:
@@ -202,12 +203,12 @@ class System(ABC):
         """Return the scene's parameters as a flat list (initial data and end time are not among them)."""
 
     @abstractmethod
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
         """Return the same scene with its parameters replaced, unchecked: tracers, mpmath numbers, …"""
 
     @property
     @abstractmethod
-    def structure(self) -> tuple[Any, ...]:
+    def structure(self) -> tuple[Hashable, ...]:
         """Return everything but the numbers."""
 
     @cached_property
@@ -293,7 +294,7 @@ class System(ABC):
                 )
         return made
 
-    def _replaced(self, **attributes: Any) -> Self:
+    def _replaced(self, **attributes: object) -> Self:
         twin = object.__new__(type(self))
         twin.__dict__.update(self.__dict__ | attributes)
         for derived in ("identity", "has_users_functions", "motion"):
@@ -314,7 +315,7 @@ class System(ABC):
         """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
         return None
 
-    def slopes(self, t: Any, y: Any, carry: Sequence[str]) -> Sequence[Any]:
+    def slopes(self, t: Arithmetic, y: Sequence[Arithmetic], carry: Sequence[str]) -> Sequence[Arithmetic]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
 
@@ -368,7 +369,7 @@ class Scene(System):
     """
 
     s: float = 0.0
-    exact: Callable[[Any, Any, Any], Any] | None = None
+    exact: Callable[..., AnyState] | None = None
     about: str = ""
     slows_after: float | None = None
     hard: bool = False
@@ -402,7 +403,7 @@ class Scene(System):
     #: its state has coordinates q and p of the same number, and η = ds − p dq
     canonical: ClassVar[bool] = False
     #: what its equations or flows choose by, computed once of the numbers it was made with
-    decided: ClassVar[tuple[Any, ...]] = ()
+    decided: ClassVar[tuple[Hashable, ...]] = ()
     #: φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant
     rate_changes: ClassVar[bool] = False
     #: J' = −Γ'(s) J
@@ -412,7 +413,7 @@ class Scene(System):
     #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
     may_gain_energy: ClassVar[bool] = False
 
-    def __new__(cls, *_: Any, **given: Any) -> Self:
+    def __new__(cls, *_: object, **given: object) -> Self:
         for name in given.keys() - cls.__dataclass_fields__.keys():
             taken = inspect.signature(cls.__init__).parameters  # a class of a user's may have its own
             if name not in taken and not any(p.kind is p.VAR_KEYWORD for p in taken.values()):
@@ -434,7 +435,7 @@ class Scene(System):
             if not all(map(math.isfinite, leaves(getattr(self, kept)))):
                 raise BadInput(f"{name} = {excerpt(value)}: 1/{name} must be finite")
 
-    def _fix(self, name: str, value: Any) -> None:
+    def _fix(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
 
     def with_(self, **changes: Any) -> Self:
@@ -470,7 +471,7 @@ class Scene(System):
             names += [""] * len(leaves(value)) if isinstance(value, tuple) else [name]
         return [*names, *getattr(self, "parameters", {})]
 
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
         own = [getattr(self, name) for name in self.coefficients]
         changed = dict(zip(self.coefficients, rebuild(own, numbers), strict=True))
         changed |= {kept: reciprocal(changed[name]) for name, kept in self.reciprocals.items()}
@@ -489,11 +490,11 @@ class Scene(System):
         zero = len(self.numbers())
         return [(zero, i, True) for name, part in parts if name in self.reciprocals for i in range(*part)]
 
-    def decided_by(self, numbers: Sequence[Any]) -> Self:
+    def decided_by(self, numbers: Sequence[Arithmetic]) -> Self:
         """Return the scene with other numbers, arrays too, and what they decide; `BadInput` for any not allowed."""
         own, ends = [getattr(self, name) for name in self.coefficients], []
         for end in (np.min, np.max):
-            extreme = [float(end(number)) for number in numbers]
+            extreme = [float(end(np.asarray(number))) for number in numbers]
             for name, value in zip(self.coefficients, rebuild(own, extreme), strict=True):
                 self.checks.get(name, lambda *_: None)(name, value)
             ends.append(self.with_numbers(extreme)._decide())
@@ -502,18 +503,18 @@ class Scene(System):
             raise BadInput(f"numbers: {both} make two problems of scene {self.name!r}: one call for each")
         return self.with_numbers(numbers)._decide(ends[0])
 
-    def _decide(self, like: Any = None) -> Self:
+    def _decide(self, like: Self | None = None) -> Self:
         """Return the scene with what its numbers decide anew, or as another one has it."""
         return self
 
     @property
-    def structure(self) -> tuple[Any, ...]:
+    def structure(self) -> tuple[Hashable, ...]:
         functions = (getattr(self, name) for name in self.functions)
         values = ((name, getattr(self, name)) for name in (*self.initial_fields, *self.coefficients))
         sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
         return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
-    def sizes(self, x: Any, end: float) -> tuple[np.ndarray, Any]:
+    def sizes(self, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
         """Return how large every component of the motion from x becomes until `end`, and the action: see `scales`."""
         most = np.linalg.norm(np.array(x.M, dtype=float), axis=0)
         return np.array([most] * 3), most
@@ -538,7 +539,7 @@ class Scene(System):
             found += [f"{name}{i + 1}" for i in range(len(value))] if isinstance(value, tuple) else [name]
         return found
 
-    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+    def initial(self, carry: Sequence[str], **data: object) -> Any:
         values = {name: getattr(self, name) for name in self.initial_fields} | data
         vectors = {name for name in values if isinstance(getattr(self, name), tuple)}
         kept = self.fields_in(carry)
@@ -548,7 +549,7 @@ class Scene(System):
         """Return the initial data that a state is, by name, as `with_` takes them."""
         return {name: value for name, value in x._asdict().items() if value is not None}
 
-    def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:
+    def checked(self, data: Mapping[str, object]) -> dict[str, Any]:
         """Return the initial data given by keyword, validated against the scene's own."""
         for key in data:
             if key not in self.initial_fields:
@@ -558,53 +559,53 @@ class Scene(System):
 
     # -- physics -------------------------------------------------------------------------------
     @abstractmethod
-    def energy(self, x: Any) -> Any:
+    def energy(self, x: Any) -> Arithmetic:
         """Return the mechanical energy H0."""
 
     @abstractmethod
-    def hamiltonian(self, x: Any) -> Any:
+    def hamiltonian(self, x: Any) -> Arithmetic:
         """Return the contact Hamiltonian H = H0 + Γ(s); needs s."""
 
     @abstractmethod
-    def momentum(self, x: Any) -> tuple[Any, ...] | None:
+    def momentum(self, x: Any) -> Vector | None:
         """Return the momentum map J of the rotations, None where there is none."""
 
-    def tangents(self, x: Any) -> list[Any]:
+    def tangents(self, x: Any) -> Sequence[AnyState]:
         """Return a basis of the tangent space at x, as states: the coordinates', the time left out."""
         size = len(self.pack(x))
         carry = [name for name in self.optional if getattr(x, name) is not None]
         units = ([1.0 if i == j else 0.0 for j in range(size)] for i in range(size) if i != self.clock)
         return [self.unpack(unit, carry) for unit in units]
 
-    def displaced(self, x: Any, v: Any, amount: float) -> Any:
+    def displaced[X: AnyState](self, x: X, v: X, amount: float) -> X:
         """Return the state at `amount` along a curve that leaves x with tangent v."""
         return shifted(x, amount, v)
 
     @abstractmethod
-    def contact_form(self, x: Any, dx: Any) -> Any:
+    def contact_form(self, x: Any, dx: Any) -> Arithmetic:
         """Return η(dx) at x."""
 
     @abstractmethod
-    def contact_terms(self, x: Any, dx: Any) -> Any:
+    def contact_terms(self, x: Any, dx: Any) -> Arithmetic:
         """Return the size of the terms that η(dx) is the difference of."""
 
-    def energy_terms(self, x: Any) -> Any:
+    def energy_terms(self, x: Any) -> Arithmetic:
         return abs(self.energy(x))
 
     @abstractmethod
-    def hamiltonian_terms(self, x: Any) -> Any:
+    def hamiltonian_terms(self, x: Any) -> Arithmetic:
         """Return the size of the terms that H is the sum of."""
 
     @abstractmethod
-    def momentum_terms(self, x: Any) -> Any:
+    def momentum_terms(self, x: Any) -> Arithmetic:
         """Return the size of the terms that J is the sum of."""
 
     @property
     @abstractmethod
-    def conformal_rate(self) -> Any:
+    def conformal_rate(self) -> Arithmetic | None:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
 
-    def damped_by(self, x: Any, t: Any, xp: Namespace) -> Any | None:
+    def damped_by(self, x: Any, t: Arithmetic, xp: Namespace) -> Arithmetic | None:
         """Return ∫Γ' over the time t from x, None where it depends on the motion."""
         return None if self.conformal_rate is None else self.conformal_rate * t
 

@@ -163,7 +163,7 @@ def _time(scene: Mechanical, y: np.ndarray) -> list[float]:
 
 
 def _potential(scene: Mechanical, q: np.ndarray, time: list[float]) -> float:
-    value = scene.V(tuple(q.tolist()), *time)
+    value: Any = scene.V(tuple(q.tolist()), *time)
     if not is_number(value):
         there = f"{excerpt(value)} at q = {_at(q)}"
         raise BadInput(f"scene {scene.name!r}: its potential is {there}: must be a number")
@@ -216,7 +216,7 @@ def _flow(scene: GeneralDamping, s: float) -> Iterator[Claim]:
 
 def _span(scene: Driven, t: float) -> Iterator[Claim]:
     """Yield what the integrals of a rate claim; raise `BadInput` unless they begin at 0."""
-    pair = lambda h: scene.spent(t, float(h), math)  # noqa: E731
+    pair: Any = lambda h: scene.spent(t, float(h), math)  # noqa: E731
     for value, name in zip(pair(0.0), ("G", "φ"), strict=True):
         _starts(scene, f"span's {name}", value, 0.0, f"t = {t:.6g}, h = 0")
     for h in (part * scene.t_end for part in TRIED):

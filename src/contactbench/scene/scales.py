@@ -12,7 +12,7 @@ LEAST, MOST = 1e-2, 1e3
 SPANS, RATIO = 18, 8.0
 
 
-def in_order(sizes: Any) -> np.ndarray:
+def in_order(sizes: object) -> np.ndarray:
     """Return sizes, 1 where they are of order one or not known."""
     sizes = np.asarray(sizes, dtype=float)
     known = np.isfinite(sizes) & (sizes > 0) & ~((sizes >= LEAST) & (sizes <= MOST))
