@@ -78,6 +78,27 @@ def few_slow(values, *slow):
     return [pytest.param(*given, marks=[pytest.mark.slow] if value in slow else []) for value, given in each]
 
 
+def mine(potential, q=1.0, p=0.0, t_end=1.0, kind=cb.Mechanical, **more):
+    """A scene of one coordinate, as users write them."""
+    return kind(**{"name": "mine", "potential": potential, "q": (q,), "p": (p,), "t_end": t_end} | more)
+
+
+def pulse(width=0.05, **changes):
+    """A damped oscillator at rest until a pulse at 13.3."""
+    bell = lambda t: cb.math.exp(-(((t - 13.3) / width) ** 2))  # noqa: E731
+    own = {"q": 0.0, "t_end": 20.0, "gamma": 0.1} | changes
+    return mine(lambda q, t: q[0] ** 2 / 2 - q[0] * bell(t), kind=cb.Driven, **own)
+
+
+def after_pulse(width=0.05):
+    """Return its (q, p) at 20: the pulse's convolution with the motion after a push, by the trapezoidal rule."""
+    x = np.linspace(-7, 7, 2001)
+    left, omega = 6.7 - width * x, np.sqrt(1 - 0.05**2)
+    decay, c, s = np.exp(-0.05 * left), np.cos(omega * left), np.sin(omega * left)
+    pushed = np.array([decay * s / omega, decay * (c - 0.05 * s / omega)])
+    return pushed @ np.exp(-x * x) * width * (x[1] - x[0])
+
+
 def refusal(call):
     """The message of a refusal: one line, short enough to be read."""
     with pytest.raises(cb.BadInput) as caught:

@@ -36,7 +36,7 @@ CONTRACTS = {
     "splitting.composition": ["Composition"],
 }
 #: takes minutes: docs/compare.md shows it
-NO_EXAMPLE = {"contactbench.race.comparison.compare"}
+NO_EXAMPLE = {"contactbench.study.compare.compare"}
 
 
 class Documented(Validator):

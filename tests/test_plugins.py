@@ -143,12 +143,14 @@ def test_the_tests_take_it_in(example):
     assert "4 passed" in done.stdout  # on a scene of every kind, none of them put off as slow
 
 
-def test_the_command_line_takes_it_anywhere_on_the_line(example):
-    solve = ["solve", "double-well", "my-method", "--step", "0.01", "--json"]
-    for command in (["--plugin", example, *solve], [*solve, "--plugin", example]):
-        done = module("contactbench", *command)
-        assert done.returncode == 0, done.stderr
-        out = json.loads(done.stdout)
+def test_the_command_line_takes_it_anywhere_on_the_line(example, registries, capsys):
+    solve, plugin = (
+        ["solve", "double-well", "my-method", "--step", "0.01", "--json"],
+        ["--plugin", str(example)],
+    )
+    for command in ([*plugin, *solve], [*solve, *plugin]):
+        assert main(command) == 0
+        out = json.loads(capsys.readouterr().out)
         assert (out["scene"], out["method"], out["counts"]["evaluations"]) == (*MINE[::-1], 4000)
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import mine
 from contactbench.methods.prepared import METHODS
 from contactbench.numbers.control import XlaNumbers
 from contactbench.scene.general_damping import decay, survival
+from contactbench.testing import check_scene
 from contactbench.xla import jax, jnp
 
 T = 12.0
@@ -135,14 +137,7 @@ def test_a_fast_motion_is_no_failure_of_scipys_solver():
 
 
 def test_a_start_next_to_an_equilibrium_leads_away_from_it():
-    scene = cb.Mechanical(
-        name="saddle",
-        potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
-        gamma=0.1,
-        q=(1e-9,),
-        p=(0.0,),
-        t_end=40.0,
-    )
+    scene = mine(lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2, q=1e-9, t_end=40.0, gamma=0.1)
     true = cb.reference(scene, [40.0]).y[-1]
     for method, setting in (
         ("rk4", {"step": 0.05}),
@@ -185,14 +180,8 @@ def test_the_derivative_of_a_small_motion_is_that_of_a_large_one(method):
 Y = (0.7, 0.4, -0.3)
 
 
-def bent(kappa, gamma=0.1, **given):
-    return cb.Mechanical(
-        name="bent",
-        potential=POTENTIALS["quartic"],
-        gamma=gamma,
-        kappa=kappa,
-        **({"q": (0.7,), "p": (0.4,), "s": -0.3, "t_end": 5.0} | given),
-    )
+def bent(kappa, gamma=0.1):
+    return mine(POTENTIALS["quartic"], 0.7, 0.4, 5.0, gamma=gamma, kappa=kappa, s=-0.3)
 
 
 @pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6", "rk4", "discrete-gradient"])
@@ -250,16 +239,8 @@ def test_a_step_map_takes_moments_of_inertia_in_any_order():
 
 def test_the_tangent_of_a_damping_of_ones_own_is_right_where_it_vanishes():
     """At s = 0 the factor on p has a derivative by s of its own."""
-    scene = cb.GeneralDamping(
-        name="own",
-        potential=POTENTIALS["quartic"],
-        q=(0.5,),
-        p=(0.8,),
-        s=0.0,
-        t_end=1.0,
-        damping=lambda s: 0.3 * s + 0.4 * s * s,
-        damping_slope=lambda s: 0.3 + 0.8 * s,
-    )
+    damping = {"damping": lambda s: 0.3 * s + 0.4 * s * s, "damping_slope": lambda s: 0.3 + 0.8 * s}
+    scene = mine(POTENTIALS["quartic"], 0.5, 0.8, kind=cb.GeneralDamping, **damping)
     xp, h = XlaNumbers(), 0.5
     slope = jax.grad(lambda s: survival(scene, s, decay(scene, s, h, xp), h, xp))(0.0)
     assert math.isclose(slope, math.exp(-0.3 * h) * 0.8 * math.expm1(-0.3 * h) / 0.3, rel_tol=1e-12)
@@ -267,29 +248,18 @@ def test_the_tangent_of_a_damping_of_ones_own_is_right_where_it_vanishes():
 
 # -- functions beside others ----------------------------------------------------------------------------------
 def driven(rate=0.1, phi=0.1, begin=0.0):
-    return cb.Driven(
-        name="driven",
-        potential=lambda q, t: q[0] * q[0] / 2,
-        rate=lambda t: 0.1 + 0 * t,
-        q=(1.0,),
-        p=(0.0,),
-        t_end=10.0,
-        span=lambda t, h, xp: (rate * h + begin, -xp.expm1(-phi * h) / phi),
-    )
+    span = lambda t, h, xp: (rate * h + begin, -xp.expm1(-phi * h) / phi)  # noqa: E731
+    own = {"rate": lambda t: 0.1 + 0 * t, "span": span}
+    return mine(lambda q, t: q[0] * q[0] / 2, t_end=10.0, kind=cb.Driven, **own)
 
 
 def damped(rate=0.1, begin=0.0):
-    return cb.GeneralDamping(
-        name="damped",
-        potential=POTENTIALS["oscillator"],
-        q=(1.0,),
-        p=(0.0,),
-        s=0.5,
-        t_end=10.0,
-        damping=lambda s: 0.1 * s,
-        damping_slope=lambda s: 0.1 + 0 * s,
-        damping_flow=lambda s, h, xp: s * xp.exp(-rate * h) + begin,
-    )
+    own = {"damping": lambda s: 0.1 * s, "damping_slope": lambda s: 0.1 + 0 * s}
+    own["damping_flow"] = lambda s, h, xp: s * xp.exp(-rate * h) + begin
+    return mine(POTENTIALS["oscillator"], t_end=10.0, kind=cb.GeneralDamping, s=0.5, **own)
+
+
+EXACT = {"gradient": lambda q: (q[0],), "hessian": lambda q: ((1.0,),)}
 
 
 class OwnJacobian(cb.Mechanical):
@@ -308,22 +278,12 @@ class OwnJacobian(cb.Mechanical):
         (damped(rate=0.101), "damping_flow is not the damping's: its slope is"),
         (damped(begin=1e-3), "damping_flow is .* h = 0: must be"),
         (
-            OwnJacobian(
-                name="own",
-                potential=POTENTIALS["oscillator"],
-                q=(1.0,),
-                p=(0.3,),
-                t_end=5.0,
-                gradient=lambda q: (q[0],),
-                hessian=lambda q: ((1.0,),),
-            ),
+            mine(POTENTIALS["oscillator"], 1.0, 0.3, 5.0, OwnJacobian, **EXACT),
             r"jacobian is wrong: entry \(2, 1\) is",
         ),
     ],
 )
 def test_a_function_that_is_not_what_it_is_beside_is_refused(scene, says):
-    from contactbench.testing import check_scene
-
     for call in (lambda: cb.solve(scene, "rk4", step=0.1), lambda: cb.reference(scene, [1.0])):
         with pytest.raises(cb.BadInput, match=says):
             call()
@@ -332,8 +292,6 @@ def test_a_function_that_is_not_what_it_is_beside_is_refused(scene, says):
 
 
 def test_functions_that_fit_are_taken():
-    from contactbench.testing import check_scene
-
     for scene in (driven(), damped()):
         assert cb.solve(scene, "contact-strang", step=0.1).ok
         check_scene(scene)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from contactbench.ensembles.lyapunov import Lyapunov, lyapunov
     from contactbench.interop import diffrax, scipy
     from contactbench.measure.own_composition import composition
-    from contactbench.race.comparison import compare
+    from contactbench.study.compare import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
 __all__ += ["HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles", "RigidBody", "Solution", "Status"]
@@ -39,7 +39,7 @@ __version__ = "0.1.0"
 #: what not every program needs, and where it is imported from when first asked for
 LATER = dict.fromkeys(("Ensemble", "ensemble"), "ensembles")
 LATER |= dict.fromkeys(("Lyapunov", "lyapunov"), "ensembles.lyapunov")
-LATER |= {"composition": "measure.own_composition", "compare": "race.comparison"}
+LATER |= {"composition": "measure.own_composition", "compare": "study.compare"}
 #: parts that are modules, named as the library that they go with
 PARTS = ("diffrax", "scipy")
 

@@ -81,8 +81,8 @@ class Counts(NamedTuple):
 #: components that are drawn
 DRAWN = 8
 
-#: the control of a method that has neither step nor tolerance
-EXACT = "exact"
+#: the control of a method that has neither step nor tolerance, and that of steps that grow, by their mean
+EXACT, GROWING = "exact", "growing"
 
 
 def setting_key(control: str, value: float) -> str:

@@ -13,7 +13,7 @@ import pytest
 
 import contactbench as cb
 import made_up
-from cases import run
+from cases import few_slow, run
 from contactbench import cli
 from contactbench.cli import main, parsing
 from contactbench.files import replacing
@@ -70,7 +70,7 @@ def test_an_interrupted_race_prints_what_it_has(capsys, monkeypatch):
     def stopped(self):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("contactbench.race.comparison.Comparison.time", stopped)
+    monkeypatch.setattr("contactbench.study.schedule.Schedule.time", stopped)
     assert main(RACE) == 130
     out = capsys.readouterr().out
     assert "not timed" in out
@@ -228,8 +228,9 @@ MODULE = [sys.executable, "-m", "contactbench"]
 SOLVE = ["solve", "particle", "rk4", "--step", "0.1", "--t-end", "1"]
 
 
-@pytest.mark.parametrize("line", [["list"], ["claim", "C25"], [*SOLVE, "--laws"]])
+@pytest.mark.parametrize("line", few_slow(["list", "claim C25", " ".join([*SOLVE, "--laws"])], "list"))
 def test_what_cannot_be_encoded_is_replaced(line):
+    line = line.split()
     done = run(*MODULE, *line, PYTHONIOENCODING="ascii")
     assert done.returncode == 0, done.stderr
     assert "?" in done.stdout
@@ -239,14 +240,14 @@ def test_what_cannot_be_encoded_is_replaced(line):
         assert "§" in json.loads(done.stdout)["where"]
 
 
-@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+@pytest.mark.parametrize("closed", few_slow([">&-", "2>&-", ">&- 2>&-"], ">&-", "2>&-"))
 def test_a_closed_stream_is_no_error(closed):
     done = run("sh", "-c", f'exec "$@" {closed}', "sh", *MODULE, "list", "laws")
     assert done.returncode == 0
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize("platform", ["rocm", "abacus"])
+@pytest.mark.parametrize("platform", few_slow(["rocm", "abacus"], "rocm"))
 def test_a_platform_that_is_not_there_is_one_line(platform):
     done = run(*MODULE, *SOLVE, "--engine", "jax", JAX_PLATFORMS=platform)
     assert done.returncode == 2

@@ -8,8 +8,8 @@ import contactbench as cb
 from contactbench.gate import compare, speed
 from contactbench.measure import clock, law, statistics
 from contactbench.methods.many import SHARED
-from contactbench.race.comparison import BUDGET
 from contactbench.scene.many import ALL_TANGENTS
+from contactbench.study.compare import BUDGET
 
 DOCS = Path(__file__).parents[2] / "docs"
 QUOTED = {

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import mine
 from contactbench.ensembles import chunks
 from contactbench.ensembles.chunks import AHEAD, ATTEMPTS, FEW_LANES, LANES, equal_share, lanes_of, on_cores
 from contactbench.ensembles.members import ENERGY
@@ -164,15 +165,8 @@ def test_the_number_of_cores_changes_nothing(workers):
 
 def test_a_long_loop_has_few_lanes():
     """LLVM takes seconds to compile 32 of them, more than an ensemble runs; the results are the same."""
-    cubic = cb.GeneralDamping(
-        name="cubic",
-        potential=lambda q: q[0] ** 2 / 2,
-        damping=lambda s: 0.1 * s + s**3,
-        damping_slope=lambda s: 0.1 + 3 * s * s,
-        q=(1.0,),
-        p=(0.0,),
-        t_end=1.0,
-    )
+    damping = {"damping": lambda s: 0.1 * s + s**3, "damping_slope": lambda s: 0.1 + 3 * s * s}
+    cubic = mine(lambda q: q[0] ** 2 / 2, kind=cb.GeneralDamping, **damping)
     method, starts = "contact-strang", np.linspace(0.5, 1.0, 5)
     loops = [
         loop_of(cb.METHODS[method], scene.recorded(), ("s",)) for scene in (cubic, cb.SCENES["particle"])

@@ -5,7 +5,9 @@ import pytest
 
 import contactbench as cb
 from cases import FIXED, TILTED, USER, few_slow, refusal
+from chains import SMALL
 from contactbench.ensembles.chunks import TILE
+from contactbench.scenes.driven import DRIVEN, DUFFING
 from contactbench.solution import Status
 from contactbench.xla import jax
 
@@ -19,16 +21,15 @@ ROUND_OFF = 1e-13
 def spread(scene, n, seed=3):
     """n initial states near the scene's own, each component an array (n,)."""
     rng = np.random.default_rng(seed)
-    own = scene.initial(scene.carry())
 
     def near(value, size=0.1):
         return value + size * rng.normal(size=n)
 
-    data = {name: tuple(near(v) for v in getattr(own, name)) for name in scene.initial_fields[:2]}
+    data = {name: tuple(near(v) for v in getattr(scene, name)) for name in scene.initial_fields[:2]}
     if "R" in data:
         length = np.sqrt(sum(c * c for c in data["R"]))
         data["R"] = tuple(c / length for c in data["R"])
-    return data if own.s is None else data | {"s": near(own.s)}
+    return data | ({"s": near(scene.s)} if "s" in scene.carry() else {})
 
 
 def member(data, i):
@@ -50,27 +51,73 @@ CASES += [
 ]
 #: compiled for seconds
 LONG = [(scene, method) for scene, method in CASES if "body" in scene.kind and method.name == "contact-abc"]
+#: chains and bodies, γ(t), steps that are prescribed or end at breaks
+GRID = cb.geometric_steps(1.0, 12, 0.25, plateau=2)
+PRESCRIBED = {"step": GRID, "measure_at": np.cumsum(GRID)[[5, 11]]}
+BREAKS = DUFFING.with_(name="breaks", t_end=1.0, breaks=(0.33, 0.77))
+OTHERS = [
+    (SMALL[name], m, {}) for name in ("free masses", "bodies 2D") for m in ("contact-abc", "contact-rkn4")
+]
+OTHERS += [(scene.with_(t_end=1.0), "contact-rkn4", {}) for scene in (*DRIVEN, BREAKS)]
+OTHERS += [(scene, "contact-strang", PRESCRIBED) for scene in (PARTICLE, SMALL["ring held"])]
 
 
-@pytest.mark.parametrize(
-    ("scene", "method"), few_slow(CASES, *LONG), ids=[f"{s.name}-{m.name}" for s, m in CASES]
-)
-@pytest.mark.quick(scene="central", method=("contact-bm6", "contact-rkn8", "herglotz2"))
-@pytest.mark.quick(scene=("rigid_body", "quadratic_damping", "user"), method="contact-bm4")
-@pytest.mark.quick(scene="tilted", method="rk4")
-def test_an_ensemble_is_its_single_solutions(scene, method):
-    data, times = spread(scene, 3), [0.4, 1.0]
-    out = cb.ensemble(scene, method.name, data, step=0.1, measure_at=times)
-    run = cb.prepare(scene, method.name, step=0.1, save_at=times, engine="python")
+def check_members(scene, method, engine="numba", **options):
+    """An ensemble ends as its single solutions do, with their laws and counts."""
+    options = {"step": 0.1, "measure_at": [0.4, 1.0], "carry": scene.carry()} | options
+    data, times = spread(scene, 3), options["measure_at"]
+    out = cb.ensemble(scene, method, data, engine=engine, **options)
+    del options["measure_at"]
+    run = cb.prepare(scene, method, save_at=times, engine="python", **options)
     for i in range(3):
         alone = run(**member(data, i))
         np.testing.assert_allclose(packed(out)[:, i], alone.y[-1], rtol=0, atol=ROUND_OFF)
         for name in set(out.measures) & set(cb.LAWS):
             assert abs(out.measures[name][i] - cb.LAWS[name](alone)) < 10 * ROUND_OFF
         energy = scene.energy(alone.states())[-1] / scene.energy(alone.start()) - 1
-        assert out.measures["energy_change"][i] == pytest.approx(energy, abs=10 * ROUND_OFF)
-    assert out.counts == alone.counts
+        assert out.measures["energy_change"][i] == pytest.approx(energy, rel=1e-12, abs=10 * ROUND_OFF)
+    counts = alone.counts._replace(evaluations=None) if cb.METHODS[method].iterates else alone.counts
+    assert out.counts == counts
     assert out.endings == {Status.ok: 3, Status.diverged: 0}
+    return out
+
+
+@pytest.mark.parametrize(
+    ("scene", "method"), few_slow(CASES, *LONG), ids=[f"{s.name}-{m.name}" for s, m in CASES]
+)
+@pytest.mark.quick(scene="central", method=("contact-bm6", "contact-rkn8", "herglotz2", "gauss4"))
+@pytest.mark.quick(scene=("rigid_body", "quadratic_damping", "user"), method="contact-bm4")
+@pytest.mark.quick(scene="tilted", method="rk4")
+def test_an_ensemble_is_its_single_solutions(scene, method):
+    check_members(scene, method.name)
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax"])
+@pytest.mark.parametrize(
+    ("scene", "method", "options"), OTHERS, ids=lambda value: getattr(value, "name", None)
+)
+@pytest.mark.quick(engine="numba")
+@pytest.mark.quick(scene="duffing")
+def test_so_is_one_of_other_kinds_of_scenes_and_steps_and_it_goes_on_from_where_it_ended(
+    scene, method, options, engine
+):
+    out = check_members(scene, method, engine, **options)
+    again = cb.ensemble(
+        scene.with_(breaks=()) if scene.name == "breaks" else scene, method, out.final, step=0.1
+    )
+    if scene.clock is not None:
+        np.testing.assert_allclose(again.final.t, scene.t + 2.0, rtol=1e-12)
+    assert again.ok.all()
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax"])
+def test_members_that_iterate_stop_one_by_one(engine):
+    scene = CENTRAL.with_(t_end=2.0)
+    starts = np.linspace(0.2, 1.4, 11), np.linspace(0.6, -0.5, 11)
+    found = cb.ensemble(scene, "discrete-gradient", {"q": starts}, step=0.1, engine=engine)
+    run = cb.prepare(scene, "discrete-gradient", step=0.1, save_at=[2.0])
+    alone = [run(q=q).q[-1] for q in zip(*starts, strict=True)]
+    np.testing.assert_allclose(np.transpose(found.final.q), alone, rtol=0, atol=ROUND_OFF)
 
 
 @pytest.mark.parametrize(

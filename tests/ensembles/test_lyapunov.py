@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import contactbench as cb
+from cases import mine
 from contactbench.ensembles.lyapunov import kaplan_yorke
 
 PERIOD, EPS = 2 * np.pi, np.finfo(float).eps
@@ -106,8 +107,8 @@ def test_two_ways_to_the_tangent_map_agree_on_the_chaotic_scene():
 
 def test_the_published_spectrum_of_ueda():
     """Sprott, Chaos and Time-Series Analysis, Oxford University Press 2003: 0.1034, 0, −0.1534, dimension 2.6741."""
-    own = {"gamma": 0.05, "q": (2.5,), "p": (0.0,), "t_end": 20.0}
-    ueda = cb.Driven(name="ueda", potential=lambda q, t: q[0] ** 4 / 4 - 7.5 * q[0] * cb.math.sin(t), **own)
+    potential = lambda q, t: q[0] ** 4 / 4 - 7.5 * q[0] * cb.math.sin(t)  # noqa: E731
+    ueda = mine(potential, 2.5, t_end=20.0, kind=cb.Driven, gamma=0.05)
     found = duffing("contact-rkn6", n=256, intervals=200, scene=ueda, step=PERIOD / 32)
     assert np.all(np.abs(found.exponents.value - [0.1034, -0.1534]) < 3 * found.exponents.error)
     assert abs(found.dimension.value - 1.6741) < 3 * found.dimension.error

@@ -1,6 +1,7 @@
 """The gate's speed part: which calls, in which order, what is red, what is not decided."""
 
 from contextlib import contextmanager
+from dataclasses import asdict, replace
 from operator import itemgetter
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from contactbench.errors import BadInput
 from contactbench.gate import revisions, speed, speed_worker
 from contactbench.gate.speed import LIMIT, MANY, MOST_ROUNDS, PUBLIC, ROUNDS, Cell, workload
+from contactbench.measure import clock
 from contactbench.measure.statistics import PairedRatio
 from contactbench.plugins import VARIABLE
 from made_up import project, row
@@ -142,10 +144,12 @@ def test_rounds_end_with_the_time(clocked, monkeypatch):
     assert {ratio.rounds for ratio in ratios.values()} == {3}
 
 
-def test_the_estimate_is_the_repeat_that_nothing_interrupted(monkeypatch):
-    clock = iter([0.0, 1e-3, 1e-3, 7e-3, 7e-3, 8e-3])
-    monkeypatch.setattr(speed_worker, "perf_counter", lambda: next(clock))
-    assert min(speed_worker.seconds(lambda: None, 1e-3)) == pytest.approx(1e-3)
+def test_the_clock_is_that_of_the_tree_that_judges_and_a_call_that_ends_badly_is_not_timed():
+    assert speed_worker.clock.__file__ == clock.__file__
+    timed = speed_worker.ready(asdict(CELL))
+    assert len(timed.visit().whole) == clock.ROUNDS
+    with pytest.raises(RuntimeError, match="diverged"):
+        speed_worker.ready(asdict(replace(CELL, scene="large_step", value=3.0)))
 
 
 # -- processes -------------------------------------------------------------------------------------

@@ -8,8 +8,6 @@ import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, by_name, few_slow, saved
-from cases import pairs as of_methods
-from contactbench.measure.law import round_off_bound
 from contactbench.measure.laws import row
 from contactbench.measure.pullback import pairs, pullback
 from contactbench.methods import prepared
@@ -57,12 +55,6 @@ def test_where_the_solver_chooses_the_steps_both_drifts_are_told_and_differ(meth
 
 
 # -- differences of the solver ---------------------------------------------------------------------
-def differenced(run):
-    """The pull-back by differences, whatever the engine could do instead."""
-    y0 = run.start
-    return pullback(run(), differences(run, y0, run.integrate(y0)))
-
-
 def bars(found):
     """The error bar of each column of a derivative."""
     return SAFETY * np.abs(np.diff(found.estimates, axis=0)).max(axis=(1, 2)).min(axis=0)
@@ -170,21 +162,6 @@ def test_derivative_is_taken_at_the_initial_data_of_the_call(method):
 
 
 # -- round-off -------------------------------------------------------------------------------------
-#: near-collisions, a tumbling body and a long run, each with a coarse step
-ILL_CONDITIONED = {"kepler_drag": 0.05, "tumbling": 0.1, "weak_damping_particle": 0.25}
-
-
-@of_methods(
-    [cb.METHODS[name] for name in ("contact-strang", "contact-bm4", "contact-rkn8", "rk4")],
-    [cb.SCENES[name] for name in ILL_CONDITIONED],
-    lambda method, scene: method.refuses(scene) is None and (method.contact or scene.name != "kepler_drag"),
-)
-def test_contact_methods_keep_the_contact_form_to_round_off_times_the_growth_of_the_map(method, scene):
-    solution = cb.solve(scene, method.name, step=ILL_CONDITIONED[scene.name], save_at=saved(scene, 25))
-    columns = row(solution)
-    bound = round_off_bound(columns["map_growth"], solution.counts.evaluations)
-    drifts = [columns[law] for law in ("contact_drift", "distribution_drift", "own_factor_drift")]
-    assert max(drifts) < bound if method.contact else drifts[0] > 10 * bound
 
 
 # -- pairs of singular values ----------------------------------------------------------------------

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.measure.ladder import carry_of, tolerances, work_ladder
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import ROUND_OFF, fit_order
-from contactbench.race.comparison import Attempt, Question, Scout, ends
 from contactbench.splitting.tables import COMPOSITIONS
+from contactbench.study.search import Attempt, Question, Search
+from contactbench.study.settings import ENDS, carry_of, steps, times, tolerances
 
 H = [0.8 / 2**k for k in range(9)]
 
@@ -183,11 +183,11 @@ def errors(monkeypatch):
     """Let attempts have errors that are a function of their setting."""
 
     def scripted(error):
-        def attempt(scout, value):
-            scout.attempts.append(Attempt(value, "", cb.Status.ok, "", 0.0, error(value)))
-            return scout.attempts[-1]
+        def attempt(search, value):
+            search.attempts.append(Attempt(value, "", cb.Status.ok, "", 0.0, error(value)))
+            return search.attempts[-1]
 
-        monkeypatch.setattr(Scout, "attempt", attempt)
+        monkeypatch.setattr(Search, "attempt", attempt)
 
     return scripted
 
@@ -196,8 +196,8 @@ def test_a_ladder_ends_where_the_error_stops_falling(errors):
     """At 10⁻¹² and 10⁻¹³ the error is 3·10⁻¹³: one rung that brings nothing is tried, and no more."""
     errors(lambda value: max(value, 3e-13))
     scene = cb.SCENES["oscillator"]
-    question = Question(scene, cb.reference(scene, ends(scene), carry_of(scene)), (1e-300,), 60.0)
-    tried = list(Scout(question, "heyoka-taylor").ladder())
+    question = Question(scene, cb.reference(scene, times(scene, ENDS), carry_of(scene)), (1e-300,), 60.0)
+    tried = list(Search(question, "heyoka-taylor").coarse_to_fine())
     assert tried[-1].value == pytest.approx(1e-14)
     assert all(math.isfinite(attempt.error) for attempt in tried)
 
@@ -206,16 +206,16 @@ def test_a_ladder_ends_where_the_error_stops_falling(errors):
 def test_a_ladder_of_steps_begins_where_the_error_is_as_large_as_the_motion(errors, unit, longest):
     """At most one step from each of the five ends to the next; unit : the step of error 1, of a second-order method."""
     errors(lambda value: (value / unit) ** 2)
-    scout = Scout(Question(cb.SCENES["planets"], None, (1e-3, 1e-6), 60.0), "contact-rkn6")
-    list(scout.turns())
-    assert max(a.value for a in scout.attempts) == longest
-    assert scout.best(1e-6) is not None
+    search = Search(Question(cb.SCENES["planets"], None, (1e-3, 1e-6), 60.0), "contact-rkn6")
+    list(search.turns())
+    assert max(a.value for a in search.attempts) == longest
+    assert search.best(1e-6) is not None
 
 
 def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six_on():
     """The latter by multiples of five steps near 6.25 · 2^(k/2)."""
     body, particle = cb.SCENES["rigid_body"], cb.SCENES["particle"]
-    assert work_ladder(body, 2) == pytest.approx([4.0, 2.0, *(0.8 / 2**k for k in range(9))])
-    assert work_ladder(particle, 2) == pytest.approx([0.8 / 2**k for k in range(9)])
-    counts = [particle.t_end / step for step in work_ladder(particle, 6)]
+    assert steps(body, 2) == pytest.approx([4.0, 2.0, *(0.8 / 2**k for k in range(9))])
+    assert steps(particle, 2) == pytest.approx([0.8 / 2**k for k in range(9)])
+    counts = [particle.t_end / step for step in steps(particle, 6)]
     assert counts == pytest.approx([5, 10, 20, 25, 35, 50, 70, 100, 140, 200])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, by_name, c_functions, counts_memory, handed_out, random_state
+from cases import ALL_SCENES, by_name, c_functions, counts_memory, handed_out, mine, random_state
 from contactbench.peers import abi, compiled
 from contactbench.peers.base import derivative
 from contactbench.solution import Status
@@ -139,11 +139,8 @@ COMPILERS += [("contact-strang", engine, "python") for engine in ("numba", "jax"
 
 @pytest.mark.parametrize(("method", "engine", "other"), COMPILERS)
 def test_a_force_that_branches_is_unsupported_where_it_is_compiled(method, engine, other):
-    kink = {
-        "potential": lambda q: q[0] * q[0] / 2 if q[0] > 0 else q[0] * q[0],
-        "gradient": lambda q: (q[0] if q[0] > 0 else 2 * q[0],),
-    }
-    scene = cb.Mechanical(name="kink", **kink, gamma=0.1, q=(1.0,), p=(0.0,), t_end=2.0)
+    gradient = lambda q: (q[0] if q[0] > 0 else 2 * q[0],)  # noqa: E731
+    scene = mine(lambda q: q[0] ** 2 / 2 if q[0] > 0 else q[0] ** 2, t_end=2.0, gradient=gradient)
     setting = {"rtol": 1e-6} if cb.METHODS[method].adaptive else {"step": 0.1}
     solution = cb.solve(scene, method, engine=engine, **setting)
     assert solution.status is Status.unsupported

@@ -128,17 +128,6 @@ def test_the_discrete_gradient_never_gains_energy(gamma, step):
 
 
 @pytest.mark.parametrize("name", [*GAUSS, "discrete-gradient"])
-@pytest.mark.parametrize("engine", ["numba", "jax"])
-def test_members_of_an_ensemble_stop_iterating_one_by_one(name, engine):
-    q = (np.linspace(0.2, 1.4, 11), np.linspace(0.6, -0.5, 11))
-    scene = CENTRAL.with_(t_end=5.0)
-    found = cb.ensemble(scene, name, {"q": q}, step=0.1, engine=engine)
-    for k in (0, 5, 10):
-        alone = cb.prepare(scene, name, step=0.1, save_at=[5.0])(q=(q[0][k], q[1][k]))
-        np.testing.assert_allclose([c[k] for c in found.final.q], alone.q[-1], rtol=0, atol=1e-13)
-
-
-@pytest.mark.parametrize("name", [*GAUSS, "discrete-gradient"])
 def test_a_step_that_does_not_converge_ends_the_run(name):
     stiff = cb.SCENES["oscillator"].with_(omega=100.0, t_end=10.0)
     for engine in ("numba", "python"):

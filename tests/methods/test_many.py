@@ -50,6 +50,8 @@ def gap(a, b):
 # -- engines -----------------------------------------------------------------------------------------
 @pytest.mark.parametrize("boundary", BOUNDARIES)
 @pytest.mark.parametrize("n", SIZES)
+@pytest.mark.quick(n=9)
+@pytest.mark.quick(n=(2, 2047, 2049), boundary="free")
 def test_numba_agrees_with_arrays_whatever_the_length(n, boundary):
     """Held or not, masses of their own or not, with and without s, by every way to be recorded."""
     for held, mass in ((True, masses(n)), (False, 1.3)):
@@ -63,6 +65,8 @@ def test_numba_agrees_with_arrays_whatever_the_length(n, boundary):
 @pytest.mark.parametrize(
     ("name", "method"), [(name, method) for name, scene in SMALL.items() for method in runs_on(FIXED, scene)]
 )
+@pytest.mark.quick(name=("ring held", "bodies 2D"))
+@pytest.mark.quick(method=("contact-abc", "contact-rkn4"))
 def test_numba_agrees_with_arrays_and_components_for_every_method(method, name):
     """Components: the same scene as a `Mechanical` of so many coordinates, by the engine of such scenes."""
     scene = SMALL[name]
@@ -284,27 +288,6 @@ def test_random_tangents_measure_what_all_of_them_do(name, monkeypatch):
 def spread(scene, n):
     rng = np.random.default_rng(3)
     return {f: getattr(scene, f)[:, None] + 0.1 * rng.normal(size=(len(scene.q), n)) for f in "qp"}
-
-
-@pytest.mark.parametrize("engine", ["numba", "jax"])
-@pytest.mark.parametrize("name", ["ring held", "free masses", "bodies 2D"])
-@pytest.mark.quick(engine="numba")
-@pytest.mark.quick(name="free masses")
-def test_an_ensemble_is_its_trajectories(name, engine):
-    scene, n = SMALL[name], 5
-    start, gammas = spread(scene, n), np.linspace(0.0, 0.4, n)
-    options = {"step": 0.1, "engine": engine, "measure_at": [0.5, 1.0]}
-    for method in ("contact-abc", "contact-rkn4"):
-        out = cb.ensemble(scene, method, start, parameters={"gamma": gammas}, **options)
-        assert out.ok.all()
-        for i in range(n):
-            one = scene.with_(q=start["q"][:, i], p=start["p"][:, i], gamma=gammas[i])
-            alone = cb.solve(one, method, step=0.1, save_at=[0.5, 1.0])
-            assert gap(np.array(scene.pack(out.final))[:, i], alone.y[-1]) < ROUND_OFF
-            law = cb.LAWS["hamiltonian_law"](alone)
-            assert out.measures["hamiltonian_law"][i] == pytest.approx(law, rel=1e-6, abs=1e-13)
-        again = cb.ensemble(scene, method, out.final, **options)
-        assert again.ok.all()
 
 
 def test_an_ensemble_notices_what_diverges_and_takes_one_start_for_all():

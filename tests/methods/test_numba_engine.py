@@ -1,13 +1,14 @@
 """Recorded numbers, recorded programs, and the compiled loops made of them."""
 
 import math
+import shutil
 import sys
 
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, FIXED, REPOSITORY, pairs, random_state, run
+from cases import ALL_SCENES, FIXED, REPOSITORY, few_slow, pairs, random_state, run
 from contactbench.methods.loops import loop_of
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
@@ -228,11 +229,27 @@ def run_elsewhere(folder):
     return done.stdout.split(" ", 1)
 
 
-def test_a_second_process_compiles_nothing(tmp_path):
-    (none, states), (one, again) = run_elsewhere(tmp_path), run_elsewhere(tmp_path)
-    assert (none, one) == ("0", "1")
-    assert states == again
-    assert len(list(tmp_path.glob("programs/*.program"))) == 1
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A cache of one program, and the states that it gave."""
+    folder = tmp_path_factory.mktemp("cache")
+    compiled, states = run_elsewhere(folder)
+    assert compiled == "0"
+    return folder, states
+
+
+@pytest.fixture
+def kept(first, tmp_path):
+    """A copy of it, its program, and the states."""
+    folder = shutil.copytree(first[0], tmp_path / "cache")
+    (path,) = folder.glob("programs/*.program")
+    return folder, path, first[1]
+
+
+def test_a_second_process_compiles_nothing(kept):
+    folder, path, states = kept
+    assert run_elsewhere(folder) == ["1", states]
+    assert list(folder.glob("programs/*.program")) == [path]
 
 
 def flip(content):
@@ -243,22 +260,20 @@ def flip(content):
 DAMAGE = (lambda whole: b"\x9c" * len(whole), lambda whole: whole[: len(whole) // 2], lambda whole: b"", flip)
 
 
-def test_a_damaged_program_is_compiled_anew_and_replaced(tmp_path):
-    _, states = run_elsewhere(tmp_path)
-    (path,) = tmp_path.glob("programs/*")
-    for damage in DAMAGE:
-        path.write_bytes(damage(path.read_bytes()))
-        assert run_elsewhere(tmp_path) == ["0", states]
-    assert run_elsewhere(tmp_path) == ["1", states]
+@pytest.mark.parametrize("damage", few_slow(DAMAGE, *DAMAGE[:3]))
+def test_a_damaged_program_is_compiled_anew_and_replaced(damage, kept):
+    folder, path, states = kept
+    path.write_bytes(damage(path.read_bytes()))
+    assert run_elsewhere(folder) == ["0", states]
+    assert run_elsewhere(folder) == ["1", states]
 
 
-def test_a_program_that_can_neither_be_read_nor_replaced_is_compiled(tmp_path):
-    _, states = run_elsewhere(tmp_path)
-    (path,) = tmp_path.glob("programs/*")
+def test_a_program_that_can_neither_be_read_nor_replaced_is_compiled(kept):
+    folder, path, states = kept
     path.unlink()
     (path / "in the way").mkdir(parents=True)
-    assert run_elsewhere(tmp_path) == ["0", states]
-    assert list(tmp_path.glob("programs/*")) == [path]
+    assert run_elsewhere(folder) == ["0", states]
+    assert list(folder.glob("programs/*")) == [path]
 
 
 def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):

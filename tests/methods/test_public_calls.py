@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES
+from cases import ALL_SCENES, mine
 from contactbench.methods.loops import LONG
 from contactbench.methods.prepared import Prepared
 
@@ -65,9 +65,7 @@ def test_the_loop_sees_a_start_without_a_slope_and_energy_that_rises():
     run = cb.prepare(kepler, "contact-rkn6", step=0.01, save_at=[1.0])
     with pytest.raises(cb.BadInput, match="not finite"):
         run(q=(0.0, 0.0))
-    spring = cb.Mechanical(
-        name="spring", potential=lambda q: q[0] ** 2 / 2, gamma=1e-3, q=(1.0,), p=(0.0,), t_end=8.2
-    )
+    spring = mine(lambda q: q[0] ** 2 / 2, t_end=8.2, gamma=1e-3)
     rising = cb.solve(spring, "contact-strang", step=2.05, save_at=[8.2])
     assert rising.status == "diverged"
     assert "H0 rose" in rising.message

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import pairs
+from cases import mine, pairs
 from chains import chain
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_until
@@ -77,13 +77,6 @@ def test_no_two_saved_times_are_one_end_of_a_step():
 
 
 # -- what it keeps, and what it costs ----------------------------------------------------------------
-@pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6", "contact-rkn8"])
-@pytest.mark.parametrize("scene", SCENES[:2], ids=lambda scene: scene.name)
-def test_the_contact_form_is_kept_to_round_off(scene, method):
-    grid = cb.geometric_steps(scene.t_end, 48, a=2.0)
-    run = cb.solve(scene, method, step=grid, save_at=np.cumsum(grid)[[20, -1]])
-    kept = run.laws()["deviation"]
-    assert max(kept["contact_drift"], kept["own_factor_drift"], kept["pairing_drift"]) < 1e-13
 
 
 @pytest.mark.parametrize(
@@ -107,18 +100,6 @@ def test_a_processor_is_paid_where_the_step_changes(plateau, evaluations):
 
 
 # -- ensembles ---------------------------------------------------------------------------------------
-@pytest.mark.parametrize("engine", ["numba", "jax"])
-@pytest.mark.parametrize("scene", [cb.SCENES["particle"], chain(8, "ring")], ids=lambda scene: scene.name)
-def test_an_ensemble_takes_the_steps_of_its_single_solutions(scene, engine):
-    options = {"step": grid_of(scene, plateau=2), "carry": ("s",)}
-    start = {"p": np.multiply.outer(np.array(scene.p), [1.0, 0.9, 1.1])}
-    times = np.cumsum(options["step"])[[5, 11]]
-    many = cb.ensemble(scene, "contact-strang", start, measure_at=times, engine=engine, **options)
-    runs = [cb.prepare(scene, "contact-strang", save_at=times, **options)(p=p) for p in start["p"].T]
-    assert gap(scene.pack(many.final), np.array([run.y[-1] for run in runs]).T) < ROUND_OFF
-    laws = [cb.LAWS["hamiltonian_law"](run) for run in runs]
-    np.testing.assert_allclose(many.measures["hamiltonian_law"], laws, rtol=1e-9)
-    assert many.counts == runs[0].counts
 
 
 def test_an_exponent_of_prescribed_steps():
@@ -130,8 +111,7 @@ def test_an_exponent_of_prescribed_steps():
 # -- how it ends -------------------------------------------------------------------------------------
 @pytest.mark.parametrize("plateau", [1, 40])
 def test_a_divergence_is_found_to_the_step(plateau):
-    data = {"gamma": 0.1, "q": (1.0,), "p": (1.0,), "t_end": 8.0}
-    escape = cb.Mechanical(name="escape", potential=lambda q: -(q[0] ** 4), **data)
+    escape = mine(lambda q: -(q[0] ** 4), 1.0, 1.0, 8.0, gamma=0.1)
     grid = cb.geometric_steps(8.0, 400, 2.0, plateau)
     every, last = (cb.solve(escape, "rk4", step=grid, save_at=times) for times in (np.cumsum(grid), [8.0]))
     assert every.status is last.status is cb.Status.diverged

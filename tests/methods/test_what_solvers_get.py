@@ -14,7 +14,7 @@ import sksundae.cvode
 from CyRK import pysolve_ivp
 
 import contactbench as cb
-from cases import c_functions
+from cases import c_functions, mine
 from contactbench.solution import Status
 from contactbench.study import ensemble
 from contactbench.xla import jnp
@@ -239,27 +239,9 @@ def test_rejected_steps_are_counted_or_known_not_to_be(name, engine, times):
         assert (counts.rejected > 0) == (name != "heyoka-taylor")
 
 
-@pytest.mark.parametrize("times", [[20.0], None, [1.0, 20.0]], ids=["end", "grid", "between"])
-def test_rejected_steps_are_attempts_that_were_no_steps(times, monkeypatch):
-    """SciPy estimates the error of every attempt once."""
-    attempts, estimate = [], scipy.integrate.DOP853._estimate_error_norm
-    monkeypatch.setattr(
-        scipy.integrate.DOP853, "_estimate_error_norm", lambda *given: attempts.append(1) or estimate(*given)
-    )
-    counts = cb.solve(cb.SCENES["kepler_drag"], "scipy-dop853", rtol=1e-6, save_at=times).counts
-    assert counts.steps + counts.rejected == len(attempts)
-
-
 def test_heyoka_steps_into_a_wall_at_a_low_order_only():
     """As its module says: at order 12 the terms of e^{50(q − 1)} still rise; energy that damping has taken hides it."""
-    wall = cb.Mechanical(
-        name="wall",
-        potential=lambda q: cb.math.exp(50 * (q[0] - 1)),
-        gamma=0.1,
-        q=(0.0,),
-        p=(1.0,),
-        t_end=5.0,
-    )
+    wall = mine(lambda q: cb.math.exp(50 * (q[0] - 1)), 0.0, 1.0, 5.0, gamma=0.1)
     true = cb.reference(wall, [5.0], ()).y
     runs = [cb.solve(wall, "heyoka-taylor", rtol=rtol, save_at=[5.0], carry=()) for rtol in (1e-9, 1e-15)]
     loose, tight = (np.abs(run.y - true).max() for run in runs)

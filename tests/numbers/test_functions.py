@@ -102,28 +102,6 @@ def test_functions_of_floats_are_total():
     assert cb.math.sinh(-1e3) == -math.inf
 
 
-FORCE = {"potential": lambda q: -cb.math.cos(q[0]), "gradient": lambda q: (cb.math.sin(q[0]),)}
-PENDULUM = cb.Mechanical(name="pendulum", **FORCE, gamma=0.1, q=(1.5,), p=(0.0,), t_end=5.0)
-RUNS = [
-    ("contact-rkn6", "numba", {"step": 0.05}),
-    ("contact-rkn6", "jax", {"step": 0.05}),
-    ("contact-rkn6", "python", {"step": 0.05}),
-    ("rk4", "numba", {"step": 0.005}),
-    ("scipy-dop853", None, {"rtol": 1e-10}),
-    ("cvode-adams", "c", {"rtol": 1e-10}),
-    ("cyrk-dop853", None, {"rtol": 1e-10}),
-    ("diffrax-tsit5", None, {"rtol": 1e-10}),
-    ("heyoka-taylor", None, {"rtol": 1e-10}),
-]
-
-
-@pytest.mark.parametrize(("method", "engine", "setting"), RUNS)
-def test_a_pendulum_runs_everywhere(method, engine, setting):
-    sol = cb.solve(PENDULUM, method, engine=engine, **setting)
-    assert sol.status == "ok", sol.message
-    assert cb.LAWS["solution_error"](sol) < 1e-8
-
-
 # -- powers of heyoka's expressions: products where a power has no series at zero ------------------------
 def value(series, x):
     function = heyoka.cfunc([series.expression], vars=[heyoka.expression("x")])

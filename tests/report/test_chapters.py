@@ -5,7 +5,7 @@ import re
 import pytest
 
 from contactbench.report import markdown
-from contactbench.report.chapters import CHAPTERS, chapters, every
+from contactbench.report.chapters import chapters, discovered, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View
 from contactbench.results.schema import TABLES
@@ -56,9 +56,9 @@ SOME = {
 }
 
 
-@pytest.mark.parametrize("name", CHAPTERS)
+@pytest.mark.parametrize("name", discovered())
 def test_a_chapter_speaks_from_its_own_table_alone_and_is_silent_without(name):
-    chapter = CHAPTERS[name]
+    chapter = discovered()[name]
     assert chapter not in chapters(frames())
     first = chapter.tables[0]
     alone = frames(**{first: SOME[first]})
@@ -79,7 +79,9 @@ def test_names_of_views_are_unique_and_a_figure_shown_twice_is_the_same():
 
 
 def test_every_table_but_that_of_definitions_is_read_by_a_chapter():
-    assert {name for chapter in CHAPTERS.values() for name in chapter.tables} == {*TABLES} - {"definitions"}
+    assert {name for chapter in discovered().values() for name in chapter.tables} == {*TABLES} - {
+        "definitions"
+    }
 
 
 # -- a contradicting row changes the answer --------------------------------------------------------
@@ -103,7 +105,7 @@ CONTRADICTIONS = {
 def test_a_contradicting_row_changes_answer_and_count(name):
     rows, contradiction, counts = CONTRADICTIONS[name]
     answers = [
-        next(iter(CHAPTERS[name].answers(frames(**{name: r})))) for r in (rows, [*rows, contradiction])
+        next(iter(discovered()[name].answers(frames(**{name: r})))) for r in (rows, [*rows, contradiction])
     ]
     before, after = answers
     assert before.answer == "always" != after.answer
@@ -115,12 +117,12 @@ def test_runs_that_do_not_claim_a_law_or_are_not_judged_are_counted_apart():
     lost = judged("central", "contact-b", 0.9) | dict.fromkeys(["momentum_law_bound", "momentum_law_kept"])
     rows = [judged("central", "contact-a", 0.1), lost]
     rows.append(judged("drag", "contact-a", 0.1, claimed=False, drift=1e-3))
-    table = CHAPTERS["laws"].parts(frames(laws=rows))[0]
+    table = discovered()["laws"].parts(frames(laws=rows))[0]
     assert [cell.text for cell in table.rows[0]] == ["J law", "1 of 1 runs (1 not judged)", "0 of 1 runs"]
 
 
 def test_a_broken_law_is_a_row_with_what_breaks_it():
     rows = [judged("central", "contact-a", 0.1), BROKEN]
-    broken = next(p for p in CHAPTERS["laws"].parts(frames(laws=rows)) if p.name == "law_exceptions")
+    broken = next(p for p in discovered()["laws"].parts(frames(laws=rows)) if p.name == "law_exceptions")
     assert [cell.text for cell in broken.rows[0][:4]] == ["J law", "`needle`", "contact-b", "1"]
     assert broken.rows[0][-1].text == "contact-b, step=0.4"

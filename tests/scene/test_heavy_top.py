@@ -50,15 +50,6 @@ def test_the_solution_is_that_of_matrices(scene, gradient):
     assert np.allclose([*x.M, *np.ravel(rotation_matrix(x.R)), x.s], own, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("scene", [TOP, SATELLITE], ids=["Lagrange", "general"])
-@pytest.mark.parametrize("method", CONTACT)
-def test_contact_methods_keep_the_vertical_momentum_and_the_form(method, scene):
-    laws = cb.solve(scene.with_(t_end=5.0), method, step=0.25).laws()["deviation"]
-    for law in ("momentum_law", "own_factor_drift", "attitude_drift"):
-        assert laws[law] < 1e-12, law
-    assert laws["solution_error"] > 1e-12 or cb.METHODS[method].order >= 8  # a step that is no exact one
-
-
 def test_the_spin_of_lagranges_top_decays_alone():
     """M·χ has no torque where two moments are equal."""
     found = cb.reference(TOP, np.linspace(0, 20, 5)).states()

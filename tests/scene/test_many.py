@@ -181,13 +181,6 @@ def test_a_component_that_does_not_solve_the_equations_is_noticed():
 
 
 # -- the command line ----------------------------------------------------------------------------------
-PLUGIN = """
-import contactbench as cb
-cb.SCENES.add(cb.Lattice(
-    name="mine", about="a chain of my own", n=6, boundary="fixed",
-    onsite=lambda q: q**4 / 4, bond=lambda r, k: k * r * r / 2, parameters={"k": 2.0},
-    gamma=0.1, q=lambda i: 0.3 * (i - 2), p=lambda i: 0.1 + 0 * i, t_end=1.0))
-"""
 
 
 def test_command_line_prints_json_and_a_few_numbers_of_many(capsys):
@@ -198,19 +191,3 @@ def test_command_line_prints_json_and_a_few_numbers_of_many(capsys):
     assert main(["solve", "fput", "rk4", "--step", "0.1"]) == 0
     (state,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("state"))
     assert ("'q4': " in state, "q5" in state) == (True, False)
-
-
-def test_command_line_takes_one_from_a_plug_in(capsys, tmp_path, registries):
-    path = tmp_path / "mine.py"
-    path.write_text(PLUGIN)
-    assert main(["check", "mine", "--plugin", str(path)]) == 0
-    for line in (
-        "solve mine contact-strang --step 0.1 --laws",
-        "solve mine cvode-adams --rtol 1e-8 --set k=3",
-        "list",
-    ):
-        capsys.readouterr()
-        assert main([*line.split(), "--plugin", str(path)]) == 0
-        out = capsys.readouterr().out
-        assert "mine" in out
-        assert "np.float64" not in out

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import by_name, pairs, refusal, saved
+from cases import after_pulse, by_name, mine, pairs, pulse, refusal, saved
 from contactbench.measure.laws import laws_of, row
-from contactbench.measure.order import error_at, order_at
+from contactbench.measure.order import order_at
 from contactbench.numbers import quadrature
 from contactbench.scenes.driven import (
     DETEST,
@@ -58,58 +58,6 @@ def test_published_solutions_of_detest(scene, published):
     np.testing.assert_allclose(cb.reference(scene, [scene.t_end], ()).y[0, :2], published, rtol=0, atol=2e-14)
     end = cb.solve(scene, "contact-rkn6", step=0.05, save_at=[scene.t_end], carry=()).y[0, :2]
     np.testing.assert_allclose(end, published, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize(("n", "zero"), [(1.5, 3.65375373621912608), (3.0, 6.896848619376960)])
-def test_published_zeros_of_the_lane_emden_functions(n, zero):
-    """Boyd, Numer. Math. Theor. Meth. Appl. 4, 142 (2011), as quoted by Dedalus's example; to nine digits.
-
-    From θ = 1 − t²/6 + n t⁴/120 − … at t = 0.01 to just before the zero, and on by a parabola, the force being none.
-    """
-    start = {"t": 0.01, "q": (1 - 1e-4 / 6 + n * 1e-8 / 120,), "p": (-0.01 / 3 + n * 1e-6 / 30,)}
-    scene = cb.Driven(
-        name="before_the_zero",
-        potential=lambda q, t: abs(q[0]) ** (n + 1) / (n + 1),
-        gradient=lambda q, t: (abs(q[0]) ** n,),
-        rate=LANE_EMDEN[0].rate,
-        span=spherical_span,
-        t_end=zero - 1e-3 - 0.01,
-        **start,
-    )
-    q, p, t = cb.solve(scene, "contact-rkn6", step=scene.t_end / 4000, carry=(), engine="python").y[-1]
-    d = -q / p  # a straight line's; the curvature is −2p/t
-    assert t + d * (1 + d / t) == pytest.approx(zero, abs=2e-9)
-
-
-@pytest.mark.parametrize(
-    ("gamma", "t_end", "printed", "highest", "at"),
-    [(0.01, 100.0, (-3.214, -0.333), 0.0075, 67.3), (0.1, 50.0, (-1.495, -1.547), 0.0019, 48.2)],
-)
-def test_published_error_of_the_second_contact_variational_integrator(gamma, t_end, printed, highest, at):
-    """Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), Example 6: steady motion under 0.3 sin(πt/3), h = 0.1.
-
-    Initial data as printed above the figures of the authors' notebook DampedOscillatorWithForcing
-    (github.com/mseri/contact-variational-integrator); the highest error of "Contact (2nd)", |(10 + q)/(10 + q*) − 1|,
-    as read off them to about a hundredth of the axis.  The method is `herglotz2`.
-    """
-    drive, force = math.pi / 3, 0.3
-    lag = math.atan2(gamma * drive, drive**2 - 1)
-    size = -force / math.hypot(gamma * drive, 1 - drive**2)
-
-    def steady(t):
-        return size * np.sin(drive * t + lag)
-
-    begin = {"q": (steady(0.0),), "p": (size * drive * math.cos(lag),), "t": -math.pi / (2 * drive)}
-    # cos there is sin here
-    scene = FORCED_OSCILLATOR.with_(gamma=gamma, force=force, drive=drive, t_end=t_end, **begin)
-    assert (round(scene.p[0], 3), round(scene.q[0], 3)) == printed
-    t = 0.1 * np.arange(1, round(10 * t_end))
-    truth = cb.reference(scene, t[::100], ()).y[:, 0]
-    np.testing.assert_allclose(truth, steady(t[::100]), rtol=0, atol=1e-12)
-    q = cb.solve(scene, "herglotz2", step=0.1, save_at=t, carry=()).y[:, 0]
-    error = abs((10 + q) / (10 + steady(t)) - 1)
-    assert error.max() == pytest.approx(highest, abs=1e-4)
-    assert t[error.argmax()] == pytest.approx(at, abs=0.3)
 
 
 # -- γ(t) without a closed form of its integral --------------------------------------------------------
@@ -177,25 +125,7 @@ def test_order_of_the_others(name):
     assert math.log2(coarse / fine) == pytest.approx(cb.METHODS[name].order, abs=0.25)
 
 
-@pytest.mark.parametrize("scene", [FORCED_OSCILLATOR, LANE_EMDEN[1]], ids=lambda s: s.name)
-@pytest.mark.parametrize(
-    "name", ["scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-dop853", "heyoka-taylor"]
-)
-def test_solvers_with_a_tolerance_solve_them(scene, name):
-    rough, fine = (solution_error(scene, name, rtol=rtol) for rtol in (1e-4, 1e-8))
-    assert fine < min(1e-5, rough / 10)
-
-
 # -- contact form ----------------------------------------------------------------------------------
-@pairs(CONTACT, DRIVEN)
-@pytest.mark.quick(scene="forced_pulsating")
-def test_contact_methods_keep_the_contact_form_at_a_coarse_step(method, scene):
-    """Up to t = 20 at most: beyond, the tangents of the chaotic scene magnify roundings more."""
-    solution = cb.solve(scene, method.name, step=0.2, save_at=min(scene.t_end, 20.0) * np.arange(1, 6) / 5)
-    columns = row(solution)
-    for law in laws_of(scene):
-        if law.gate.value == "structure" and "attitude" not in law.name:
-            assert columns[law.name] < 1e-12, law.name
 
 
 @by_name([FORCED_PULSATING, LANE_EMDEN[1]])
@@ -230,30 +160,6 @@ def test_laws_of_h_are_not_claimed_where_time_is_in_it():
 
 
 # -- wherever a scene may go ---------------------------------------------------------------------------
-@by_name(DRIVEN)
-@pytest.mark.parametrize("engine", ["numba", "jax"])
-@pytest.mark.quick(scene="duffing")
-def test_ensembles_are_the_runs_one_by_one_and_go_on_from_where_they_ended(scene, engine):
-    q, h = np.linspace(0.95, 1.0, 3) * scene.q[0], scene.t_end / 200
-    first = cb.ensemble(scene, "contact-rkn4", {"q": (q,)}, step=h, engine=engine)
-    runs = [cb.solve(scene.with_(q=(x,)), "contact-rkn4", step=h, carry=()).y[-1] for x in q.tolist()]
-    np.testing.assert_allclose(
-        [first.final.q[0], first.final.p[0], first.final.t], np.transpose(runs), atol=1e-13
-    )
-    again = cb.ensemble(scene, "contact-rkn4", first.final, step=h, engine=engine)
-    np.testing.assert_allclose(again.final.t, scene.t + 2 * scene.t_end, rtol=1e-12)
-
-
-# -- mutants ---------------------------------------------------------------------------------------
-def test_a_clock_that_lags_loses_the_order(monkeypatch):
-    def lagging(scene, x, h, xp):
-        return right(scene, x, h, xp)._replace(t=x.t + h[0] * (1 - 1e-3))
-
-    table = FORCED_OSCILLATOR.flows
-    right = table["drift_damp"].apply
-    monkeypatch.setitem(table, "drift_damp", table["drift_damp"]._replace(apply=lagging))
-    coarse, fine = (error_at(cb.METHODS["contact-rkn4"], FORCED_OSCILLATOR, 2.0, n) for n in (32, 64))
-    assert coarse / fine < 2
 
 
 NOTHING = {"gamma": 0.0, "omega": 0.0, "drive": 0.0}
@@ -276,20 +182,8 @@ SECOND_ORDER = ("contact-rkn8", "contact-yoshida6", "contact-printed")
 
 def jumping(side="left", **changes):
     stiffness = SIDES[side]
-    own = {"gamma": 0.1, "q": (1.0,), "p": (0.0,), "t_end": 12.0, "breaks": (JUMP,)}
-    return cb.Driven(
-        name="jump",
-        potential=lambda q, t: stiffness(t) * q[0] * q[0] / 2,
-        gradient=lambda q, t: (stiffness(t) * q[0],),
-        **own | changes,
-    )
-
-
-def pulse(**changes):
-    """At rest until a pulse of width 0.05 at 13.3."""
-    own = {"gamma": 0.1, "q": (0.0,), "p": (0.0,), "t_end": 20.0}
-    bell = lambda t: cb.math.exp(-(((t - 13.3) / 0.05) ** 2))  # noqa: E731
-    return cb.Driven(name="pulse", potential=lambda q, t: q[0] * q[0] / 2 - q[0] * bell(t), **own | changes)
+    own = {"kind": cb.Driven, "gradient": lambda q, t: (stiffness(t) * q[0],), "breaks": (JUMP,)}
+    return mine(lambda q, t: stiffness(t) * q[0] * q[0] / 2, **own | {"gamma": 0.1, "t_end": 12.0} | changes)
 
 
 def damped(q, p, gamma, stiffness, t):
@@ -304,14 +198,7 @@ def damped(q, p, gamma, stiffness, t):
 AFTER_JUMP = damped(*damped(1.0, 0.0, 0.1, 1.0, JUMP), 0.1, 3.0, 12.0 - JUMP)
 
 
-def response(t):
-    """Return (q, p) at t after the pulse: its convolution with the motion after a push, by the trapezoidal rule."""
-    times = np.linspace(12.8, 13.8, 401)
-    pushed = np.array([damped(0.0, 1.0, 0.1, 1.0, t - time) for time in times.tolist()])
-    return np.exp(-(((times - 13.3) / 0.05) ** 2)) @ pushed * (times[1] - times[0])
-
-
-AFTER_PULSE = response(20.0)
+AFTER_PULSE = after_pulse()
 
 
 def end(run):
@@ -440,11 +327,3 @@ def test_a_run_may_begin_at_a_break_or_behind_it(begin):
 )
 def test_breaks_are_refused_where_they_are_none_or_cannot_be_kept(ask, says):
     assert says in refusal(ask)
-
-
-def test_members_of_an_ensemble_take_the_steps_of_a_run():
-    scene = pulse(breaks=(13.0, 13.6), t_end=15.0)
-    found = cb.ensemble(scene, "contact-rkn6", {"q": [[0.0, 0.5]], "p": [[0.0, 0.1]]}, step=0.05, keep=True)
-    runs = cb.prepare(scene, "contact-rkn6", step=0.05, save_at=[15.0])
-    for k, start in enumerate(({"q": (0.0,), "p": (0.0,)}, {"q": (0.5,), "p": (0.1,)})):
-        assert found.final.q[0][k] == pytest.approx(runs(**start).q[-1, 0], abs=1e-13)

@@ -9,7 +9,7 @@ from mpmath import mp
 
 import contactbench as cb
 import decimals
-from cases import in_mp
+from cases import in_mp, mine
 from contactbench.measure import order as precision
 from contactbench.measure.laws import decay_rate
 from contactbench.scene.general_damping import decay
@@ -171,11 +171,7 @@ def test_it_runs_on_every_engine_and_keeps_its_own_factor(scene, engine):
 
 
 def test_a_derived_hessian_is_no_jacobian():
-    functions = {
-        "potential": lambda q: q[0] ** 4 / 4,
-        "damping": lambda s: s**3,
-        "damping_slope": lambda s: 3 * s * s,
-    }
-    scene = cb.GeneralDamping(name="mine", q=(1.0,), p=(0.0,), s=0.3, t_end=3.0, **functions)
+    damping = {"damping": lambda s: s**3, "damping_slope": lambda s: 3 * s * s}
+    scene = mine(lambda q: q[0] ** 4 / 4, t_end=3.0, kind=cb.GeneralDamping, s=0.3, **damping)
     runs = [cb.solve(scene, name, rtol=1e-8, save_at=[3.0]) for name in ("scipy-radau", "scipy-dop853")]
     np.testing.assert_allclose(runs[0].y, runs[1].y, rtol=0, atol=1e-6)

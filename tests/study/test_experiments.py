@@ -12,7 +12,6 @@ from cases import REPOSITORY, bench, few_slow, finished, own_processes
 from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES
 from contactbench.measure.clock import Part, Visit
-from contactbench.measure.ladder import ENDS, work_ladder
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.store import read
 from contactbench.results.tables import DEFINITIONS, DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
@@ -24,6 +23,7 @@ from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
 from contactbench.study.ensemble import prepared_row, truth
 from contactbench.study.experiment import PROFILES, experiments
 from contactbench.study.search import step_at, tolerance_at
+from contactbench.study.settings import ENDS, steps
 from contactbench.study.timetable import SAMPLE, Entry, Timetable
 from contactbench.study.work_precision import error, errors, evaluations_spread, ladder, passes_through
 
@@ -237,7 +237,7 @@ def test_fixed_steps_pass_through_the_earlier_ends(method):
     """The error there, of runs of their own and of one that passes through; a processed method has more of it."""
     scene = cb.SCENES["central"]
     ends = [scene.t_end * k / ENDS for k in range(1, ENDS)]
-    options = {"step": work_ladder(scene, cb.METHODS[method].order)[2], "engine": "python", "carry": ()}
+    options = {"step": steps(scene, cb.METHODS[method].order)[2], "engine": "python", "carry": ()}
     own = error([cb.solve(scene, method, save_at=[t], **options) for t in ends])
     passing = error([cb.solve(scene, method, save_at=ends, **options)])
     same = passing == pytest.approx(own, rel=1e-6, abs=1e-14)
@@ -298,6 +298,6 @@ def test_steps_end_at_the_saved_times_and_rotations_count_half():
     for name in ("contact-strang", "contact-bm4"):
         method, body = cb.METHODS[name], cb.SCENES["rigid_body"]
         h = step_at(method, body, 600.0, SAVES)
-        steps = body.t_end / h
-        assert round(steps) % SAVES == 0
-        assert method.counts(body, round(steps)) / 2 == pytest.approx(600, rel=0.1)
+        n = round(body.t_end / h)
+        assert n % SAVES == 0
+        assert method.counts(body, n) / 2 == pytest.approx(600, rel=0.1)

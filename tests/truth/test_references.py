@@ -15,7 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import contactbench as cb
-from cases import refusal
+from cases import mine, refusal
 from contactbench import truth
 from contactbench.errors import BadInput
 from contactbench.scene import Mechanical, State
@@ -34,12 +34,6 @@ def generate():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def mine(potential, gradient=None, q=1.0, p=0.0, t_end=1.0, **changes):
-    return Mechanical(
-        name="mine", potential=potential, gradient=gradient, q=(q,), p=(p,), t_end=t_end, **changes
-    )
 
 
 def stored(name):
@@ -174,7 +168,7 @@ def test_without_heyoka_extrapolation_answers(monkeypatch):
 
 def test_division_by_three_is_not_trusted_to_heyoka():
     """heyoka rounds ``x / 3`` to x · 0.333…33 in double precision; the answer must not show it."""
-    pendulum = mine(lambda q: q[0] * q[0] / 6, lambda q: (q[0] / 3,))
+    pendulum = mine(lambda q: q[0] * q[0] / 6, gradient=lambda q: (q[0] / 3,))
     context = truth.decimal_context(40)
     exact = context.cos(2 / context.sqrt(3))
     found = reference(pendulum, [2.0], ())
@@ -215,7 +209,7 @@ def turned(phase, rate):
     ("phase", "rate", "source"), [(0.0, 1, "closed form"), (0.5, 1, "live"), (0.0, 2, "live")]
 )
 def test_a_closed_form_of_another_motion_or_of_other_equations_is_not_the_truth(phase, rate, source):
-    scene = mine(lambda q: q[0] * q[0] / 2, lambda q: (q[0],), exact=turned(phase, rate))
+    scene = mine(lambda q: q[0] * q[0] / 2, gradient=lambda q: (q[0],), exact=turned(phase, rate))
     found = reference(scene, [2.5], ())
     assert found.source == source
     assert found.y[0, 0] == pytest.approx(math.cos(2.5), rel=1e-15)
@@ -249,7 +243,7 @@ def test_a_frozen_time_is_one_within_four_units_in_the_last_place(times, ulps):
 
 # -- errors ----------------------------------------------------------------------------------------
 ESCAPING = SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0))
-PLAIN = mine(lambda q: math.sin(q[0]), lambda q: (math.cos(q[0]),))
+PLAIN = mine(lambda q: math.sin(q[0]), gradient=lambda q: (math.cos(q[0]),))
 
 
 @pytest.mark.parametrize(
@@ -286,13 +280,13 @@ def test_a_short_span_of_a_fast_motion_is_no_blow_up():
 
 def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
     """At 1/q with energy 31 the steps shrink a thousandfold; 34 attempts where they grow again, else 1935."""
-    bounce = mine(lambda q: 1 / q[0], lambda q: (-1 / (q[0] * q[0]),), q=4.0, p=-7.9, t_end=8.0)
+    bounce = mine(lambda q: 1 / q[0], gradient=lambda q: (-1 / (q[0] * q[0]),), q=4.0, p=-7.9, t_end=8.0)
     module, steps = importlib.import_module("contactbench.truth.engines"), []
     attempt = module.extrapolated
 
-    def count(slope, y, step, *more):
+    def count(slope, t, y, step, *more):
         steps.append(step)
-        return attempt(slope, y, step, *more)
+        return attempt(slope, t, y, step, *more)
 
     monkeypatch.setattr(module, "extrapolated", count)
     ((q, p),) = truth.extrapolation(bounce, ["8.0"], (), 8)
@@ -360,12 +354,12 @@ def test_functions_end_where_an_argument_is_beyond_any_scale():
 def test_a_step_ends_where_the_state_is_beyond_any_scale():
     seen = []
 
-    def slope(y):
+    def slope(t, y):
         seen.append(abs(y[0]))
         return y**2
 
     y, step = (truth.decimal_context(40).mpf(x) for x in ("1e3", "10"))
-    engines.extrapolated(slope, np.array([y]), step, 12, 1e-20, lambda: None)
+    engines.extrapolated(slope, 0, np.array([y]), step, 12, 1e-20, lambda: None)
     assert max(seen) < 1e4 * engines.BEYOND
 
 
@@ -374,7 +368,7 @@ def test_extrapolation_looks_at_the_clock_before_every_slope(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(engines, "perf_counter", lambda: now[0])
 
-    def slope(y):
+    def slope(t, y):
         now[0] += 1.0
         return -y
 
@@ -426,6 +420,6 @@ def test_no_step_is_begun_that_nothing_could_interrupt(monkeypatch):
         time.sleep(0.1 * (not isinstance(q[0], float)))
         return (q[0],)
 
-    scene = mine(lambda q: q[0] ** 2 / 2, slow)
+    scene = mine(lambda q: q[0] ** 2 / 2, gradient=slow)
     with pytest.raises(engines.OutOfTime):
         truth.live(scene, np.array([1.0]), (), deadline=time.perf_counter() + 15.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -19,6 +20,7 @@ from contactbench.claims.ledger import Evidence, at_most, claim
 from contactbench.measure.order import fit_order
 from contactbench.methods.contact import contact_method
 from contactbench.methods.loops import trajectory
+from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Mechanical
 from contactbench.splitting.composition import Composition, palindrome
 from contactbench.splitting.modified import flow_of, logarithm
@@ -28,7 +30,7 @@ from contactbench.truth import decimal_context, distance, reference, with_decima
 Polynomial = dict[tuple[int, ...], Fraction]
 
 
-def added(f: Polynomial, g: Polynomial, factor: Any = 1) -> Polynomial:
+def added(f: Polynomial, g: Polynomial, factor: Fraction | int = 1) -> Polynomial:
     total = {m: f.get(m, 0) + factor * g.get(m, 0) for m in f | g}
     return {m: Fraction(c) for m, c in total.items() if c}
 
@@ -128,14 +130,15 @@ def for_cubic_potentials() -> Composition:
     return Composition("cubic", 4, palindrome("kick", "drift_damp", digits), "made here", nystrom=True)
 
 
-def henon_heiles(q: Any) -> Any:
+def henon_heiles(q: Sequence[Arithmetic]) -> Arithmetic:
     return (q[0] * q[0] + q[1] * q[1]) / 2 + q[0] * q[0] * q[1] - q[1] * q[1] * q[1] / 3
 
 
 def order(composition: Composition, gamma: float) -> float:
     """Return the order of the error of (q, p) at t = 1, 2 on Hénon and Heiles' potential, everything in 50 digits."""
-    start: Any = {"q": (0.3, -0.2), "p": (0.1, 0.4)}
-    scene = Mechanical(name="henon", potential=henon_heiles, gamma=gamma, t_end=2.0, **start)
+    scene = Mechanical(
+        name="henon", potential=henon_heiles, gamma=gamma, q=(0.3, -0.2), p=(0.1, 0.4), t_end=2.0
+    )
     context = decimal_context(50)
     twin = with_decimals(scene, context.mpf)
     truth = [[context.mpf(x) for x in row] for row in reference(scene, (1, 2), ()).decimals]

@@ -10,7 +10,6 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import numpy as np
 
@@ -20,11 +19,11 @@ from contactbench.scenes import SCENES
 from contactbench.truth import reference
 
 type Numbers = Iterable[float]
-type Row = tuple[str, str, str, float, float, float]
+type Point = tuple[str, str, str, float, float, float]
 IN_THE_PLANE = itertools.repeat(math.nan)
 
 
-def rows(name: str) -> Iterator[dict[str, Any]]:
+def rows(name: str) -> Iterator[dict[str, object]]:
     count: Counter[tuple[str, str]] = Counter()
     for panel, curve, kind, x, y, z in FIGURES[name]():
         place = {"point": count[panel, curve], "x": float(x), "y": float(y), "z": float(z)}
@@ -34,12 +33,12 @@ def rows(name: str) -> Iterator[dict[str, Any]]:
 
 def curve(
     panel: str, name: str, kind: str, x: Numbers, y: Numbers, z: Numbers = IN_THE_PLANE
-) -> Iterator[Row]:
+) -> Iterator[Point]:
     for point in zip(x, y, z, strict=False):
         yield (panel, name, kind, *point)
 
 
-def paper_2() -> Iterator[Row]:
+def paper_2() -> Iterator[Point]:
     """Yield the phase portrait of the oscillator: closed orbits at λ = 0, spirals for λ > 0."""
     orbit, spiral = np.linspace(0, 2 * math.pi, 81), np.linspace(0, 25.0, 201)
     closed, open_ = (0.0, "conservative", orbit), (0.2, "dissipative", spiral)
@@ -48,7 +47,7 @@ def paper_2() -> Iterator[Row]:
         yield from curve("phase", f"λ = {gamma:g}, q(0) = {q0:g}", kind, truth.q[0], truth.p[0])
 
 
-def paper_3() -> Iterator[Row]:
+def paper_3() -> Iterator[Point]:
     """Yield the momentum map of a rotation-invariant force along time, measured and by the law."""
     for gamma in (0.0, 0.05, 0.1, 0.2, 0.4):
         scene = SCENES["central"].with_(gamma=gamma)
@@ -59,7 +58,7 @@ def paper_3() -> Iterator[Row]:
         yield from curve("decay", f"λ = {gamma:g}, contact-strang", "method", run.t, J / J[0])
 
 
-def paper_4() -> Iterator[Row]:
+def paper_4() -> Iterator[Point]:
     """Yield trajectories of the damped body in momentum space, from near each principal axis."""
     for axis in range(3):
         M = np.full(3, 0.08)
@@ -69,7 +68,7 @@ def paper_4() -> Iterator[Row]:
         yield from curve("momentum", f"near axis {axis + 1}", "stable" if axis != 1 else "unstable", *path.T)
 
 
-def paper_5() -> Iterator[Row]:
+def paper_5() -> Iterator[Point]:
     """Yield directions of the momentum: the flow of M/‖M‖, and its six equilibria with their stability."""
     scene = SCENES["rigid_body"]
     of_direction = direction_growths(scene)
@@ -93,14 +92,14 @@ def paper_5() -> Iterator[Row]:
                 yield from curve("sphere", name, "flow", *path[: once + 1].T)
 
 
-def paper_7() -> Iterator[Row]:
+def paper_7() -> Iterator[Point]:
     """Yield, left, H0 along time at h = 0.01.  Right, the error of H0 against the step, with fitted orders."""
     scene = SCENES["particle"]
     t = np.linspace(0, scene.t_end, 101)
     truth = scene.energy(reference(scene, t, ()).states())
 
     def law(t: np.ndarray) -> np.ndarray:
-        return truth[0] * np.exp(-scene.gamma * t)
+        return np.asarray(truth[0] * np.exp(-scene.gamma * t))
 
     yield from curve("energy", "true H0", "truth", t, truth)
     yield from curve("energy", "H0(0) e^{-γt}", "law", t, law(t))
@@ -116,7 +115,7 @@ def paper_7() -> Iterator[Row]:
         yield from curve("convergence", name, "method", errors.keys(), errors.values(), order)
 
 
-def paper_8() -> Iterator[Row]:
+def paper_8() -> Iterator[Point]:
     """Yield the splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
     for gamma, kind in ((0.0, "conservative"), (0.1, "dissipative")):
         scene = SCENES["particle"].with_(gamma=gamma, t_end=60.0)
@@ -129,7 +128,7 @@ def paper_8() -> Iterator[Row]:
             yield from curve("bounded", label, kind, run.t, energy / energy[0] - 1)
 
 
-def paper_stability() -> Iterator[Row]:
+def paper_stability() -> Iterator[Point]:
     """Yield the growth rate at M* = e_i in ker D over two slices of D ≥ 0, and the border det = 0 of `criterion`."""
     a, unit, zero = 1 / np.asarray(INERTIA), np.eye(3), 1e-12  # that of the eigenvalues
     for axis, reach in enumerate((3.0, 1.0, 1.0)):  # far enough for a full D to destabilise the outer two

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its parts are loaded when first used
@@ -57,25 +57,33 @@ def pack(x: Iterable[object]) -> Array:
 def eta(y: Array) -> Array:
     """Return the suite's own contact form on T*Rⁿ × R, as a covector at y."""
     form = SCENES["particle"].contact_form
-    return jax.grad(lambda v: form(canonical(y), canonical(v)))(jnp.zeros(len(y)))
+    return gradient(lambda v: form(canonical(y), canonical(v)))(jnp.zeros(len(y)))
+
+
+def gradient(function: Field) -> Field:
+    return jax.grad(function)
+
+
+def jacobian(map_: Field) -> Field:
+    return jax.jacfwd(map_)
 
 
 def exterior(form: Field, y: Array) -> Array:
     """Return dα as a matrix: dα(u, v) = D(α·v)[u] − D(α·u)[v]."""
-    derivative = jax.jacfwd(form)(y)  # [i, j] = ∂_j α_i
+    derivative = jacobian(form)(y)  # [i, j] = ∂_j α_i
     return derivative.T - derivative
 
 
 def pullback(map_: Field, form: Field, y: Array) -> Array:
-    return form(map_(y)) @ jax.jacfwd(map_)(y)
+    return form(map_(y)) @ jacobian(map_)(y)
 
 
 def lie_derivative(field: Field, form: Field, y: Array) -> Array:
-    return jax.jacfwd(form)(y) @ field(y) + form(y) @ jax.jacfwd(field)(y)
+    return jacobian(form)(y) @ field(y) + form(y) @ jacobian(field)(y)
 
 
 def along(field: Field, function: Field, y: Array) -> Array:
-    return jax.jvp(function, (y,), (field(y),))[1]
+    return jnp.asarray(jax.jvp(function, (y,), (field(y),))[1])
 
 
 def reeb(form: Field, y: Array) -> Array:
@@ -86,7 +94,7 @@ def reeb(form: Field, y: Array) -> Array:
 
 def contact_field(form: Field, hamiltonian: Field, y: Array) -> Array:
     """Return X_H solved from its definition ι_X dα = dH − R(H) α, ι_X α = −H  (§2.3, eq. (11))."""
-    slope, covector = jax.grad(hamiltonian)(y), form(y)
+    slope, covector = gradient(hamiltonian)(y), form(y)
     right = jnp.append(slope - (slope @ reeb(form, y)) * covector, -hamiltonian(y))
     return jnp.linalg.lstsq(jnp.vstack([exterior(form, y).T, covector]), right)[0]
 
@@ -96,7 +104,7 @@ def contact_equations(hamiltonian: Field) -> Field:
 
     def field(y: Array) -> Array:
         n = (len(y) - 1) // 2
-        slope, p = jax.grad(hamiltonian)(y), y[n : 2 * n]
+        slope, p = gradient(hamiltonian)(y), y[n : 2 * n]
         dq, dp, ds = slope[:n], slope[n : 2 * n], slope[2 * n]
         return jnp.concatenate([dp, -dq - p * ds, jnp.array([p @ dp - hamiltonian(y)])])
 
@@ -119,7 +127,8 @@ CUBIC = 100 * ROUND_OFF, "round-off of cubic polynomials with 400 terms of size 
 
 
 def quadratically_damped(gamma: float = 0.1) -> Mechanical:
-    return SCENES["particle"].with_(name="particle, κ = 0.3", gamma=gamma, kappa=0.3)
+    scene: Mechanical = SCENES["particle"]
+    return scene.with_(name="particle, κ = 0.3", gamma=gamma, kappa=0.3)
 
 
 def points_by_degree(seed: int) -> list[np.ndarray]:
@@ -166,7 +175,7 @@ def reeb_field(seed: int = SEED) -> Evidence:
 def contact_hamilton_equations(seed: int = SEED) -> Evidence:
     def defect(field: Field, hamiltonian: Field) -> Field:
         def at(y: Array) -> Array:
-            slope, X = jax.grad(hamiltonian)(y), field(y)
+            slope, X = gradient(hamiltonian)(y), field(y)
             two = X @ exterior(eta, y) - (slope - slope @ reeb(eta, y) * eta(y))
             return jnp.append(two, eta(y) @ X + hamiltonian(y))
 
@@ -189,7 +198,7 @@ def contact_hamilton_equations(seed: int = SEED) -> Evidence:
 def hamiltonian_evolution(seed: int = SEED) -> Evidence:
     H = random_polynomial(5, seed)
     rate = lambda y: along(contact_equations(H), H, y)  # noqa: E731
-    dissipation = lambda y: jax.grad(H)(y) @ reeb(eta, y)  # noqa: E731
+    dissipation = lambda y: gradient(H)(y) @ reeb(eta, y)  # noqa: E731
     at = points(5, seed=seed) / 2
 
     def relative(law: Field) -> float:
@@ -216,7 +225,7 @@ def damped_newton(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
         def H(y: Array) -> Array:
             q, p = y[:2], y[2:4]
-            return p @ jnp.linalg.solve(metric(q), p) / 2 + potential(q) + gamma * y[4]
+            return jnp.asarray(p @ jnp.linalg.solve(metric(q), p) / 2 + potential(q) + gamma * y[4])
 
         field = contact_equations(H)
 
@@ -224,10 +233,10 @@ def damped_newton(seed: int = SEED, gamma: float = 0.1) -> Evidence:
             q, g = y[:2], metric(y[:2])
             velocity = field(y)[:2]
             acceleration = along(field, lambda z: field(z)[:2], y)
-            d = jax.jacfwd(metric)(q)  # [i, j, k] = ∂_k g_ij
+            d = jacobian(metric)(q)  # [i, j, k] = ∂_k g_ij
             christoffel = (d + jnp.einsum("ikj->ijk", d) - jnp.einsum("jki->ijk", d)) / 2
             curved = jnp.einsum("ijk,j,k", christoffel, velocity, velocity) if connection else 0.0
-            return g @ acceleration + curved + gamma * g @ velocity + jax.grad(potential)(q)
+            return g @ acceleration + curved + gamma * g @ velocity + gradient(potential)(q)
 
         return largest(newton, at)
 
@@ -244,8 +253,8 @@ def energy_balance(seed: int = SEED, gamma: float = 0.1) -> Evidence:
         energy, field = function_of(scene.energy), vector_field(scene)
 
         def at(y: Array) -> Array:
-            power = y[2:4] @ jax.grad(energy)(y)[2:4]
-            return along(field, energy, y) + scene.dissipation_rate(y[4]) * power
+            power = y[2:4] @ gradient(energy)(y)[2:4]
+            return along(field, energy, y) + jnp.asarray(scene.dissipation_rate(y[4])) * power
 
         return largest(at, points(5, seed=seed))
 
@@ -283,10 +292,10 @@ def oscillator_portrait(
 
     def ratios(scene: Mechanical) -> np.ndarray:
         sizes = np.linalg.norm(orbit(scene, period * np.arange(1, 11)), axis=1)
-        return sizes[1:] / sizes[:-1]
+        return np.asarray(sizes[1:] / sizes[:-1])
 
     gap = np.abs(orbit(free, [2 * math.pi])[0] - np.array(start)).max() / np.linalg.norm(start)
-    R_of_H = jax.grad(function_of(damped.hamiltonian))
+    R_of_H = gradient(function_of(damped.hamiltonian))
     reeb_rate = largest(lambda y: R_of_H(y)[-1] - gamma, points(3, seed=seed))
     rounding = 1e-14, "round-off of 2π times a velocity of one, and of y"
     shrinks = math.exp(-gamma * period / 2) * (1 + 1e-12)
@@ -307,7 +316,7 @@ def vertical_component(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     H, field = function_of(scene.hamiltonian), vector_field(scene)
     vertical = lambda y: eta(y) @ field(y)  # noqa: E731
     at = points(5, seed=seed)
-    from_dissipation = largest(lambda y: vertical(y) - jax.grad(H)(y) @ reeb(eta, y), at)
+    from_dissipation = largest(lambda y: vertical(y) - gradient(H)(y) @ reeb(eta, y), at)
     yield at_most("max |η(X_H) − R(H)|", from_dissipation, *IDENTITY)
     yield CORRECTED
     yield at_most("max |η(X_H) + H|", largest(lambda y: vertical(y) + H(y), at), *IDENTITY)
@@ -356,7 +365,7 @@ def rotate(y: Array, angle: Array | float) -> Array:
 
 
 def generator(y: Array) -> Array:
-    return jax.jvp(lambda angle: rotate(y, angle), (0.0,), (1.0,))[1]
+    return jnp.asarray(jax.jvp(lambda angle: rotate(y, angle), (0.0,), (1.0,))[1])
 
 
 @claim("C09")
@@ -367,7 +376,7 @@ def cotangent_lifts(seed: int = SEED) -> Evidence:
 
     def lifted(y: Array) -> Array:
         q, p = y[:2], y[2:4]
-        return jnp.concatenate([bend(q), jnp.linalg.solve(jax.jacfwd(bend)(q).T, p), y[4:]])
+        return jnp.concatenate([bend(q), jnp.linalg.solve(jacobian(bend)(q).T, p), y[4:]])
 
     def defect(map_: Field, dimension: int) -> float:
         return largest(lambda y: pullback(map_, eta, y) - eta(y), points(dimension, seed=seed))
@@ -380,7 +389,7 @@ def cotangent_lifts(seed: int = SEED) -> Evidence:
 def infinitesimal_strictness(seed: int = SEED) -> Evidence:
     momentum = lambda y: jnp.dot(AXIS, jnp.cross(y[:3], y[3:6]))  # noqa: E731
     defect = partial(largest, at=points(7, seed=seed))
-    lie, slope = lambda y: lie_derivative(generator, eta, y), jax.grad(momentum)
+    lie, slope = lambda y: lie_derivative(generator, eta, y), gradient(momentum)
     contraction = lambda y: generator(y) @ exterior(eta, y)  # noqa: E731
     yield at_most("max |L_ξ η + dJ_ξ|", defect(lambda y: lie(y) + slope(y)), *IDENTITY)
     yield CORRECTED
@@ -422,9 +431,10 @@ def momenta(scene: Scene) -> np.ndarray:
     return np.array(scene.momentum(reference(scene, times(scene)).states())).T
 
 
-def radius_and_speed(x: Any) -> tuple[np.ndarray, np.ndarray]:
-    radius = np.hypot(*x.q)
-    return radius, (x.q[0] * x.p[0] + x.q[1] * x.p[1]) / radius
+def radius_and_speed(x: State) -> tuple[np.ndarray, np.ndarray]:
+    q, p = np.asarray(x.q), np.asarray(x.p)
+    radius = np.hypot(*q)
+    return radius, (q * p).sum(axis=0) / radius
 
 
 @claim("C11")
@@ -433,7 +443,7 @@ def momentum_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
         scene = SCENES[name].with_(gamma=gamma)
         J = momenta(scene)
         scaled = J * np.exp(scene.conformal_rate * times(scene))[:, None]
-        return np.linalg.norm(scaled - J[0], axis=1).max() / np.linalg.norm(J[0])
+        return float(np.linalg.norm(scaled - J[0], axis=1).max() / np.linalg.norm(J[0]))
 
     coefficients = np.random.default_rng(seed).normal(size=(4, 4))
 
@@ -444,8 +454,8 @@ def momentum_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
         return u @ coefficients @ u / 4
 
     def defect(y: Array) -> Array:
-        momentum = lambda y: SCENES["central"].momentum(canonical(y))[0]  # noqa: E731
-        rate = jax.grad(invariant)(y)[-1]
+        momentum = lambda y: jnp.asarray(SCENES["central"].momentum(canonical(y))[0])  # noqa: E731
+        rate = gradient(invariant)(y)[-1]
         return along(contact_equations(invariant), momentum, y) + rate * momentum(y)
 
     off = largest(defect, points(5, seed=seed) / 2)
@@ -461,7 +471,7 @@ def level_sets(gamma: float = 0.1) -> Evidence:
 
     def change(scene: Scene) -> float:
         J = momenta(scene)[:, 0]
-        return np.abs(J - J[0]).max() / (abs(J[0]) or 1.0)
+        return float(np.abs(J - J[0]).max() / (abs(J[0]) or 1.0))
 
     straight = damped.with_(q=(1.0, 0.0), p=(0.3, 0.0))
     moves = 1e-3, "far above the uncertainty 10⁻¹³ of the truth"
@@ -510,15 +520,15 @@ def symplectification(gamma: float = 0.1) -> Evidence:
 
         @jax.jit
         def rhs(z: Array) -> Array:
-            slope = jax.grad(K)(z)
+            slope = gradient(K)(z)
             return jnp.concatenate([slope[n : 2 * n], -slope[:n], slope[-1:], -slope[-2:-1]])
 
         run = scipy.integrate.solve_ivp(lambda _, z: np.asarray(rhs(z)), (0, t[-1]), z0, t_eval=t, **SOLVER)
-        return run.y
+        return np.asarray(run.y)
 
     def polar(y: Array) -> Array:
         """Return H on (ρ, p_ρ, s) with p_θ put in for the conserved level, y = (ρ, θ, p_ρ, p_θ, s)."""
-        return (y[2] ** 2 + (y[3] / y[0]) ** 2) / 2 + scene.V((y[0], 0.0 * y[0])) + gamma * y[4]
+        return (y[2] ** 2 + (y[3] / y[0]) ** 2) / 2 + jnp.asarray(scene.V((y[0], 0.0 * y[0]))) + gamma * y[4]
 
     full = lifted(lambda y: scene.hamiltonian(canonical(y)))
     q, p = np.array(scene.q), np.array(scene.p)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its parts are loaded when first used
@@ -19,6 +19,8 @@ from contactbench.claims.geometry import (
     contact_equations,
     eta,
     everywhere,
+    gradient,
+    jacobian,
     largest,
     pack,
     points,
@@ -42,6 +44,7 @@ from contactbench.xla import jax, jnp
 
 if TYPE_CHECKING:
     from jax import Array
+    from mpmath import MPContext
 
 PARTICLE = SCENES["particle"]
 PRINTED, ABC, STRANG, RK4 = "contact-printed", "contact-abc", "contact-strang", "rk4"
@@ -57,7 +60,7 @@ def slope(errors: dict[float, float]) -> float:
     return fit_order(list(errors), list(errors.values()), 1e-12).order
 
 
-def exact_scene(changes: Mapping[str, object]) -> tuple[Any, Any]:
+def exact_scene(changes: Mapping[str, object]) -> tuple[MPContext, Scene]:
     """Return a 50-digit number namespace, and the particle, changed, with such numbers."""
     context = decimal_context(50)
     return context, with_decimals(PARTICLE.with_(**changes), context.mpf)
@@ -94,17 +97,17 @@ def discrete_herglotz(seed: int = SEED, gamma: float = 0.1, h: float = 0.1) -> E
         for a, b in itertools.pairwise([q[0], *inner, q[-1]]):
             v = (b - a) / h
             s = s + h * (v @ v / 2 - scene.V(tuple(a)) - scene.gamma * s)
-        return s
+        return jnp.asarray(s)
 
     def symplectic_defect(y: Array) -> Array:
-        derivative = jax.jacfwd(one_step(method, scene.with_(gamma=0.0), h))(y)[:4, :4]
+        derivative = jacobian(one_step(method, scene.with_(gamma=0.0), h))(y)[:4, :4]
         omega = jnp.kron(jnp.array([[0.0, 1.0], [-1.0, 0.0]]), jnp.eye(2))
         return derivative.T @ omega @ derivative - omega
 
-    gradient = jax.jit(jax.grad(action))(q[1:-1])
+    slopes = jax.jit(gradient(action))(q[1:-1])
     defect = largest(symplectic_defect, points(5, seed=seed))
     first, second = exact_order("herglotz1"), exact_order("herglotz2")
-    yield at_most("max |∂s_N/∂q_k| along a computed curve of 20 steps", np.abs(gradient).max(), *IDENTITY)
+    yield at_most("max |∂s_N/∂q_k| along a computed curve of 20 steps", np.abs(slopes).max(), *IDENTITY)
     yield at_most("max |DΦᵀΩDΦ − Ω| at γ = 0", defect, *IDENTITY)
     yield CORRECTED
     yield at_most("|order − 1| of herglotz1, 50 digits", abs(first - 1), *ORDER)
@@ -197,7 +200,8 @@ def contact_structure(seed: int = SEED, gamma: float = 0.1) -> Evidence:
         decay, map_ = math.exp(-gamma * h), one_step(METHODS[name], scene, h)
 
         def at(y: Array) -> Array:
-            return jnp.linalg.norm(pullback(map_, eta, y) / decay - eta(y)) / jnp.linalg.norm(eta(y))
+            drift = pullback(map_, eta, y) / decay - eta(y)
+            return jnp.asarray(jnp.linalg.norm(drift) / jnp.linalg.norm(eta(y)))
 
         return float(everywhere(at, points(5, seed=seed)).max())
 
@@ -214,7 +218,8 @@ def local_orders(name: str, scene: Scene, starts: np.ndarray) -> list[float]:
     """Return the powers of h in the errors of H0 and s after a step from `starts` (k, 5), against DOP853 at 10⁻¹³."""
 
     def state(y: np.ndarray) -> State:
-        return scene.unpack(tuple(y.reshape(-1, 5).T), ("s",))
+        q1, q2, p1, p2, s = y.reshape(-1, 5).T
+        return State((q1, q2), (p1, p2), s)
 
     def rate(_: float, y: np.ndarray) -> np.ndarray:
         return np.stack(scene.pack(scene.rhs(state(y)))).T.ravel()
@@ -236,7 +241,7 @@ def energy_and_action_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
     def momentum_law(name: str) -> float:
         scene, t = SCENES[name].with_(gamma=gamma), np.arange(1, 41) / 2
-        return LAWS["momentum_law"](solve(scene, PRINTED, step=0.5, save_at=t, engine="python"))
+        return float(LAWS["momentum_law"](solve(scene, PRINTED, step=0.5, save_at=t, engine="python")))
 
     exact = ROUND_OFF, "round-off of the steps taken"
     first, least = (2 - ORDER_MISS, "order 1 (C25): h² per step"), (3 - ORDER_MISS, ORDER_WHY)
@@ -273,14 +278,15 @@ def verlet_limit(h: float = PAPER_STEP, steps: int = 2000) -> Evidence:
 FAR = np.geomspace(0.05, 200.0, 4001)  #: step sizes ωh at which "stable at every step size" is looked at
 
 
-def radius(name: str, gamma: float, h: float | np.ndarray) -> Any:
+def radius(name: str, gamma: float, h: float | np.ndarray) -> np.ndarray:
     """Return the largest |eigenvalue| of one step on the oscillator with ω = 1."""
-    return spectral_radius(METHODS[name], gamma, 1.0, h)
+    return np.asarray(spectral_radius(METHODS[name], gamma, 1.0, h))
 
 
 def border(name: str, gamma: float) -> float:
     """Return the smallest ωh > 1 at which an eigenvalue of the step leaves the unit circle."""
-    return scipy.optimize.brentq(lambda h: radius(name, gamma, h) - 1 - SLACK, 1.0, 4.5, xtol=1e-12)
+    over = lambda h: float(radius(name, gamma, h)) - 1 - SLACK  # noqa: E731
+    return float(scipy.optimize.brentq(over, 1.0, 4.5, xtol=1e-12))
 
 
 def largest_radius(name: str, gamma: float) -> float:

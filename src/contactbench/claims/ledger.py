@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
-from typing import Any, SupportsFloat
+from typing import SupportsFloat
 
 from contactbench.registry import Registry
 from contactbench.results.schema import SEPARATOR
@@ -92,7 +92,7 @@ def verdict(
     return Verdict.corrected if correction is Correction.repairs and mended else Verdict.refuted
 
 
-def columns(measurements: Sequence[Measurement], prefix: str = "") -> dict[str, Any]:
+def columns(measurements: Sequence[Measurement], prefix: str = "") -> dict[str, object]:
     """Return the columns of the measurement that a row shows: the first that fails, else the first."""
     m = next((m for m in measurements if not m.passes), measurements[0])
     found = {"quantity": m.quantity, "measured": m.value, "relation": m.relation, "bound": m.bound}
@@ -120,17 +120,18 @@ class Claim:
     correction: str = ""
     figures: tuple[str, ...] = ()
 
-    def row(self, **parameters: object) -> dict[str, Any]:
+    def row(self, **parameters: object) -> dict[str, object]:
         """Measure the claim, with parameters of `measure`, and return its row; without a verdict if that fails."""
-        row: dict[str, Any] = {"id": self.name, "where": self.where, "claim": self.says, "scene": self.scene}
-        row |= {"method": self.method, "command": f"contactbench claim {self.name}"}
-        row |= {"figures": " ".join(self.figures)}
+        row: dict[str, object] = {"id": self.name, "where": self.where, "claim": self.says}
+        row |= {"scene": self.scene, "method": self.method, "figures": " ".join(self.figures)}
+        row |= {"command": f"contactbench claim {self.name}"}
         try:
-            measured: list[Any] = list(self.measure(**parameters))
+            measured = list(self.measure(**parameters))
         except Exception as error:
             return {**row, "status": "failed", "message": f"{type(error).__name__}: {error}"}
         end = measured.index(CORRECTED) if CORRECTED in measured else len(measured)
-        statement, corrected = measured[:end], measured[end + 1 :]
+        halves = measured[:end], measured[end:]
+        statement, corrected = ([m for m in half if isinstance(m, Measurement)] for half in halves)
         broken = [str(m) for m in (*statement, *corrected) if not math.isfinite(m.value)]
         if broken:
             return {**row, "status": "failed", "message": f"not finite: {'; '.join(broken)}"}
@@ -141,13 +142,13 @@ class Claim:
 
 def claim(name: str) -> Callable[[Callable[..., Evidence]], Claim]:
     """Return a decorator that registers a measuring function for the statement `name`."""
-    fields: dict[str, Any] = {}
-    for field, given in STATEMENTS[name].items():
-        fields[field] = " ".join(given.split()) if isinstance(given, str) else tuple(given)
-    if "kind" in fields:
-        fields["kind"] = Correction(fields["kind"])
+    given = STATEMENTS[name]
+    fields = {field: " ".join(text.split()) for field, text in given.items() if isinstance(text, str)}
+    kind, figures = fields.pop("kind", None), tuple(given.get("figures", ()))
 
     def register(measure: Callable[..., Evidence]) -> Claim:
-        return CLAIMS.add(Claim(name=name, measure=measure, **fields))
+        own = Claim(name, measure=measure, kind=Correction(kind) if kind else None, figures=figures, **fields)
+        CLAIMS.add(own)
+        return own
 
     return register

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its parts are loaded when first used
@@ -14,12 +14,15 @@ from contactbench.claims.geometry import (
     SEED,
     Field,
     contact_field,
+    gradient,
+    jacobian,
     largest,
     pack,
     points,
 )
 from contactbench.claims.ledger import CORRECTED, Evidence, Measurement, at_least, at_most, claim
 from contactbench.methods import solve
+from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import BodyState, RigidBody, cross, quaternion_product
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
@@ -37,7 +40,7 @@ INERTIA = (1.0, 2.0, 3.0)
 EIGENVALUES = 1e-12, "round-off of the eigenvalues of a 3×3 matrix of size one"
 
 
-def chart(y: Array) -> Any:
+def chart(y: Array) -> BodyState:
     """Return the coordinates (θ, M, s) of T*SO(3) × R: the attitude is the rotation by the vector θ ≠ 0."""
     theta = y[:3]
     angle = jnp.sqrt(theta @ theta)
@@ -54,7 +57,7 @@ def body_equations(seed: int = SEED, **changes: object) -> Evidence:
     scene = BODY.with_(**changes)
 
     def form(y: Array) -> Array:
-        return jax.grad(lambda v: scene.contact_form(*jax.jvp(chart, (y,), (v,))))(jnp.zeros(7))
+        return gradient(lambda v: scene.contact_form(*jax.jvp(chart, (y,), (v,))))(jnp.zeros(7))
 
     def defect(y: Array) -> Array:
         """Return X_H from its definition in a chart of T*SO(3) × R, against the equations."""
@@ -73,19 +76,20 @@ def body_momentum_map(seed: int = SEED, **changes: object) -> Evidence:
     def momentum_map(y: Array) -> Array:
         """Return J_ξ = −ι_ξ η for the rotations ξ = e_i in space."""
         x = chart(y)
+        attitude = x.R or ()
 
         def component(axis: np.ndarray) -> Array:
-            def rotated(angle: Array | float) -> tuple[Any, ...]:
+            def rotated(angle: Array | float) -> tuple[Arithmetic, ...]:
                 half = angle / 2
-                return quaternion_product((jnp.cos(half), *(jnp.sin(half) * c for c in axis)), x.R)
+                return quaternion_product((jnp.cos(half), *(jnp.sin(half) * c for c in axis)), attitude)
 
             dR = jax.jvp(rotated, (0.0,), (1.0,))[1]
-            return -scene.contact_form(x, BodyState((0.0,) * 3, dR, 0.0))
+            return -jnp.asarray(scene.contact_form(x, BodyState((0.0,) * 3, dR, 0.0)))
 
         return jnp.stack([component(axis) for axis in np.eye(3)])
 
-    def against(candidate: Callable[[BodyState], tuple[Any, ...]]) -> float:
-        return largest(lambda y: momentum_map(y) - jnp.stack(candidate(chart(y))), points(7, seed=seed))
+    def against(candidate: Callable[[BodyState], tuple[Arithmetic, ...]]) -> float:
+        return largest(lambda y: momentum_map(y) - pack(candidate(chart(y))), points(7, seed=seed))
 
     yield at_most("max |J_ξ − M·ξ| at random (R, M), J_ξ = −ι_ξ η", against(lambda x: x.M), *IDENTITY)
     yield CORRECTED
@@ -122,7 +126,7 @@ def damping_of_kind(rng: np.random.Generator, kind: int, inertia: Sequence[float
     rates, a = rng.uniform(0.5, 1, 3), 1 / np.asarray(inertia)
     if kind == 3:
         normal = np.sqrt([a[0] - a[1], 0.0, a[1] - a[2]]) * [1, 1, rng.choice([-1, 1])]
-        return rates[0] * np.outer(normal, normal) / (normal @ normal)
+        return np.asarray(rates[0] * np.outer(normal, normal) / (normal @ normal))
     D = np.diag(rates * (rng.permutation(3) >= kind % 3))
     if kind < 3:
         return D
@@ -133,7 +137,7 @@ def damping_of_kind(rng: np.random.Generator, kind: int, inertia: Sequence[float
 
 def residual(M: np.ndarray, inertia: Sequence[float], D: np.ndarray) -> np.ndarray:
     """Return M × I⁻¹M − D M for any matrix D, symmetric or not (§4.5, eq. (74))."""
-    return np.array(cross(tuple(M), tuple(M / np.asarray(inertia)))) - D @ M
+    return np.asarray(cross(tuple(M), tuple(M / np.asarray(inertia))) - D @ M)
 
 
 def equilibria(D: np.ndarray, inertia: Sequence[float], rng: np.random.Generator) -> list[np.ndarray]:
@@ -181,9 +185,9 @@ def equilibrium_set(seed: int = 3, cases: int = 27, inertia: Sequence[float] = I
 
 def direction_growths(scene: RigidBody) -> np.ndarray:
     """Return the growth rates of M/‖M‖ across each axis of the isotropic body at ‖M‖ = 1, (3,): those of M, and γ."""
-    matrices = [np.asarray(jax.jacfwd(momentum_rate(scene))(jnp.asarray(e))) for e in np.eye(3)]
+    matrices = [np.asarray(jacobian(momentum_rate(scene))(jnp.asarray(e))) for e in np.eye(3)]
     transverse = [np.delete(np.delete(A, i, 0), i, 1) for i, A in enumerate(matrices)]
-    return np.array([np.linalg.eigvals(A).real.max() for A in transverse]) + scene.gamma
+    return np.array([np.linalg.eigvals(A).real.max() + scene.gamma for A in transverse])
 
 
 @claim("C22")
@@ -216,7 +220,7 @@ def motions(
     a = 1 / np.asarray(inertia)
 
     def later(D: Array, M: Array) -> Array:
-        f = lambda M: jnp.cross(M, a * M) - D @ M  # noqa: E731
+        f: Field = lambda M: jnp.cross(M, a * M) - D @ M  # noqa: E731
 
         def step(_: int, M: Array) -> Array:
             k1 = f(M)
@@ -224,7 +228,7 @@ def motions(
             k3 = f(M + h / 2 * k2)
             return M + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(M + h * k3))
 
-        return jax.lax.fori_loop(0, round(2000 / h), step, M)
+        return jnp.asarray(jax.lax.fori_loop(0, round(2000 / h), step, M))
 
     advance = jax.jit(jax.vmap(later))
     half = advance(D, M)
@@ -291,7 +295,8 @@ SLOWEST = 0.15, "t^{−1/2}: 0.1, and half as much again for the transient"
 
 def body(D: Matrix, inertia: Sequence[float] = INERTIA) -> RigidBody:
     damping = tuple(map(tuple, D)) if np.ndim(D) == 2 else tuple(D)
-    return SCENES["rigid_body_anisotropic"].with_(damping=damping, inertia=tuple(inertia))
+    scene: RigidBody = SCENES["rigid_body_anisotropic"]
+    return scene.with_(damping=damping, inertia=tuple(inertia))
 
 
 def transverse(cases: Sequence[Case]) -> np.ndarray:
@@ -303,7 +308,7 @@ def transverse(cases: Sequence[Case]) -> np.ndarray:
     for kind in np.unique(diagonal):  # two shapes of right-hand side
         mine = np.flatnonzero(diagonal == kind)
         first = scenes[mine[0]]
-        linearise = lambda numbers, M: jax.jacfwd(momentum_rate(first.with_numbers(list(numbers))))(M)  # noqa: B023, E731
+        linearise = lambda numbers, M: jacobian(momentum_rate(first.with_numbers(list(numbers))))(M)  # noqa: B023, E731
         numbers = np.array([scenes[k].numbers() for k in mine])
         matrices[mine] = jax.jit(jax.vmap(linearise))(numbers, momenta[mine])
     values = np.linalg.eigvals(matrices)
@@ -364,7 +369,7 @@ COUNTEREXAMPLE = ((0.5, -0.5, 0.0), (-0.5, 0.5, 0.0), (0.0, 0.0, 0.0))
 
 def momentum_at(D: Matrix, M: Vector, t: float) -> np.ndarray:
     scene = body(D).with_(M=tuple(float(m) for m in M), t_end=t)
-    return solve(scene, "scipy-dop853", rtol=1e-12, save_at=[t], carry=()).y[-1]
+    return np.asarray(solve(scene, "scipy-dop853", rtol=1e-12, save_at=[t], carry=()).y[-1])
 
 
 @claim("C19")

@@ -1,4 +1,4 @@
-"""The command line: ``contactbench list | solve | compare | check | claim | report | gate | references``."""
+"""The command line: ``contactbench list | solve | compare | check | claim | report | bench | gate | references``."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import os
 import platform
 import sys
 import traceback
+from collections.abc import Callable
 from importlib import metadata
-from typing import Any
 
 from contactbench.cli import runs, tables
-from contactbench.cli.parsing import HELP, PLUGIN, Parser, Run
+from contactbench.cli.parsing import HELP, PLUGIN, Parser, add_options
 from contactbench.errors import BadInput, one_line
 from contactbench.limits import VARIABLE, limit
 
@@ -19,31 +19,35 @@ from contactbench.limits import VARIABLE, limit
 SECONDS = "60"
 
 
+COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
+    "list": runs.listing,
+    "solve": runs.solve,
+    "compare": runs.compare,
+    "check": runs.check,
+    "claim": tables.claim,
+    "report": tables.report,
+    "bench": tables.bench,
+    "gate": tables.gate,
+    "references": tables.references,
+}
+
+
 def parser() -> argparse.ArgumentParser:
-    top = Parser(
-        prog="contactbench",
-        description=HELP["contactbench"]["about"],
-        parents=[PLUGIN],
-        epilog=HELP["contactbench"]["epilog"],
-    )
-    about = "print the versions, those of the peers too, and exit"
-    top.add_argument("--version", action="store_true", help=about)
+    about, epilog = HELP["contactbench"]["about"], HELP["contactbench"]["epilog"]
+    top = Parser(prog="contactbench", description=about, parents=[PLUGIN], epilog=epilog)
+    add_options(top, "contactbench")
 
     def overview(arguments: argparse.Namespace) -> int:
         print(versions() if arguments.version else top.format_help().rstrip())
         return 0
 
     top.set_defaults(run=overview)
-    commands: Any = top.add_subparsers(dest="command", metavar="COMMAND")
-
-    def command(name: str, run: Run) -> argparse.ArgumentParser:
+    commands = top.add_subparsers(dest="command", metavar="COMMAND")
+    for name, run in COMMANDS.items():
         about, epilog = HELP[name]["about"], HELP[name].get("epilog", "")
         one = commands.add_parser(name, help=about, description=about, parents=[PLUGIN], epilog=epilog)
+        add_options(one, name)
         one.set_defaults(run=run)
-        return one
-
-    runs.add(command)
-    tables.add(command)
     return top
 
 
@@ -93,7 +97,7 @@ def main(argv: list[str] | None = None) -> int:
             for path in plugins.plugin:
                 load_file(path)
         arguments.line = sys.argv[1:] if argv is None else argv
-        status = arguments.run(arguments)
+        status: int = arguments.run(arguments)
         stdout.flush()
     except BrokenPipeError:  # the reader has left, as in `contactbench list | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())

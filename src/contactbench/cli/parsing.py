@@ -6,7 +6,6 @@ import argparse
 import json
 import re
 import tomllib
-from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NoReturn
@@ -39,11 +38,11 @@ def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> Non
         path.unlink()
 
 
-def print_json(value: Any, arguments: argparse.Namespace) -> None:
+def print_json(value: object, arguments: argparse.Namespace) -> None:
     print(json.dumps(value, allow_nan=False), file=arguments.stdout)
 
 
-def assignments(pairs: list[str]) -> dict[str, Any]:
+def assignments(pairs: list[str]) -> dict[str, object]:
     """Return the changes that ``name=value`` arguments name; a value is JSON (a number or a list of numbers)."""
     changes = {}
     for pair in pairs:
@@ -58,20 +57,19 @@ def assignments(pairs: list[str]) -> dict[str, Any]:
     return changes
 
 
-#: taken from anywhere on the line and loaded first, so that every command knows what it brings
-PLUGIN = Parser(prog="contactbench", add_help=False, allow_abbrev=False)
-FILES = "Python file that registers methods or scenes of your own; may be repeated"
-PLUGIN.add_argument("--plugin", action="append", default=[], metavar="FILE", type=Path, help=FILES)
-LIMIT = "for importing a plug-in and for each first evaluation of what it brings (default: 60; 0: any time)"
-PLUGIN.add_argument("--plugin-timeout", metavar="SECONDS", help=LIMIT)
-PLUGIN.add_argument("--traceback", action="store_true", help="show where an error comes from")
-
-#: of each command, what it is for and what stands under its options
-HELP: dict[str, dict[str, str]] = tomllib.loads(
+#: of each command, what it is for, its options, and what stands under them
+HELP: dict[str, dict[str, Any]] = tomllib.loads(
     files(__package__).joinpath("help.toml").read_text(encoding="utf-8")
 )
+#: the names of types in help.toml
+TYPES: dict[str, type] = {"int": int, "float": float, "path": Path}
 
-#: runs a command and returns the exit status
-type Run = Callable[[argparse.Namespace], int]
-#: makes one more command of that name
-type Command = Callable[[str, Run], argparse.ArgumentParser]
+
+def add_options(parser: argparse.ArgumentParser, name: str) -> None:
+    for flag, given in HELP[name].get("options", {}).items():
+        parser.add_argument(flag, **given | ({"type": TYPES[given["type"]]} if "type" in given else {}))
+
+
+#: taken from anywhere on the line and loaded first, so that every command knows what it brings
+PLUGIN = Parser(prog="contactbench", add_help=False, allow_abbrev=False)
+add_options(PLUGIN, "plugin")

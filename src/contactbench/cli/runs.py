@@ -8,14 +8,16 @@ import math
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from contactbench.cli.parsing import Command, assignments, print_json, writable
+from contactbench.cli.parsing import assignments, print_json, writable
 from contactbench.errors import BadInput, unknown_name
 from contactbench.files import replacing
 
 if TYPE_CHECKING:
     import numpy as np
+    import pandas as pd
+    from matplotlib.figure import Figure
 
     from contactbench.methods.base import Method
     from contactbench.solution import Solution
@@ -26,12 +28,12 @@ PICTURES = (".svg", ".png", ".pdf")
 PRINTED, SOME = 64, 4
 
 
-def write_csv(frame: Any, path: Path) -> None:
+def write_csv(frame: pd.DataFrame, path: Path) -> None:
     with replacing(path) as file:
         frame.to_csv(file, index=False, lineterminator="\n")
 
 
-def write_picture(figure: Any, path: Path) -> None:
+def write_picture(figure: Figure, path: Path) -> None:
     with replacing(path, mode="wb") as file:
         figure.savefig(file, format=path.suffix[1:].lower())
 
@@ -39,10 +41,9 @@ def write_picture(figure: Any, path: Path) -> None:
 def listing(arguments: argparse.Namespace) -> int:
     import contactbench as cb
     from contactbench.claims import CLAIMS
-    from contactbench.measure.ladder import stepping
 
     def method(item: Method) -> str:
-        kind = {"fixed": "fixed step"}.get(stepping(item), stepping(item))
+        kind = {"fixed": "fixed step"}.get(item.stepping, item.stepping)
         order = [f"order {item.order}"] if item.order else ["variable order"] if item.adaptive else []
         return f"{', '.join([*order, kind, '/'.join(item.engines)])}: {item.about}"
 
@@ -87,7 +88,8 @@ def solve(arguments: argparse.Namespace) -> int:
             run["laws"] = {name: value if math.isfinite(value) else None for name, value in deviations}
         print_json(run, arguments)
     else:
-        if len(state := run.get("state", {})) > PRINTED:
+        state = run.get("state")
+        if isinstance(state, dict) and len(state) > PRINTED:
             some = ", ".join(f"{name!r}: {value!r}" for name, value in list(state.items())[:SOME])
             run["state"] = f"{some}, … {len(state)} numbers; all of them with --json or --out"
         print("\n".join(f"{key:8} {value}" for key, value in run.items() if value not in (None, "")))
@@ -116,8 +118,9 @@ def steps(text: str, t_end: float) -> float | list[float] | np.ndarray:
         raise BadInput(f"--step {text}: {allowed}") from None
 
 
-def summary(solution: Solution) -> dict[str, Any]:
-    scene, out = solution.scene, {}
+def summary(solution: Solution) -> dict[str, object]:
+    scene = solution.scene
+    out: dict[str, object] = {}
     if solution.ok:
         y = solution.y[-1].tolist()
         state = scene.unpack(scene.entries(solution.y[-1]), solution.carry)
@@ -209,44 +212,3 @@ def check(arguments: argparse.Namespace) -> int:
         print(f"contactbench: {broken}", file=sys.stderr)
         return 1
     return 0
-
-
-def add(command: Command) -> None:
-    one = command("list", listing)
-    one.add_argument("kind", nargs="?", choices=["scenes", "methods", "laws", "claims"], help="only these")
-
-    one = command("solve", solve)
-    one.add_argument("scene", help="its name (contactbench list scenes)")
-    one.add_argument("method", help="its name (contactbench list methods)")
-    plot = "motion, phase portrait and energies (.svg, .png, .pdf)"
-    add_common(one, plot=plot, out="the saved states as CSV")
-    step = "step size of a fixed-step method; or its steps: geometric:COUNT:A (growing as A + t), or a file of them"
-    one.add_argument("--step", help=step)
-    one.add_argument("--rtol", type=float, help="tolerance (adaptive methods; others choose a step from it)")
-    one.add_argument("--t-end", type=float, help="end time")
-    one.add_argument("--engine", help="numba, jax or python, where a method has several")
-    one.add_argument("--max-steps", type=int, help="step budget")
-    one.add_argument("--laws", action="store_true", help="how far the run is from every law of the scene")
-
-    one = command("compare", compare)
-    one.add_argument("scene", help="its name (contactbench list scenes)")
-    methods = "names (contactbench list methods); by default all"
-    one.add_argument("method", nargs="*", default=[], help=methods)
-    figure = "the figure alone (.svg, .png, .pdf)"
-    add_common(one, html="one page: tables and figure", plot=figure, csv="the rows")
-    errors = "errors asked for, relative to the motion"
-    one.add_argument("--error", default="1e-3,1e-6,1e-9", metavar="E,E,…", help=errors)
-    one.add_argument("--budget", default="60s", metavar="TIME", help="for everything (default: 60s)")
-    one.add_argument("--quiet", action="store_true", help="no progress on stderr")
-
-    one = command("check", check)
-    one.add_argument("name", help="of a method or a scene")
-    one.add_argument("--engine", action="append", help="of a method: only this one; may be repeated")
-
-
-def add_common(parser: argparse.ArgumentParser, **files: str) -> None:
-    about = "change a parameter: a number or a list [1,2]; may be repeated"
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=about)
-    for name, text in files.items():
-        parser.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from contactbench.checks import positive
-from contactbench.cli.parsing import Command, print_json, writable
+from contactbench.cli.parsing import print_json, writable
 from contactbench.errors import BadInput
 
 
@@ -94,11 +94,6 @@ def gate(arguments: argparse.Namespace) -> int:
     return found.status
 
 
-BASE = "revision to compare with (default: where the main branch was left, on it HEAD's parent)"
-BASELINE = "compare --fresh with this folder of tables instead, outside any repository"
-BUDGET = "time for the speed part; inconclusive where it ends before half of the cells are decided"
-
-
 def references(_: argparse.Namespace) -> int:
     from contactbench.truth import frozen_folder, manifest
 
@@ -110,40 +105,3 @@ def references(_: argparse.Namespace) -> int:
         digits = f"{entry['digits']} digits stored, {second} confirmed by a second engine"
         print(f"{name:24} {digits}, sha256 {entry['sha256'][:16]}…")
     return 0
-
-
-def add(command: Command) -> None:
-    one = command("claim", claim)
-    one.add_argument("id", help="C01 to C42, X01, X02, in either case (contactbench list claims)")
-    one.add_argument("--json", action="store_true", help="print one JSON object")
-
-    one = command("report", report)
-    one.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
-    one.add_argument("--png", action="store_true", help="save the figures as .png too")
-    one.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
-    about = "write nothing; name each file that is not what the tables give, a README.md beside them too: exit 1 then"
-    one.add_argument("--check", action="store_true", help=about)
-
-    one = command("bench", bench)
-    folder = "where the tables go"
-    one.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help=folder)
-    one.add_argument("--profile", choices=("smoke", "standard", "full"), default="standard", help="how much")
-    one.add_argument("-k", metavar="EXPRESSION", help="only cells whose names match, as in pytest")
-    one.add_argument("--untimed", action="store_true", help="errors, counts and laws alone: no times")
-    one.add_argument("--resume", action="store_true", help="keep the rows of a run that was killed")
-    one.add_argument("--all", action="store_true", help="the package's own methods and scenes too")
-
-    one = command("gate", gate)
-    one.add_argument("--only", choices=("accuracy", "speed"), help="one part; both by default")
-    committed = "the committed tables, a folder of the repository (default: results)"
-    one.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help=committed)
-    made = "tables of a run just made (default: make them now)"
-    one.add_argument("--fresh", type=Path, metavar="DIR", help=made)
-    one.add_argument("--baseline", type=Path, metavar="DIR", help=BASELINE)
-    one.add_argument("--base", metavar="REV", help=BASE)
-    changed = "a table that is meant to change, or all; may be repeated"
-    one.add_argument("--tables-changed", action="append", default=[], metavar="TABLE", help=changed)
-    one.add_argument("--budget", type=float, metavar="SECONDS", help=BUDGET)
-    one.add_argument("--json", action="store_true", help="print one JSON object")
-
-    command("references", references)

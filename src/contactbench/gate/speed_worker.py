@@ -1,34 +1,38 @@
 """A process that times cells on request, for speed.py: run by path, with the revision to be timed on PYTHONPATH.
 
-It asks nothing of the revision but the public calls.  In come lines of JSON: first
-``{"cells": {...}, "seconds": s}``, then the number of a cell at a time; out go the file of the code that is
-timed with the cells it refused, then lists of seconds per call.
+It asks nothing of the revision but the public calls; the clock is that of the tree that judges.  In come lines of
+JSON: first ``{"cells": {...}, "seconds": s}``, then the number of a cell at a time; out go the file of the code that
+is timed with the cells it refused, then lists of seconds per call.
 """
 
 from __future__ import annotations
 
 import gc
+import importlib.util
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import count
+from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import contactbench as cb
 
+if TYPE_CHECKING:
+    from contactbench.measure import clock
+else:
+    spec = importlib.util.spec_from_file_location("clock", Path(__file__).parents[1] / "measure" / "clock.py")
+    sys.modules["clock"] = clock = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(clock)
+
 #: calls are repeated to fill this many seconds, so that the clock's resolution plays no part
 FILL = 1e-3
-REPEATS = 3
-#: a call that takes longer, in seconds, is not repeated
-LONG = 0.05
-
-Run = Callable[[], Any]
 
 
-def call(cell: dict[str, Any]) -> Run:
+def call(cell: Mapping[str, Any]) -> Callable[[], object]:
     name, method, value = cell["scene"], cell["method"], cell["value"]
     scene = cb.SCENES[name]
     given = {"step": value, "engine": cell["engine"]}
@@ -57,41 +61,29 @@ def call(cell: dict[str, Any]) -> Run:
 
 
 def quartic(c: float) -> cb.Mechanical:
-    def potential(q: Any) -> Any:
-        return c * (q[0] ** 4 + q[1] ** 2)
-
-    return cb.Mechanical(name="own", potential=potential, gamma=0.1, q=(1.0, 0.5), p=(0.0, 0.0), t_end=1.0)
+    force = lambda q: c * (q[0] ** 4 + q[1] ** 2)  # noqa: E731
+    return cb.Mechanical(name="own", potential=force, gamma=0.1, q=(1.0, 0.5), p=(0.0, 0.0), t_end=1.0)
 
 
-def ready(cell: dict[str, Any]) -> tuple[Run, float]:
+def ready(cell: Mapping[str, Any]) -> clock.Call:
     run = call(cell)
     solution = run()
     if isinstance(solution, cb.Solution) and not solution.ok:
         raise RuntimeError(f"{solution.status} {solution.message}")
-    start = perf_counter()
-    run()
-    return run, perf_counter() - start
-
-
-def seconds(run: Run, once: float) -> list[float]:
-    calls, found = max(1, round(FILL / once)), []
-    for _ in range(REPEATS if once < LONG else 1):
-        start = perf_counter()
-        for _ in range(calls):
-            run()
-        found.append((perf_counter() - start) / calls)
-    return found
+    timed = clock.Call(run, round_seconds=FILL)
+    timed.warm_up()
+    return timed
 
 
 def main() -> None:
     request = json.loads(sys.stdin.readline())
-    runs, refused, begun = {}, {}, perf_counter()
+    calls, refused, begun = {}, {}, perf_counter()
     for i, cell in request["cells"].items():
         if request["seconds"] is not None and perf_counter() - begun > request["seconds"]:
             refused[i] = "no time left"
             continue
         try:
-            runs[int(i)] = ready(cell)
+            calls[int(i)] = ready(cell)
         except Exception as error:  # one cell that fails stops no other
             refused[i] = f"{type(error).__name__}: {error}"
     if hasattr(os, "sched_getaffinity"):
@@ -100,10 +92,9 @@ def main() -> None:
             os.sched_setaffinity(int(thread), {core})
     gc.collect()
     gc.freeze()
-    gc.disable()
     print(json.dumps({"code": cb.__file__, "refused": refused}), flush=True)
     for line in sys.stdin:
-        print(json.dumps(seconds(*runs[json.loads(line)])), flush=True)
+        print(json.dumps(calls[json.loads(line)].visit().whole), flush=True)
 
 
 if __name__ == "__main__":

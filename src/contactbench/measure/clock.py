@@ -1,8 +1,6 @@
 """How calls are timed: every call is visited again and again, in shuffled order, and its least round counts.
 
 A processor changes its speed in phases of seconds and other work interrupts a call; both only ever make it slower.
-So the least of rounds at many times says how long a call takes when nothing else runs, where a median says which
-phases were met.
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -38,7 +36,7 @@ class Visit:
 
 @dataclass(frozen=True)
 class Part:
-    run: Callable[[], Any]
+    run: Callable[[], object]
     share: float
     span: float
 
@@ -51,7 +49,7 @@ class Call:
     """A call, and the same over a part of its length, timed in turns; round_seconds : of a round at least."""
 
     def __init__(
-        self, run: Callable[[], Any], part: Part | None = None, round_seconds: float = ROUND_SECONDS
+        self, run: Callable[[], object], part: Part | None = None, round_seconds: float = ROUND_SECONDS
     ) -> None:
         self.part, self.round_seconds = part, round_seconds
         self.runs = [run] if part is None else [run, part.run]
@@ -89,17 +87,24 @@ class Call:
         return Visit(whole, part[0] if part else (), calls[0])
 
 
-def seconds(run: Callable[[], Any], iterations: int) -> float:
+def seconds(run: Callable[[], object], iterations: int) -> float:
     start = perf_counter()
     for _ in range(iterations):
         run()
     return (perf_counter() - start) / iterations
 
 
+class Timed(Protocol):
+    """A call that can be timed, in this process or another one."""
+
+    def warm_up(self) -> float: ...
+    def visit(self, rounds: int = ROUNDS) -> Visit: ...
+
+
 class Race:
     """Calls timed side by side: every sweep visits each of them once, in an order of its own."""
 
-    def __init__(self, calls: Sequence[Any]) -> None:
+    def __init__(self, calls: Sequence[Timed]) -> None:
         self.calls = list(calls)
         self.visits: list[list[Visit]] = [[] for _ in self.calls]
         self.shuffle = random.Random(SEED)

@@ -1,9 +1,7 @@
 """What a scene and a method are, in a digest that does not depend on the machine.
 
-A scene is its numbers and its functions at a few points, a method one and two of its steps, all with 50
-decimal digits and from the digits that are printed: no processor and no library rounds them otherwise, and
-a change of any coefficient shows in the first 30.  A solver of a library has no steps to look at: what it is
-asked for is in its digest, and its version in the record of the run.
+A scene is its numbers and its functions at a few points, a method one and two of its steps, all with 50 decimal
+digits, of which 30 enter; of a solver of a library, what it declares.
 """
 
 from __future__ import annotations
@@ -11,14 +9,18 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from types import NoneType
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contactbench.measure.order import DIGITS, march
+from contactbench.measure.order import DIGITS, has_steps, march
+from contactbench.methods.base import Method
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
 from contactbench.truth import decimal_context, with_decimals
+
+if TYPE_CHECKING:
+    from mpmath import MPContext
 
 #: digits of a number that enter a digest
 SHOWN = 30
@@ -30,15 +32,16 @@ OFFSETS = (0, 1, -2)
 WORDS = ("about", "hard", "experiments")
 
 
-def digits_of(value: Any, context: Any) -> str:
+def digits_of(value: object, context: MPContext) -> str:
     if isinstance(value, list | tuple | np.ndarray):
         return f"[{' '.join(digits_of(each, context) for each in value)}]"
     return str(value) if value is None else context.nstr(context.mpf(value), SHOWN)
 
 
-def declarations(item: Any) -> list[str]:
+def declarations(item: Scene | Method) -> list[str]:
     data = bool, int, float, str, tuple, dict, NoneType
-    named = {field.name: getattr(item, field.name) for field in dataclasses.fields(item) if field.init}
+    fields = dataclasses.fields(item) if dataclasses.is_dataclass(item) else ()
+    named = {field.name: getattr(item, field.name) for field in fields if field.init}
     return [f"{n}={value!r}" for n, value in named.items() if n not in WORDS and isinstance(value, data)]
 
 
@@ -56,9 +59,9 @@ def scene_lines(scene: Scene) -> list[str]:
     return lines
 
 
-def method_lines(method: Any) -> list[str]:
+def method_lines(method: Method) -> list[str]:
     lines = declarations(method)
-    if not hasattr(method, "advance"):
+    if not has_steps(method):
         return lines
     context = decimal_context(DIGITS)
     for name in STEPPED:
@@ -68,12 +71,11 @@ def method_lines(method: Any) -> list[str]:
     return lines
 
 
-def row(item: Any) -> dict[str, str]:
-    is_scene = isinstance(item, Scene)
-    lines = scene_lines(item) if is_scene else method_lines(item)
-    return {
-        "scene": item.name if is_scene else "",
-        "method": "" if is_scene else item.name,
-        "declared": "; ".join(line for line in declarations(item) if not line.endswith("=None")),
-        "digest": hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16],
-    }
+def row(item: Scene | Method) -> dict[str, str]:
+    if isinstance(item, Scene):
+        names, lines = {"scene": item.name, "method": ""}, scene_lines(item)
+    else:
+        names, lines = {"scene": "", "method": item.name}, method_lines(item)
+    declared = "; ".join(line for line in declarations(item) if not line.endswith("=None"))
+    digest = hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+    return {**names, "declared": declared, "digest": digest}

@@ -1,8 +1,4 @@
-"""Calls in a process of its own: one that hangs or dies costs its own result only.
-
-The process makes many calls one after another, so that what it has compiled stays warm; it is killed, and a new one
-started, when a call exceeds its time or takes the process down.
-"""
+"""Calls in a process of its own: one that hangs or dies costs its own result only."""
 
 from __future__ import annotations
 
@@ -16,7 +12,6 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from multiprocessing.process import BaseProcess
-from typing import Any
 
 from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
 
@@ -35,13 +30,16 @@ class Died(Exception):
 
 
 class Worker(AbstractContextManager["Worker"]):
-    """A process that makes calls, on some cores; it starts with the first and ends with `close`, or its block."""
+    """A process that makes calls, on some cores; it starts with the first and ends with `close`, or its block.
+
+    What it has compiled stays warm.  A call that exceeds its time, or takes it down, costs it; the next gets a new one.
+    """
 
     def __init__(self, cores: Iterable[int] = ()) -> None:
         self.cores = list(cores)
         self.running: tuple[ProcessPoolExecutor, BaseProcess] | None = None
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    def submit[T](self, function: Callable[..., T], *arguments: object) -> Future[T]:
         """Begin a call after those before it; function, arguments and what comes of it must be picklable."""
         if self.running is None:
             spawn = multiprocessing.get_context("spawn")
@@ -50,10 +48,10 @@ class Worker(AbstractContextManager["Worker"]):
             self.running = pool, next(p for p in multiprocessing.active_children() if p.pid == pid)
         return self.running[0].submit(function, *arguments)
 
-    def call(self, limit: float, function: Callable[..., Any], *arguments: Any) -> Any:
+    def call[T](self, limit: float, function: Callable[..., T], *arguments: object) -> T:
         return self.result(self.submit(function, *arguments), limit)
 
-    def result(self, call: Future[Any], limit: float | None = None) -> Any:
+    def result[T](self, call: Future[T], limit: float | None = None) -> T:
         """Return what a call returns, and raise what it raises; `TimedOut` after so many seconds, and `Died`."""
         try:
             return call.result(limit)
@@ -76,7 +74,7 @@ class Worker(AbstractContextManager["Worker"]):
         code = process.exitcode or 0
         return f"signal {-code}" if code < 0 else f"exit status {code}"
 
-    def __exit__(self, kind: object, *_: Any) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         """Let it do what it was asked for and end by itself, with what it has started; after an error kill it."""
         if kind is None and self.running is not None:
             self.running[0].shutdown()

@@ -1,14 +1,4 @@
-"""What a law is, and how far a decaying quantity is from where its law puts it, on the scale of what is left of it.
-
-The comparison stays finite when e^{−γt} underflows: a value whose true size is below the smallest normal
-number divided by the machine precision carries no relative information and must merely be as small.
-
-H, J and Φ*η are differences of larger terms: T, V and Γ; the products of q and p; ∂s and p·∂q.  Strong
-damping makes the terms cancel to e^{−γt} of their size, below any round-off, and an unstable motion makes
-the derivatives grow.  A deviation is therefore measured against the true size of the quantity, but not
-against less than `ATTAINABLE` of the terms it is the difference of: round-off of the terms stays round-off.
-Where that happens the entry is called clamped.
-"""
+"""What a law is, and how far a decaying quantity is from where its law puts it, on the scale of what is left of it."""
 
 from __future__ import annotations
 
@@ -16,19 +6,20 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from contactbench.blame import blame
 from contactbench.errors import BadInput
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.protocol import ArrayNamespace, CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Solution
 
 #: below this a float64 has lost relative precision to gradual underflow
 MEANINGFUL = np.finfo(float).tiny / np.finfo(float).eps
-#: part of the cancelling terms below which a quantity is not resolved: round-off of a few ε stays below 10⁻¹²
+#: H, J and Φ*η are differences of larger terms, which strong damping makes cancel below any round-off: a deviation is
+#: relative to the true size, but not to less than this part of the terms (clamped), so that round-off stays below 10⁻¹²
 ATTAINABLE = 1e-3
 
 
@@ -160,18 +151,26 @@ class Law:
         return tuple(field for field in self.needs if field in scene.optional)
 
 
-def size_of(start: Any, xp: Any = np) -> Any:
+def size_of(start: np.ndarray, xp: ArrayNamespace = np) -> np.ndarray:
     norm = xp.linalg.norm(start, axis=-1)
-    return xp.where(norm > 0, norm, 1.0)
+    size: np.ndarray = xp.where(norm > 0, norm, 1.0)
+    return size
 
 
-def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any = 0.0, xp: Any = np) -> Any:
-    """‖values − e^{−γt} start‖ / max(e^{−γt} ‖start‖, ATTAINABLE · terms) at each time.
+def conformal_deviation(
+    values: np.ndarray,
+    start: np.ndarray,
+    t: float | np.ndarray,
+    gamma: float | np.ndarray,
+    terms: float | np.ndarray = 0.0,
+    xp: ArrayNamespace = np,
+) -> np.ndarray:
+    """Return ‖values − e^{−γt} start‖ / max(e^{−γt} ‖start‖, ATTAINABLE · terms) at each time.
 
     values : (k, m), start : (m,), terms : (k,), the size of the terms whose differences the values are.
     Where the denominator is below the meaningful range, the deviation is how far the value exceeds that
     range (0 when it has underflowed as it should).  For an ensemble k counts its members, and t, γ and
-    start may differ from one to the next.
+    start may differ from one to the next; xp is then maybe JAX's.
     """
     norm = size_of(start, xp)
     true_log = xp.log(norm) - gamma * t
@@ -180,20 +179,26 @@ def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any 
         clamped = xp.log(attainable) > true_log
         # where the true size rules, values are scaled up rather than the start down, which may underflow; in two
         # halves, so that neither factor overflows before the product would
-        half = xp.exp(xp.minimum(gamma * t / 2, 700.0))
+        half = xp.asarray(xp.exp(xp.minimum(gamma * t / 2, 700.0)))
         half = half[..., None] if values.ndim > half.ndim else half
         against_true = xp.linalg.norm(values * half * half - start, axis=-1) / norm
         true = xp.asarray(xp.exp(-gamma * t))[..., None] * start
         against_terms = xp.linalg.norm(values - true, axis=-1) / attainable
         excess = xp.maximum(xp.abs(values).max(axis=-1) / MEANINGFUL - 1, 0.0)
     meaningful = xp.where(clamped, attainable > MEANINGFUL, true_log > math.log(MEANINGFUL))
-    return xp.where(meaningful, xp.where(clamped, against_terms, against_true), excess)
+    found: np.ndarray = xp.where(meaningful, xp.where(clamped, against_terms, against_true), excess)
+    return found
 
 
 def conformal(
-    values: np.ndarray, start: np.ndarray, t: Any, rate: Any, terms: np.ndarray, error: Any = None
+    values: np.ndarray,
+    start: np.ndarray,
+    t: float | np.ndarray,
+    rate: float | np.ndarray,
+    terms: np.ndarray,
+    error: np.ndarray | None = None,
 ) -> Deviation:
-    """`conformal_deviation` with its error bar, `error` (k,) being that of the values, and where it was clamped."""
+    """Return `conformal_deviation`, its error bar, of that of the values, `error` (k,), and where it is clamped."""
     true_log, bar = np.log(size_of(start)) - rate * t, None
     with np.errstate(divide="ignore", over="ignore"):
         if error is not None:
@@ -204,7 +209,7 @@ def conformal(
 
 
 def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """|numerical/exact − 1| where the exact value is meaningful, the excess over that range where not."""
+    """Return |numerical/exact − 1| where the exact value is meaningful, the excess over that range where not."""
     meaningful = np.abs(exact) > MEANINGFUL
     ratio = np.divide(numerical, exact, out=np.ones_like(exact), where=meaningful)
     return np.where(meaningful, np.abs(ratio - 1), np.maximum(np.abs(numerical) / MEANINGFUL - 1, 0.0))
@@ -239,18 +244,16 @@ JUDGEMENT = {
 WRECKED = 0.1
 
 
-def round_off_bound(growth: Any, evaluations: Any) -> Any:
-    """ε · evaluations · max(growth, 1); growth : ‖DΦ(t)‖₂ of the map, or the condition number of the motion."""
-    return EPSILON * evaluations * np.maximum(growth, 1.0)
+def round_off_bound(growth: float, evaluations: int) -> float:
+    """Return ε · evaluations · max(growth, 1); growth : ‖DΦ(t)‖₂ of the map, or the motion's condition number."""
+    return float(EPSILON * evaluations * np.maximum(growth, 1.0))
 
 
-def structural_bound(growth: Any, evaluations: Any) -> Any:
-    """Return up to what the deviation from a structural law is round-off; the arguments may be columns."""
-    return np.maximum(STRUCTURE, round_off_bound(growth, evaluations))
+def is_kept(value: float, bound: float, unsure: bool = False, faded: bool = False) -> bool | None:
+    """Return whether a deviation shows that a law is kept, None where it cannot tell.
 
-
-def judge(value: float, bound: float, unsure: bool = False, faded: bool = False) -> tuple[bool, bool]:
-    """Whether a deviation shows that a law is kept, and whether nothing; unsure : a bound; faded : always clamped."""
-    decides = bound <= DECIDABLE or value <= STRUCTURE
-    kept = value <= bound and decides and not faded
-    return kept, not kept and (value <= bound or unsure)
+    unsure : it is an upper bound.  faded : it is clamped at every saved time.
+    """
+    if value <= bound:
+        return True if (bound <= DECIDABLE or value <= STRUCTURE) and not faded else None
+    return None if unsure else False

@@ -1,12 +1,4 @@
-"""What is measured along a trajectory: solution error, decay laws, drifts.
-
-Every law is a named object ``law(solution) -> float``, the maximum over the saved times unless it
-says otherwise, and nan where the run did not end `ok`.  To add one, decorate a function with `law`; what
-tables, documents and the regression gate need to know of it stands in the decorator.
-
-The contact form is kept or not by the map from initial data to states that a user gets.  Where a method chooses its
-steps from the state, that map is not the one with the steps held fixed; both are measured, the second as `…_frozen`.
-"""
+"""What is measured along a trajectory: solution error, decay laws, drifts; `law` registers another."""
 
 from __future__ import annotations
 
@@ -20,9 +12,9 @@ import numpy as np
 from contactbench.errors import BadInput
 from contactbench.measure.law import (
     ATTAINABLE,
-    JUDGEMENT,
     MEANINGFUL,
     OF_THE_STATE,
+    STRUCTURE,
     WRECKED,
     Deviation,
     Gate,
@@ -30,9 +22,9 @@ from contactbench.measure.law import (
     Measured,
     Undefined,
     conformal,
-    judge,
+    is_kept,
     relative_deviation,
-    structural_bound,
+    round_off_bound,
 )
 from contactbench.measure.pullback import Pulled, growth, pairs, pullback
 from contactbench.methods.base import METHODS
@@ -40,7 +32,7 @@ from contactbench.registry import Registry
 from contactbench.scene import Scene, rotation_matrix
 from contactbench.scene.definition import verify_along
 from contactbench.solution import Differential, Solution
-from contactbench.truth import condition_number, reference
+from contactbench.truth import Reference, condition_number, reference
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,11 +45,12 @@ BOTH = ("laws", "stability")
 def law(
     definition: str, label: str, **properties: Any
 ) -> Callable[[Callable[[Solution], Deviation | float]], Law]:
-    """Decorator that registers a measure under the name of its function, or class; `properties` are fields of `Law`."""
+    """Return a decorator that registers a measure under the name of its function; `properties` are fields of `Law`."""
 
     def register(measure: Callable[[Solution], Deviation | float]) -> Law:
-        name = getattr(measure, "__name__", type(measure).__name__)
-        return LAWS.add(Law(name, definition, label, measure, **properties))
+        made = Law(measure.__name__, definition, label, measure, **properties)
+        LAWS.add(made)
+        return made
 
     return register
 
@@ -67,13 +60,13 @@ def laws_of(scene: Scene) -> list[Law]:
 
 
 def has_linear_damping(scene: Scene) -> bool:
-    """H = T + V + γs, where γ may depend on the time."""
+    """Return whether H = T + V + γs, where γ may depend on the time."""
     return scene.canonical and (scene.conformal_rate is not None or scene.clock is not None)
 
 
 # -- comparisons with the truth --------------------------------------------------------------------
 def observables(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarray:
-    """Packed states with the attitude as its nine matrix entries: what q and −q have in common."""
+    """Return packed states with the attitude as its nine matrix entries: what q and −q have in common."""
     if scene.clock is not None:
         return np.delete(y, scene.clock, axis=1)
     if "R" not in carry:
@@ -84,9 +77,11 @@ def observables(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarr
     return np.array([*turned.M, *matrix, *rest]).T
 
 
-def truth(solution: Solution) -> Any:
+def truth(solution: Solution) -> Reference:
+    """Return the true states at the saved times of a run."""
     if solution.truth is not None:
-        return solution.truth
+        known: Reference = solution.truth
+        return known
     scene = solution.scene
     own = scene.pack(scene.initial(solution.carry))
     if solution.y0 is not None and not np.array_equal(own, solution.y0):
@@ -132,21 +127,22 @@ RATE = (
 
 # -- conformal laws --------------------------------------------------------------------------------
 def decay_rate(solution: Solution) -> float | np.ndarray:
-    """γ with which e^{−γt} is the conformal factor of the exact flow at the saved times.
+    """Return γ with which e^{−γt} is the conformal factor of the exact flow at the saved times.
 
     Where Γ'(s) changes it is the mean rate up to each saved time, shape (k,), from the truth:
     H' = −Γ'(s) H, hence e^{−∫Γ'(s)dt} = H*(t)/H(0).  Raises `Undefined` if H(0) = 0.
     """
     scene = solution.scene
-    if scene.conformal_rate is not None:
-        return scene.conformal_rate
+    if (rate := scene.conformal_rate) is not None:
+        return float(rate)
     damped = scene.damped_by(solution.start(), solution.t, np)
     if damped is None:
         start = float(scene.hamiltonian(solution.start()))
         if start == 0:
             raise Undefined(f"scene {scene.name!r}: H(0) = 0, the conformal factor cannot be read off H")
         damped = -np.log(scene.hamiltonian(truth(solution).states()) / start)
-    return np.divide(damped, solution.t, out=np.zeros(len(damped)), where=solution.t > 0)
+    mean: np.ndarray = np.divide(damped, solution.t, out=np.zeros(len(damped)), where=solution.t > 0)
+    return mean
 
 
 @law(
@@ -277,6 +273,7 @@ def distribution_drift(solution: Solution) -> Deviation | float:
     return distribution_deviation(solution, solution.differential)
 
 
+# where the state decides on the steps, the map that a user gets is not that of the steps held fixed
 @law(f"contact_drift with {FROZEN}", "contact drift, steps frozen", shown=(), **CONTACT)
 def contact_drift_frozen(solution: Solution) -> Deviation | float:
     return pulled_deviation(solution, pullback(solution, solution.frozen_differential))
@@ -397,7 +394,7 @@ CLAMPED = ("contact_drift", "pairing_drift", "hamiltonian_law", "momentum_law")
 
 
 def row(solution: Solution, without: str = "") -> dict[str, Any]:
-    """Every law the scene has and its judgement, left out where not defined; without : why no derivative is taken."""
+    """Return every law the scene has, and whether it is kept, as columns; without : why no derivative is taken."""
     if not solution.ok:
         return {}
     scene = solution.scene
@@ -421,17 +418,14 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
     of_map = columns.get("map_growth") or condition_number(scene) or 1.0
     for name, measured in found.items():
         if LAWS[name].structural and not math.isnan(measured.value):
-            judged = judgement(solution, LAWS[name], measured, of_map, columns["solution_error"])
-            columns |= {f"{name}_{what}": value for what, value in zip(JUDGEMENT, judged, strict=True)}
+            columns[f"{name}_claimed"] = LAWS[name].claimed(solution)
+            kept = undecided = None
+            bound = math.nan
+            if not columns["solution_error"] > WRECKED:
+                magnified = 1.0 if name in OF_THE_STATE else of_map
+                bound = max(STRUCTURE, round_off_bound(magnified, solution.counts.evaluations or 0))
+                faded = measured.clamped == len(solution.t)
+                kept = is_kept(measured.value, bound, measured.bound, faded)
+                undecided = kept is None
+            columns |= {f"{name}_kept": kept, f"{name}_undecided": undecided, f"{name}_bound": bound}
     return columns
-
-
-def judgement(
-    solution: Solution, law: Law, measured: Measured, of_map: float, error: float
-) -> tuple[Any, ...]:
-    claimed, growth = law.claimed(solution), 1.0 if law.name in OF_THE_STATE else of_map
-    if error > WRECKED:
-        return claimed, None, None, math.nan
-    bound = float(structural_bound(growth, solution.counts.evaluations or 0))
-    kept, undecided = judge(measured.value, bound, measured.bound, measured.clamped == len(solution.t))
-    return claimed, None if undecided else kept, undecided, bound

@@ -6,12 +6,11 @@ import ctypes
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 PROCESS = Path("/proc/self")
 
 
-def peak_memory(run: Callable[[], Any]) -> float:
+def peak_memory(run: Callable[[], object]) -> float:
     """Return by how many bytes the resident memory grows at most during a call; nan where the system does not say."""
     try:
         ctypes.CDLL(None).malloc_trim(0)  # what was given back before must not hide what is taken now

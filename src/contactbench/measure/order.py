@@ -1,27 +1,21 @@
-"""Orders of convergence: from errors at a ladder of step sizes, and from a few steps at 50 digits.
-
-e(h) = C h^p (1 + a h^k + …), k = 1 in general and 2 for a symmetric method.  The slope of log e against
-log h between neighbours then is p + a k m + … with m = (h₁^k − h₀^k) / (k log(h₁/h₀)), the logarithmic
-mean of the two h^k: it runs towards p and is off by a power of h.  A line fitted through all points
-averages that error and calls it scatter.  Here two neighbouring slopes are extrapolated to m = 0
-(Richardson), exactly so for any two powers, whether or not the steps form a geometric ladder.
-
-In extended precision, where nothing is hidden by round-off, the step maps run on mpmath numbers as they are.
-Numbers of a scene are taken as the decimals they print as, so that results compare with `references.reference`
-to all its digits.
-"""
+"""Orders of convergence: from errors at a ladder of step sizes, and from a few steps at 50 digits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 
+from contactbench.methods.base import Method
+from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Scene
 from contactbench.truth import decimal_context, reference, with_decimals
+
+if TYPE_CHECKING:
+    from mpmath import MPContext
 
 #: an order rests on so many neighbouring points: three slopes, two extrapolations of each power
 WINDOW = 4
@@ -54,7 +48,13 @@ class OrderFit:
 
 
 def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.0) -> OrderFit:
-    """Fit an order: that of the four neighbours by which it is most certain; floor : below it errors are round-off."""
+    """Fit an order: that of the four neighbours by which it is most certain; floor : below it errors are round-off.
+
+    e(h) = C h^p (1 + a h^k + …), k = 1 in general and 2 for a symmetric method.  The slope of log e against log h
+    between neighbours then is p + a k m + … with m = (h₁^k − h₀^k) / (k log(h₁/h₀)), the logarithmic mean of the two
+    h^k.  Two neighbouring slopes are extrapolated to m = 0 (Richardson), for steps of any ratio; a line through all
+    points would average that error and call it scatter.
+    """
     h, e = np.asarray(steps, dtype=float), np.asarray(errors, dtype=float)
     order = np.argsort(h)
     back = np.argsort(order)
@@ -79,7 +79,7 @@ def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.
 
 
 def extrapolate(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[float, float]:
-    """The limit of three or four slopes, finest first, and its uncertainty; blur : relative errors of the errors.
+    """Return the limit of three or four slopes, finest first, and its uncertainty; blur : relative, of the errors.
 
     That is the last difference of limits, or what falling like h² leads to expect; the power is that of the least.
     """
@@ -104,25 +104,45 @@ def extrapolate(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[fl
 DIGITS = 50
 
 
+class Stepping(Protocol):
+    """A method whose steps can be taken one by one, on any kind of number."""
+
+    @property
+    def symmetric(self) -> bool: ...
+    @property
+    def advance(self) -> Callable[..., Any]: ...
+    def refuses(self, scene: Scene) -> str | None: ...
+
+
+def has_steps(method: Method) -> TypeGuard[Stepping]:
+    return hasattr(method, "advance")
+
+
 def march(
-    method: Any, scene: Scene, step: Any, n: int, context: Any, start: list[Any] | None = None
-) -> list[Any]:
-    """The packed state, every optional field carried, after n steps from the scene's or another packed start."""
+    method: Stepping,
+    scene: Scene,
+    step: str | Arithmetic,
+    n: int,
+    context: MPContext,
+    start: Sequence[Arithmetic] | None = None,
+) -> list[Arithmetic]:
+    """Return the packed state, all fields carried, after n steps from the scene's or another packed start."""
     twin = with_decimals(scene, context.mpf)
     x = twin.initial(scene.carry()) if start is None else twin.unpack(start, scene.carry())
     return twin.pack(method.advance(twin, x, context.mpf(step), n, context))
 
 
-def error_at(method: Any, scene: Scene, t: float, n: int) -> Any:
-    """‖y_n − y*(t)‖₂ after n steps of size t/n, as an mpmath number; the reference has up to 40 digits."""
+def error_at(method: Stepping, scene: Scene, t: float, n: int) -> Arithmetic:
+    """Return ‖y_n − y*(t)‖₂ after n steps of size t/n, as an mpmath number; the reference has up to 40 digits."""
     context = decimal_context(DIGITS)
     truth = [context.mpf(c) for c in reference(scene, [t]).decimals[0]]
     y = march(method, scene, context.mpf(repr(t)) / n, n, context)
-    return context.norm([a - b for a, b in zip(y, truth, strict=True)])
+    found: Arithmetic = context.norm([a - b for a, b in zip(y, truth, strict=True)])
+    return found
 
 
-def order_at(method: Any, scene: Scene, t: float, n: int) -> float:
-    """Order of convergence from n, 2n and 4n steps to time t, extrapolated to h → 0, in h² for a symmetric method."""
+def order_at(method: Stepping, scene: Scene, t: float, n: int) -> float:
+    """Return the order from n, 2n and 4n steps to time t, extrapolated to h → 0, in h² for a symmetric method."""
     context = decimal_context(DIGITS)
     coarse, middle, fine = (error_at(method, scene, t, n * 2**k) for k in range(3))
     first, second = context.log(coarse / middle, 2), context.log(middle / fine, 2)
@@ -130,13 +150,14 @@ def order_at(method: Any, scene: Scene, t: float, n: int) -> float:
     return float((weight * second - first) / (weight - 1))
 
 
-def local_order(method: Any, scene: Scene, step: str = "1e-6", digits: int = 150) -> float:
-    """Order by ‖Φ_h − Φ_{h/2}∘Φ_{h/2}‖ = O(h^{p+1}) at a small h, towards the flow it is consistent with."""
+def local_order(method: Stepping, scene: Scene, step: str = "1e-6", digits: int = 150) -> float:
+    """Return the order by ‖Φ_h − Φ_{h/2}∘Φ_{h/2}‖ = O(h^{p+1}) at a small h, towards the flow it is consistent with."""
     context = decimal_context(digits)
 
-    def defect(h: Any) -> Any:
+    def defect(h: Arithmetic) -> Arithmetic:
         once, twice = march(method, scene, h, 1, context), march(method, scene, h / 2, 2, context)
-        return context.norm([a - b for a, b in zip(once, twice, strict=True)])
+        found: Arithmetic = context.norm([a - b for a, b in zip(once, twice, strict=True)])
+        return found
 
     h = context.mpf(step)
     return float(context.log(defect(h) / defect(h / 2), 2)) - 1

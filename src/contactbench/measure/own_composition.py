@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import zip_longest
-from typing import Any
 
 from contactbench.checks import items_of, switch, text, whole
 from contactbench.errors import BadInput, excerpt
@@ -28,8 +27,8 @@ NEAR = 0.4
 def composition(
     name: str,
     order: int,
-    kick: Sequence[Any],
-    drift: Sequence[Any],
+    kick: Sequence[float | str | Fraction],
+    drift: Sequence[float | str | Fraction],
     *,
     nystrom: bool = False,
     about: str = "composition of one's own coefficients",
@@ -80,8 +79,8 @@ def composition(
     return method
 
 
-def exact(part: str, coefficients: Sequence[Any]) -> list[Fraction]:
-    """As the decimals they are printed as, their sum made one; a palindrome stays one."""
+def exact(part: str, coefficients: Sequence[float | str | Fraction]) -> list[Fraction]:
+    """Return the decimals that they are printed as, their sum made one; a palindrome stays one."""
     found: list[Fraction] = []
     for i, coefficient in enumerate(items_of(part, coefficients, "a list of coefficients")):
         try:

@@ -1,10 +1,6 @@
-"""Linear stability: the one-step map of a fixed-step method on the damped oscillator, a 2×2 matrix.
+"""Linear stability: the one-step map of a fixed-step method on q'' + γ q' + ω² q = 0, a 2×2 matrix.
 
-q'' + γ q' + ω² q = 0.  Its eigenvalues decide everything: a spectral radius above one means unbounded
-orbits, and beside e^{−γh/2} it tells numerical damping from antidamping.  No long orbit is needed.
-
-Of a processed method, π χⁿ π*, the kernel χ is what is repeated and decides where only the end is saved;
-π χ π* is repeated where every step is saved.  `kernel` gives the former, the method itself is the latter.
+Of a processed method, π χⁿ π*, the kernel χ is repeated where only the end is saved, π χ π* where every step is.
 """
 
 from __future__ import annotations
@@ -13,12 +9,15 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeGuard
 
 import numpy as np
 import scipy  # its parts are loaded when first used
 
 from contactbench.methods import METHODS
+from contactbench.methods.base import Method
+from contactbench.methods.contact import ContactMethod
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.protocol import Numbers
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
@@ -37,7 +36,7 @@ PARTS, ZOOMS, CLOSE = 8, 11, 17
 class Elementwise(Numbers):
     """NumPy's functions, without vectors of stages: the steps are the entries of arrays themselves."""
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(np, name)
 
 
@@ -45,26 +44,27 @@ ELEMENTWISE = Elementwise()
 
 
 def oscillator(gamma: float, omega: float = 1.0) -> Mechanical:
-    return SCENES["oscillator"].with_(gamma=gamma, omega=omega)
+    scene: Mechanical = SCENES["oscillator"].with_(gamma=gamma, omega=omega)
+    return scene
 
 
-def fixed_step_methods() -> list[Any]:
+def fixed_step_methods() -> list[FixedStep]:
     equal = [m for m in METHODS.values() if m.control == "step" and m.one_step]
     return [m for m in equal if m.refuses(SCENES["oscillator"]) is None]
 
 
-def is_processed(method: Any) -> bool:
-    return bool(getattr(getattr(method, "composition", None), "processor", ()))
+def is_processed(method: Method) -> TypeGuard[ContactMethod]:
+    return isinstance(method, ContactMethod) and bool(method.composition.processor)
 
 
-def kernel(method: Any) -> Any:
+def kernel(method: FixedStep) -> FixedStep:
     if not is_processed(method):
         return method
     return replace(method, composition=replace(method.composition, processor=()))
 
 
-def step_matrix(method: Any, gamma: float, omega: float, h: Any) -> np.ndarray:
-    """The map (q, p) → (q, p) of one step of size h: (2, 2), or (…, 2, 2) for an array of step sizes."""
+def step_matrix(method: FixedStep, gamma: float, omega: float, h: float | np.ndarray) -> np.ndarray:
+    """Return the map (q, p) → (q, p) of one step of size h: (2, 2), or (…, 2, 2) for an array of step sizes."""
     scene, steps = oscillator(gamma, omega), np.asarray(h, dtype=float)
     q, p = (np.multiply.outer(unit, np.ones_like(steps)) for unit in np.eye(2))  # both unit vectors at once
     with np.errstate(all="ignore"):  # e^{γ|a|h} of a negative substep may overflow: unstable, then
@@ -73,7 +73,8 @@ def step_matrix(method: Any, gamma: float, omega: float, h: Any) -> np.ndarray:
     return np.moveaxis(np.array(entries), (0, 1), (-2, -1))
 
 
-def spectral_radius(method: Any, gamma: float, omega: float, h: Any) -> Any:
+def spectral_radius(method: FixedStep, gamma: float, omega: float, h: float | np.ndarray) -> np.ndarray:
+    """Return the spectral radius of a step: orbits are unbounded above 1, and beside e^{−γh/2} damped too little."""
     matrix = step_matrix(method, gamma, omega, h)
     with np.errstate(all="ignore"):
         half = np.abs(matrix[..., 0, 0] + matrix[..., 1, 1]) / 2
@@ -81,8 +82,7 @@ def spectral_radius(method: Any, gamma: float, omega: float, h: Any) -> Any:
         square = difference**2 + matrix[..., 0, 1] * matrix[..., 1, 0]
         root = np.sqrt(np.abs(square))
         radius = np.where(square < 0, np.hypot(half, root), half + root)
-    radius = np.where(np.isfinite(radius), radius, np.inf)
-    return radius if radius.ndim else float(radius)
+    return np.where(np.isfinite(radius), radius, np.inf)
 
 
 def true_radius(gamma: float, omega: float, h: float) -> float:
@@ -90,7 +90,7 @@ def true_radius(gamma: float, omega: float, h: float) -> float:
 
 
 def slow_rate(gamma: float, omega: float = 1.0) -> float:
-    """The rate at which motions die out: γ/2, less √(γ²/4 − ω²) where overdamped."""
+    """Return the rate at which motions die out: γ/2, less √(γ²/4 − ω²) where overdamped."""
     if gamma <= 2 * omega:
         return gamma / 2
     return omega**2 / (gamma / 2 + math.sqrt(gamma**2 / 4 - omega**2))
@@ -106,8 +106,8 @@ class Stability:
     last: float
 
 
-def stability(method: Any, gamma: float, omega: float) -> Stability:
-    """The borders of stability of the map that is one step of `method`, from its trace and determinant.
+def stability(method: FixedStep, gamma: float, omega: float) -> Stability:
+    """Return the borders of stability of the map that is one step of `method`, from its trace and determinant.
 
     Both eigenvalues are in the unit disc where |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in which s passes ±1
     and returns may be narrower than any grid, but s turns around inside.  So the extrema of s and of det are located,
@@ -148,7 +148,7 @@ def stability(method: Any, gamma: float, omega: float) -> Stability:
 
 
 def turning_points(f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Extrema of f, one for each point of an increasing grid that both neighbours are above or below."""
+    """Return the extrema of f, one for each point of an increasing grid that both neighbours are above or below."""
     with np.errstate(invalid="ignore"):
         rises = np.sign(np.diff(values))
         inner = np.flatnonzero(rises[1:] * rises[:-1] < 0) + 1
@@ -158,13 +158,14 @@ def turning_points(f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, valu
         best = np.argmax(sense * f(inside), axis=0)
         columns = np.arange(len(low))
         low, high = inside[np.maximum(best - 1, 0), columns], inside[np.minimum(best + 1, PARTS), columns]
-    return (low + high) / 2
+    middle: np.ndarray = (low + high) / 2
+    return middle
 
 
 def bracket_changes(
     truth: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, at_low: np.ndarray
 ) -> np.ndarray:
-    """Where a truth value first changes between low and high, to round-off."""
+    """Return where a truth value first changes between low and high, to round-off."""
     columns = np.arange(len(low))
     for _ in range(CLOSE):
         inside = np.linspace(low, high, PARTS + 1)
@@ -172,12 +173,13 @@ def bracket_changes(
         changed[-1] = True
         first = np.argmax(changed, axis=0)
         low, high = inside[first - 1, columns], inside[first, columns]
-    return (low + high) / 2
+    middle: np.ndarray = (low + high) / 2
+    return middle
 
 
 # -- theory ----------------------------------------------------------------------------------------
 def merged_limit(gamma: float, omega: float) -> float:
-    """B½ AC B½: an eigenvalue −1 where ω²h tanh(γh/2) = 2γ; 2/ω as γ → 0, 2γ/ω² as γ → ∞."""
+    """Return the limit of B½ AC B½: an eigenvalue −1 where ω²h tanh(γh/2) = 2γ; 2/ω as γ → 0, 2γ/ω² as γ → ∞."""
     if gamma == 0:
         return 2 / omega
     scale = 2 / omega + 2 * gamma / omega**2
@@ -185,14 +187,14 @@ def merged_limit(gamma: float, omega: float) -> float:
 
 
 def printed_limit(gamma: float, omega: float) -> float:
-    """B½ C A B½ in the printed order: (ωh)² = 2 (1 + e^{γh})."""
+    """Return the limit of B½ C A B½ in the printed order: (ωh)² = 2 (1 + e^{γh})."""
     return root(
         lambda h: (omega * h) ** 2 * math.exp(-gamma * h) - 2 * (1 + math.exp(-gamma * h)), 10 / omega
     )
 
 
 def rk4_limit(gamma: float, omega: float) -> float:
-    """|1 + z + z²/2 + z³/6 + z⁴/24| = 1 for z = h λ, λ² + γλ + ω² = 0."""
+    """Return where |1 + z + z²/2 + z³/6 + z⁴/24| = 1 for z = h λ, λ² + γλ + ω² = 0."""
     rates = np.roots([1.0, gamma, omega**2])
 
     def growth(h: float) -> float:
@@ -203,7 +205,7 @@ def rk4_limit(gamma: float, omega: float) -> float:
 
 
 def root(f: Callable[[float], float], scale: float) -> float:
-    """The smallest root above 10⁻³·scale of a function negative there; inf where there is none below 10·scale."""
+    """Return the smallest root above 10⁻³·scale of a function negative there; inf: none below 10·scale."""
     grid = np.geomspace(1e-3, 10, 4000) * scale
     k = next((k for k, h in enumerate(grid.tolist()) if f(h) > 1e-12), None)
     if k is None:
@@ -223,8 +225,8 @@ THEORY: dict[str, Callable[[float, float], float]] = {
 
 
 # -- strong damping --------------------------------------------------------------------------------
-def propagation_error(method: Any, gamma: float, h: float) -> float:
-    """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T, the time in which a motion falls by e; inf where M overflows."""
+def propagation_error(method: FixedStep, gamma: float, h: float) -> float:
+    """Return ‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T, in which a motion falls by e; inf where M overflows."""
     n = max(1, round(1 / slow_rate(gamma) / h))
     exact = scipy.linalg.expm(np.array([[0.0, 1.0], [-1.0, -gamma]]) * (n * h))
     with np.errstate(all="ignore"):
@@ -234,15 +236,17 @@ def propagation_error(method: Any, gamma: float, h: float) -> float:
         return float(np.linalg.norm(run - exact, 2) / np.linalg.norm(exact, 2))
 
 
-def run_matrix(method: Any, gamma: float, h: float, n: int) -> np.ndarray:
-    """The map (q, p) → (q, p) of n steps of size h, of which the end is saved; ω = 1."""
-    own = kernel(method)
-    steps = np.linalg.matrix_power(step_matrix(own, gamma, 1.0, h), n)
-    if own is method:
+def run_matrix(method: FixedStep, gamma: float, h: float, n: int) -> np.ndarray:
+    """Return the map (q, p) → (q, p) of n steps of size h, of which the end is saved; ω = 1."""
+    steps = np.linalg.matrix_power(step_matrix(kernel(method), gamma, 1.0, h), n)
+    if not is_processed(method):
         return steps
     stages = method.composition.processor
     before, after = (
-        step_matrix(replace(own, composition=replace(own.composition, stages=part)), gamma, 1.0, h)
+        step_matrix(
+            replace(method, composition=replace(method.composition, stages=part, processor=())), gamma, 1.0, h
+        )
         for part in (stages, stages[::-1])
     )
-    return after @ steps @ before
+    run: np.ndarray = after @ steps @ before
+    return run

@@ -155,7 +155,7 @@ def blocks(series: np.ndarray) -> np.ndarray:
     return np.moveaxis(cut, 2, 0).reshape(n * parts, m)
 
 
-def jackknife(means: np.ndarray, function: Callable[[np.ndarray], Any] = lambda mean: mean) -> Average:
+def jackknife(means: np.ndarray, function: Callable[[np.ndarray], np.ndarray] = lambda mean: mean) -> Average:
     count = len(means)
     value = np.asarray(function(means.mean(axis=0)))[()]
     if count < 2:

@@ -131,6 +131,11 @@ class Method(ABC):
         """Return what is set: "step", "rtol" or nothing, "exact"."""
         return EXACT if self.exact else "rtol" if self.adaptive else "step"
 
+    @property
+    def stepping(self) -> str:
+        """Return how it steps: "fixed", "adaptive" or "exact"."""
+        return {"step": "fixed", "rtol": "adaptive"}.get(self.control, EXACT)
+
     def refuses(self, scene: Scene) -> str | None:
         """Return why the scene is out of reach, or None."""
         return None

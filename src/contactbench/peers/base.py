@@ -17,6 +17,7 @@ Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
 from __future__ import annotations
 
 import importlib.util
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,6 +26,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from contactbench.errors import BadInput
 from contactbench.methods.base import Adaptive
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
 from contactbench.numbers.dual import Dual, slope
@@ -366,11 +368,24 @@ class Callback(Call):
         super().__init__(method, request)
         scene, carry = self.scene, request.carry
         recorded = None if scene.by_sites else record_function(scene, "rhs", carry)
-        self.rhs = recorded or (lambda t, y: scene.slopes(t, y, carry))
+        self.slopes = recorded or (lambda t, y: scene.slopes(t, y, carry))
+        self.nowhere = [math.nan] * len(scene.without_clock(scene.labels(carry)))
         self.jacobian: Callable[[float, Any], Any] | None = None
         if method.implicit and scene.has_jacobian:
             recorded = record_function(scene, "jacobian", carry)
             self.jacobian = recorded or (lambda t, y: motion_jacobian(scene, t, y, carry))
+
+    def rhs(self, t: float, y: Any) -> Any:
+        """Return the slopes, nan where a function raises: that is Python's way to say inf or nan.
+
+        A solver that is told so takes a smaller step.
+        """
+        try:
+            return self.slopes(t, y)
+        except NO_NUMBER as error:
+            if isinstance(error, BadInput):
+                raise
+            return self.nowhere
 
     @abstractmethod
     def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Any:

@@ -13,8 +13,8 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.registry import Registry
-from contactbench.report.drawing import Figure
+from contactbench.registry import Registry, import_modules
+from contactbench.report.drawing import Figure, Panel
 from contactbench.report.views import Show, View
 
 #: table name → its rows
@@ -94,11 +94,18 @@ CHAPTERS = Registry("chapter", Chapter)
 PROSE: dict[str, dict[str, Any]] = tomllib.loads(
     files(__package__).joinpath("chapters.toml").read_text(encoding="utf-8")
 )
-VIEWS = {
-    name: {"source": f"{chapter['tables'][0]}.csv"} | entry
-    for chapter in PROSE.values()
-    for name, entry in chapter.pop("views", {}).items()
-}
+
+
+def gathered(kind: str) -> dict[str, dict[str, str]]:
+    """Return the entries of a kind, of all chapters, by name."""
+    return {
+        name: {"source": f"{chapter['tables'][0]}.csv"} | entry
+        for chapter in PROSE.values()
+        for name, entry in chapter.get(kind, {}).items()
+    }
+
+
+VIEWS, CHARTS = gathered("views"), gathered("charts")
 
 type Parts = Callable[[Frames], Iterable[Part | None]]
 
@@ -107,10 +114,15 @@ def chapter(
     name: str, answers: Callable[[Frames], Iterable[Answer]] = lambda frames: ()
 ) -> Callable[[Parts], Parts]:
     """Return a decorator that registers the parts of a chapter of chapters.toml."""
-    own = PROSE[name] | {"tables": tuple(PROSE[name]["tables"])}
+    own = {
+        field: PROSE[name][field]
+        for field in ("title", "question", "order", "document")
+        if field in PROSE[name]
+    }
+    tables = tuple(PROSE[name]["tables"])
 
     def register(parts: Parts) -> Parts:
-        CHAPTERS.add(Chapter(name, parts=parts, answers=answers, **own))
+        CHAPTERS.add(Chapter(name, tables=tables, parts=parts, answers=answers, **own))
         return parts
 
     return register
@@ -119,8 +131,23 @@ def chapter(
 def view(name: str, frame: pd.DataFrame, show: Mapping[str, Show] | None = None, **values: object) -> View:
     """Return a table to read with the title and legend of chapters.toml, `values` filled into the legend."""
     prose = VIEWS[name]
-    legend = " ".join(prose.get("legend", "").format(**values).split())
-    return View(name, prose["title"], frame, legend, prose["source"], show or {})
+    return View(name, prose["title"], frame, filled(prose, "legend", values), prose["source"], show or {})
+
+
+def chart(
+    prose: str, panels: Iterable[Panel], name: str = "", across: int = 2, **values: object
+) -> Figure | None:
+    """Return a figure with the title and caption of chapters.toml, `values` filled in; None without panels.
+
+    name : of the figure, where it is one of several with the same prose.
+    """
+    title, caption = (filled(CHARTS[prose], part, values) for part in ("title", "caption"))
+    drawn = tuple(panels)
+    return Figure(name or prose, title, drawn, caption, across) if drawn else None
+
+
+def filled(prose: Mapping[str, str], part: str, values: Mapping[str, object]) -> str:
+    return " ".join(prose.get(part, "").split()).format(**values)
 
 
 def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
@@ -133,8 +160,14 @@ def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
             yield part
 
 
+def discovered() -> dict[str, Chapter]:
+    """Return every chapter; the modules of this package are imported for it."""
+    import_modules(__package__, without=("draw", "write"))  # these need matplotlib, which takes long to load
+    return CHAPTERS
+
+
 def chapters(frames: Frames) -> list[Chapter]:
-    return sorted((c for c in CHAPTERS.values() if len(frames[c.tables[0]])), key=lambda c: c.order)
+    return sorted((c for c in discovered().values() if len(frames[c.tables[0]])), key=lambda c: c.order)
 
 
 def every[P: Part](kind: type[P], parts: Iterable[Part | None]) -> Iterator[P]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, view
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import how_often
@@ -72,10 +72,9 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     off = (first["order"] - first["order_nominal"]).abs().dropna()
     if not len(off):
         return None
-    title = f"{SCENE}: {len(off)} methods converge at their claimed order, to within {off.max():.1g}"
     curves = best_of_each(by_method(rows, "step", "solution_error"), lowest, by_order=True)
     x = Axis("step size h (smaller to the right)", "log", inverted=True)
     y = Axis("error of the solution", "log")
     slopes = guides(rows, [curve.method for curve in curves if not curve.muted])
-    caption = "Dotted: the claimed slopes. In colour: the most accurate of each family and order."
-    return Figure("convergence", title, (Panel("", x, y, (*slopes, *curves)),), caption)
+    panel = Panel("", x, y, (*slopes, *curves))
+    return chart("convergence", [panel], scene=SCENE, count=len(off), off=off.max())

@@ -22,7 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.look import DASHES, MUTED, ROLES, look
+from contactbench.report.look import DASHES, LOOK, MUTED, ROLES, look
 from contactbench.report.numbers import SUPERSCRIPTS
 
 #: inches: a figure's width by its panels in a row, the height of a panel
@@ -42,24 +42,7 @@ IDLE = re.compile(
     r"\s*<metadata>.*?</metadata>|\s*<!--.*?-->|(?<=\n) +|(?<=<g) id=\"[\w.]+_\d+\"| transform=\"rotate\(-0 [^)]*\)\"",
     re.DOTALL,
 )
-RC: dict[Any, Any] = {
-    "font.size": 10.5,
-    "axes.titlesize": 10.5,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.xmargin": 0.04,
-    "axes.ymargin": 0.04,
-    "axes.edgecolor": "#555555",
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 9.5,
-    "legend.handlelength": 3,
-    "figure.constrained_layout.w_pad": 0.08,
-    "lines.scale_dashes": True,
-    "svg.hashsalt": "contactbench",
-    "svg.fonttype": "none",
-}
+RC = LOOK["rc"]
 
 
 # -- curves ----------------------------------------------------------------------------------------
@@ -113,7 +96,8 @@ def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
 def spread(heights: Sequence[float], gap: float) -> np.ndarray:
     """Return rising heights at least `gap` apart and below one, moved as little as is simple."""
     below = gap * np.arange(len(heights))
-    return np.minimum(np.maximum.accumulate(np.array(heights) - below) + below, 1 - below[::-1])
+    rising = np.maximum.accumulate(np.array(heights) - below) + below
+    return np.asarray(np.minimum(rising, 1 - below[::-1]))
 
 
 # -- panels ----------------------------------------------------------------------------------------
@@ -152,7 +136,7 @@ def scale(axes: Axes, which: str, axis: Axis, values: Sequence[float]) -> None:
         getattr(axes, f"invert_{which}axis")()
 
 
-def draw_panel(axes: Any, panel: Panel) -> None:
+def draw_panel(axes: Axes, panel: Panel) -> None:
     for curve in panel.curves:
         every = len(curve.x) // 8 if len(curve.x) > MARKED and curve.line else 1
         picture = not curve.line and len(curve.x) > MANY

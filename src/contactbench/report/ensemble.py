@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from contactbench.report.chapters import Answer, Frames, Part, chapter, view
+from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import count, duration, names, power, times
@@ -75,13 +75,12 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     ]
     y = contest_end(Axis("time per trajectory, µs", "log"), curves, 100.0)
     panel = Panel("", ERROR, y, best_of_each(curves, cheapest))
-    title = f"{count(float(rows['trajectories'].max()))} trajectories on one core"
     fine = rows[rows["solution_error"] < 1e-6]
     least = 1e6 * fine.groupby(fine["family"] == CONTACT)["each"].min()
+    fast = ""
     if len(least) == 2:
-        title += f", errors below 10⁻⁶: {least[True]:.2g} µs each by a contact method, {least[False]:.2g} µs by another"
-    caption = "One core; fixed-step methods share one step size. In colour: the cheapest of each family."
-    return Figure("ensemble", title, (panel,), caption)
+        fast = f", errors below 10⁻⁶: {least[True]:.2g} µs each by a contact method, {least[False]:.2g} µs by another"
+    return chart("ensemble", [panel], count=count(float(rows["trajectories"].max())), fast=fast)
 
 
 @chapter("ensemble", answers)

@@ -9,7 +9,7 @@ from itertools import islice
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, structure, work_precision
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chapters, view
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chapters, view
 from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, how_often, names
 from contactbench.report.views import Cell, View, frame_of
@@ -22,17 +22,9 @@ PICTURED = "particle"
 #: a column of the result with the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 #: the scenes of the mission, the methods that a reader knows, and the laws; that of J where a method claims it
-SHOWN_SCENES = ("oscillator", "particle", "rigid_body")
-SHOWN_METHODS = [
-    "contact-printed",
-    "contact-strang",
-    "contact-rkn4",
-    "contact-rkn8",
-    "contact-o8",
-    "herglotz2",
-]
-SHOWN_METHODS += ["rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "diffrax-dopri8", "heyoka-taylor"]
-SHOWN_LAWS = ("energy_law", "momentum_law", "contact_drift")
+SHOWN_SCENES, SHOWN_METHODS, SHOWN_LAWS = (
+    PROSE[NAME]["shown"][what] for what in ("scenes", "methods", "laws")
+)
 
 
 # -- the answers -----------------------------------------------------------------------------------
@@ -86,12 +78,12 @@ def mission_view(frames: Frames) -> View | None:
     claimed = set(momentum[momentum["claimed"]]["scene"])
     shown = [scene for scene in SHOWN_SCENES if scene in set(rows["scene"])]
     laws_of = {s: [law for law in SHOWN_LAWS if law != "momentum_law" or s in claimed] for s in shown}
-    by_pair = {(row["method"], row["scene"]): row for row in rows.to_dict("records")}
+    by_pair = {(row["method"], row["scene"]): row for _, row in rows.iterrows()}
     lines = []
     for method in sorted(set(rows["method"]), key=SHOWN_METHODS.index):
         cells: list[Cell] = []
         for scene, own in laws_of.items():
-            cells += cost_cells(frames, by_pair.get((method, scene), {"status": DASH}), own)
+            cells += cost_cells(frames, by_pair.get((method, scene), pd.Series({"status": DASH})), own)
         lines.append((method, *cells))
     heads = {scene: ("evaluations", "order", *map(law_label, own)) for scene, own in laws_of.items()}
     labels = [("", "method"), *((scene, label) for scene, own in heads.items() for label in own)]

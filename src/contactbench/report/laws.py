@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import DECIDABLE, UNSURE
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
@@ -24,10 +23,7 @@ from contactbench.results.tables import LAWS_TABLE
 
 SOURCE = "laws.csv"
 DAGGER, DOUBLE_DAGGER = "†", "‡"
-LEGEND = (
-    f"Bold: kept to round-off. ≤ and ±: by differences of the solver, with their error bar. {DAGGER}: the quantity has "
-    f"all but vanished. {DOUBLE_DAGGER}: too ill-conditioned to tell. [How to read it](../docs/reading.md#laws)."
-)
+LEGEND: str = PROSE["laws"]["legend"]
 
 
 @lru_cache(2)
@@ -59,7 +55,7 @@ def law_label(law: str) -> str:
     return known.label if known and known.label else law.replace("_", " ")
 
 
-def drift_cell(row: Any, law: str) -> Cell:
+def drift_cell(row: pd.Series, law: str) -> Cell:
     def number(name: str) -> float:
         value = row.get(name)
         return 0.0 if value is None or pd.isna(value) else float(value)
@@ -83,14 +79,14 @@ def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
     return Cell(text + sign, high, Mark.kept if kept else None)
 
 
-def cost_cells(frames: Frames, row: Any, laws: Sequence[str]) -> list[Cell]:
+def cost_cells(frames: Frames, row: pd.Series, laws: Sequence[str]) -> list[Cell]:
     if row["status"] != "ok":
         return [Cell(str(row["status"]), mark=Mark.none), *[Cell(DASH)] * (len(laws) + 1)]
     spent = as_cell(row["rhs_equivalents"], count)
     return [spent, order_cell(frames, row), *(drift_cell(row, law) for law in laws)]
 
 
-def order_cell(frames: Frames, row: Any) -> Cell:
+def order_cell(frames: Frames, row: pd.Series) -> Cell:
     if row["control"] != "step":
         return Cell({"rtol": "adaptive"}.get(row["control"], str(row["control"])))
     orders = frames["convergence"]
@@ -127,7 +123,7 @@ def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
     scene, cost = str(part["scene"].iloc[0]), part["cost"].iloc[0]
     laws = [law for law in laws_at_equal_cost() if law in part and part[law].notna().any()]
     rows = []
-    for row in part.to_dict("records"):
+    for _, row in part.iterrows():
         evaluations, order, *drifts = cost_cells(frames, row, laws)
         error = as_cell(row["solution_error"], scientific)
         rows.append((row["method"], row["engine"], row["setting"], evaluations, order, error, *drifts))
@@ -181,11 +177,7 @@ def structure(frame: pd.DataFrame) -> Figure | None:
         curves.append(Curve(*points, str(name), str(own["method"].iloc[0]), line=False))
     x = Axis("error of the solution (more accurate to the right)", "log", inverted=True)
     panel = Panel("", x, Axis("deviation of the contact form", "log"), tuple(curves), (ROUND_OFF,))
-    title = (
-        f"Contact methods keep the contact form at any error ({int(kept.sum())} of {len(kept)} runs), "
-        "others only as well as they solve"
-    )
-    return Figure("structure", title, (panel,), f"Every method and setting on `{SCENE}`. Shaded: round-off.")
+    return chart("structure", [panel], kept=int(kept.sum()), runs=len(kept), scene=SCENE)
 
 
 # -- along time ------------------------------------------------------------------------------------
@@ -205,7 +197,7 @@ ALONG_TIME = {
 }
 
 
-def along_time(frame: pd.DataFrame, scene: str) -> Figure:
+def along_time(frame: pd.DataFrame, scene: str) -> Figure | None:
     rows = frame[frame["scene"] == scene]
     panels = []
     for column, (title, label) in ALONG_TIME.items():
@@ -213,9 +205,6 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure:
             curves = best_of_each(by_method(rows, "t", column), lambda curve, _: -max(curve.y))
             panels.append(Panel(title, Axis("t"), Axis(label, "log"), curves, (ROUND_OFF,)))
     worst = rows.groupby("method")["energy_deviation"].max()
-    title = f"{scene}: {worst.idxmin()} stays closest to the true energy, to {decade(worst.min(), math.ceil)}"
-    caption = (
-        f"Settings: {', '.join(dict.fromkeys(rows['setting']))}. Shaded: round-off. Asterisk: the true motion. In "
-        "colour: in each panel, of each family the closest to the true motion."
-    )
-    return Figure(f"laws_{scene}", title, tuple(panels), caption)
+    closest = {"method": worst.idxmin(), "deviation": decade(worst.min(), math.ceil)}
+    settings = ", ".join(dict.fromkeys(rows["setting"]))
+    return chart("along_time", panels, f"laws_{scene}", scene=scene, settings=settings, **closest)

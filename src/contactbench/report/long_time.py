@@ -10,7 +10,7 @@ import pandas as pd
 
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import RUNG, ties
-from contactbench.report.chapters import Answer, Frames, Part, chapter, view
+from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import ROUND_OFF, by_method, decade
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import names, scientific
@@ -119,14 +119,10 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     ours, theirs = rows[own]["pairing_defect"].max(), rows[~own]["pairing_defect"].min()
     if math.isnan(ours) or math.isnan(theirs):
         return None
-    title = (
-        f"Contact methods pair the Lyapunov exponents to {decade(ours, math.ceil)} at any cost, "
-        f"others to {decade(theirs, math.floor)} at best, but for the reference"
-    )
     curves = by_method(rows, "evaluations_per_time", "pairing_defect")
     x, y = Axis("evaluations per unit of time", "log"), Axis("pairing defect per unit of time", "log")
-    caption = "Root mean square of $λ_1 + λ_2 + γ$ over one period. Shaded: round-off."
-    return Figure("pairing", title, (Panel("", x, y, curves, (ROUND_OFF,)),), caption)
+    at_most, at_best = decade(ours, math.ceil), decade(theirs, math.floor)
+    return chart("pairing", [Panel("", x, y, curves, (ROUND_OFF,))], ours=at_most, theirs=at_best)
 
 
 @chapter("long_time", answers)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from contactbench.report.chapters import chart
 from contactbench.report.curves import floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 
@@ -42,8 +42,8 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
         yield Curve(*places, label, method, "" if method else role, line, markers)
 
 
-def flat(rows: pd.DataFrame, panel: str, title: str, x: Axis, y: Axis, **more: Any) -> Panel:
-    return Panel(title, x, y, tuple(curves(rows, panel)), **more)
+def flat(rows: pd.DataFrame, panel: str, title: str, x: Axis, y: Axis, equal: bool = False) -> Panel:
+    return Panel(title, x, y, tuple(curves(rows, panel)), equal=equal)
 
 
 # -- panels of single figures ----------------------------------------------------------------------
@@ -105,58 +105,30 @@ def growth(rows: pd.DataFrame) -> Iterator[Panel]:
 
 
 # -- the figures -----------------------------------------------------------------------------------
-#: of each figure: its title, how its panels are made from its rows, and its caption
-PLANS: dict[str, tuple[str, Callable[[pd.DataFrame], Iterable[Panel]], str]] = {
-    "paper_2": (
-        "Oscillator: closed orbits without damping, spirals with it (figure 2)",
-        lambda rows: [flat(rows, "phase", "", Axis("q"), Axis("p"), equal=True)],
-        "",
-    ),
-    "paper_3": (
-        "Central force: J decays as exp(−λt), and so does that of the method (figure 3)",
-        lambda rows: [flat(rows, "decay", "", Axis("t"), Axis("J(t) / J(0)", "log"))],
-        "Lines: exp(−λt); points: contact-strang.",
-    ),
-    "paper_4": (
-        "Damped rigid body: all decays, and no direction near axis 2 settles (figure 4, corrected)",
-        lambda rows: [
-            by_axis(flat(rows.assign(y=rows["z"]), "momentum", "", Axis("M₁"), Axis("M₃"), equal=True)),
-            by_axis(angles(rows)),
-        ],
-        "The direction stays on its polhode.",
-    ),
-    "paper_5": (
-        "Directions u = M/‖M‖: relative equilibria, axis 2 unstable (figure 5, corrected)",
-        lambda rows: [sphere(rows)],
-        "The front of the sphere, seen from between axes 1 and 2. Relative, no equilibria: on every axis ‖M'‖ = γ‖M‖.",
-    ),
-    "paper_7": (
-        "2-DOF particle, γ = 0.1: H₀ does not decay exponentially (figure 7, corrected)",
-        lambda rows: [
-            flat(rows, "energy", "energy at h = 0.01", Axis("t"), Axis("$H_0$", "log")),
-            flat(rows, "ratio", "beside exp(−γt)", Axis("t"), Axis("$H_0 / (H_0(0) e^{-γt}) - 1$")),
-            orders(rows),
-        ],
-        "",
-    ),
-    "paper_8": (
-        "contact-printed on the particle: at γ = 0 the energy error is bounded (figure 8, corrected)",
-        lambda rows: [
-            flat(rows, "phase", "", Axis("q₁"), Axis("p₁"), equal=True),
-            flat(rows, "energy", "energy", Axis("t"), Axis("$H_0$")),
-            flat(rows, "bounded", "energy error at γ = 0", Axis("t"), Axis("$H_0 / H_0(0) - 1$")),
-        ],
-        "",
-    ),
-    "paper_stability": (
-        "Rotations in ker D, I = (1, 2, 3): where they are unstable (red)",
-        growth,
-        "Dashed: the criterion.",
-    ),
+#: of each figure, how its panels are made from its rows; titles and captions are in chapters.toml
+PLANS: dict[str, Callable[[pd.DataFrame], Iterable[Panel]]] = {
+    "paper_2": lambda rows: [flat(rows, "phase", "", Axis("q"), Axis("p"), equal=True)],
+    "paper_3": lambda rows: [flat(rows, "decay", "", Axis("t"), Axis("J(t) / J(0)", "log"))],
+    "paper_4": lambda rows: [
+        by_axis(flat(rows.assign(y=rows["z"]), "momentum", "", Axis("M₁"), Axis("M₃"), equal=True)),
+        by_axis(angles(rows)),
+    ],
+    "paper_5": lambda rows: [sphere(rows)],
+    "paper_7": lambda rows: [
+        flat(rows, "energy", "energy at h = 0.01", Axis("t"), Axis("$H_0$", "log")),
+        flat(rows, "ratio", "beside exp(−γt)", Axis("t"), Axis("$H_0 / (H_0(0) e^{-γt}) - 1$")),
+        orders(rows),
+    ],
+    "paper_8": lambda rows: [
+        flat(rows, "phase", "", Axis("q₁"), Axis("p₁"), equal=True),
+        flat(rows, "energy", "energy", Axis("t"), Axis("$H_0$")),
+        flat(rows, "bounded", "energy error at γ = 0", Axis("t"), Axis("$H_0 / H_0(0) - 1$")),
+    ],
+    "paper_stability": growth,
 }
 
 
 def all_figures(table: pd.DataFrame) -> Iterator[Figure]:
     for name, rows in table.groupby("figure", sort=False):
-        title, panels, caption = PLANS[str(name)]
-        yield Figure(str(name), title, tuple(panels(rows)), caption, 3)
+        if drawn := chart(str(name), PLANS[str(name)](rows), across=3):
+            yield drawn

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -87,14 +86,14 @@ def has_laws(rows: pd.DataFrame) -> pd.Series:
     return rows[laws_of(rows)].notna().any(axis=1)
 
 
-def time_cell(row: Any) -> Cell:
-    if row.status != "ok":
-        return Cell(row.status)
-    if math.isnan(row.time_s):
+def time_cell(row: pd.Series) -> Cell:
+    if row["status"] != "ok":
+        return Cell(row["status"])
+    if math.isnan(row["time_s"]):
         return Cell("not timed")
-    mark = Mark.best if row.verdict == "win" else Mark.tie if row.verdict in ALIKE else None
-    beside = {"win": "cheapest", "loss": times(row.ratio)}.get(row.verdict, row.verdict)
-    return Cell(f"{duration(row.time_s)} {beside}", row.time_s, mark)
+    mark = Mark.best if row["verdict"] == "win" else Mark.tie if row["verdict"] in ALIKE else None
+    beside = {"win": "cheapest", "loss": times(row["ratio"])}.get(row["verdict"], row["verdict"])
+    return Cell(f"{duration(row['time_s'])} {beside}", row["time_s"], mark)
 
 
 def kept_laws(rows: pd.DataFrame) -> str:
@@ -119,7 +118,7 @@ def times_view(frame: pd.DataFrame, kind: str) -> View:
     rows = []
     for method, part in frame[frame["kind"] == kind].groupby("method", sort=False):
         if not (part["status"] == "unsupported").all():
-            cells = [time_cell(row) for row in part.itertuples()]
+            cells = [time_cell(row) for _, row in part.iterrows()]
             rows.append((str(method), *cells, *part["evaluations"], kept_laws(part)))
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
     labels = [("", "method"), *((f"{what} at error", e) for what in ("time", "evaluations") for e in errors)]

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import PROCESSES, Verdict
-from contactbench.report.chapters import Answer, Frames, Part, chapter, view
+from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import count, duration, names, times
@@ -118,13 +118,13 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     n = int(own["n"].max())
     least = own[own["n"] == n].iloc[0]
     beside = beside_loop(frame[frame["scene"] == SCENE], n, float(least[EACH]))
-    title = f"{SCENE}, n = {count(n)}: {least['method']} takes {least[EACH]:.2g} ns a degree of freedom and evaluation"
     limit = [Curve(floats(loop["n"]), floats(loop[EACH]), "C loop", role="criterion")] if len(loop) else []
     curves = (*best_of_each(by_method(own, "n", EACH), lowest), *limit)
     y = Axis("time per degree of freedom and evaluation, ns", "log")
     panel = Panel("", Axis("degrees of freedom n", "log"), y, curves)
-    caption = "One core, the best engine of each, compiled. In colour: the fastest of each family."
-    return Figure("scaling", ", ".join(filter(None, [title, beside])), (panel,), caption)
+    beside = f", {beside}" if beside else ""
+    who = {"method": least["method"], "each": least[EACH], "beside": beside}
+    return chart("scaling", [panel], scene=SCENE, n=count(n), **who)
 
 
 @chapter("scaling", answers)

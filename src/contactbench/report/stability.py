@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
+from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import best_of_each, by_method, highest
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import LEGEND, drift_cell, law_label
@@ -75,7 +75,7 @@ def scene_view(here: pd.DataFrame, scene: str) -> View:
     laws = [n for n in laws_in(STABILITY, "stability") if n != "solution_error" and ok[n].notna().any()]
     lines = []
     for method, own in rows.groupby("method", sort=False):
-        runs = own.to_dict("records")
+        runs = [run for _, run in own.iterrows()]
         good = [run for run in runs if run["status"] == "ok"]
         ladder = [*map(ending, runs), *[Cell(DASH)] * (len(steps) - len(runs))]
         finest = own[own["status"] == "ok"]["rhs_equivalents"].max()
@@ -90,7 +90,7 @@ def scene_view(here: pd.DataFrame, scene: str) -> View:
     return View(f"hard_{scene}", scene, frame_of(lines, labels), notes.strip(), SOURCE)
 
 
-def worst_cell(runs: list[dict[str, object]], law: str) -> Cell:
+def worst_cell(runs: list[pd.Series], law: str) -> Cell:
     """Return the largest deviation of a method's runs; bold only where every one of them keeps the law."""
     cells = [drift_cell(run, law) for run in runs if not pd.isna(run[law])]
     if not cells:
@@ -124,7 +124,7 @@ def limit_view(frame: pd.DataFrame) -> View:
     return view("limit", table)
 
 
-def stability_map(frame: pd.DataFrame) -> Figure:
+def stability_map(frame: pd.DataFrame) -> Figure | None:
     rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
     rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
     rows = rows.assign(scaled=rows["per_evaluation"] * rows["omega"])
@@ -137,13 +137,9 @@ def stability_map(frame: pd.DataFrame) -> Figure:
             f"median method to {last.median():.2g}/ω"
         )
     panel = Panel("", Axis("γ/ω", "log"), Axis("ω × first unstable step / evaluations", "log"), curves)
-    caption = (
-        "$q'' + γq' + ω^2q = 0$. Larger is better; a curve that ends: no limit found. In colour: the best of each "
-        "family and order."
-    )
-    return Figure("stability_map", title, (panel,), caption)
+    return chart("stability_map", [panel], title=title)
 
 
 @chapter("limits")
-def limit_parts(frames: Frames) -> list[Part]:
+def limit_parts(frames: Frames) -> list[Part | None]:
     return [limit_view(frames["stability_limits"]), stability_map(frames["stability_limits"])]

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, costs_to_reach, ties
-from contactbench.report.chapters import Answer, Frames, Part, chapter, view
+from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import best_of_each, by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.numbers import duration, names, power, scientific, times
@@ -106,15 +106,8 @@ def costs_view(rows: pd.DataFrame) -> View:
     heads += [("one setting", "setting")]
     heads += [("its error", at) for at in at_spans] + [("|γ_eff/γ − 1|", at_spans[-1])]
     table = frame_of(lines, [("", "method"), *heads])
-    return view(
-        "structure_costs",
-        table,
-        {"": scientific},
-        scene=SCENE,
-        sites=SITES,
-        gamma=power(GAMMA),
-        counted=COUNTED,
-    )
+    main = {"scene": SCENE, "sites": SITES, "gamma": power(GAMMA)}
+    return view("structure_costs", table, {"": scientific}, **main, counted=COUNTED)
 
 
 def others_view(frame: pd.DataFrame) -> View:
@@ -146,10 +139,6 @@ def figure(rows: pd.DataFrame) -> Figure | None:
     if not len(ours) or not len(theirs):
         return None
     own, other = ours.iloc[0], theirs.iloc[0]
-    title = (
-        f"The energy left after T = {power(spans[-1])} within 1 %: {own['method']} takes {duration(own['run_s'])}, "
-        f"{other['method']}, the best that keeps no structure, {times(other['run_s'] / own['run_s'])} that"
-    )
     panels, y = [], Axis("error of the energy left", "log")
     for end in spans:
         part = timed[timed["t_end"] == end]
@@ -160,11 +149,9 @@ def figure(rows: pd.DataFrame) -> Figure | None:
     grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in coloured])
     curves = by_method(grown, "t_end", "energy_error")
     panels.append(Panel("at the cheapest setting with 1 % at first", Axis("T", "log"), y, curves))
-    caption = (
-        f"A ring of {SITES} with quartic bonds, chaotic, γ = {power(GAMMA)}. In colour the best of each family at 1 %. "
-        "Shaded: what chaos leaves undecided."
-    )
-    return Figure("structure_buys", title, tuple(panels), caption, across=3)
+    takes = {"time": duration(own["run_s"]), "ratio": times(other["run_s"] / own["run_s"])}
+    who = {"method": own["method"], "other": other["method"], "end": power(spans[-1])}
+    return chart("structure_buys", panels, across=3, sites=SITES, gamma=power(GAMMA), **who, **takes)
 
 
 @chapter("structure_buys", answers)

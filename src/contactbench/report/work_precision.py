@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
@@ -22,25 +21,19 @@ from contactbench.results.contest import (
     EVALUATIONS,
     KINDS,
     OTHER,
+    Cost,
     Kind,
     contestants,
     contests,
+    cost_rows,
     costs,
     standings,
 )
 
 SOURCE = "work_precision.csv"
-LEGEND = (
-    f"Bold: the cheapest; italic: it ties or is undecided. ≤: every setting is more accurate than asked. {DASH}: no "
-    "setting is as accurate; budget, timeout: our own limit. °: most of the time is spent however short the run. "
-    "[How to read it](../docs/reading.md#cost-at-an-error)."
-)
-QUESTIONS = {
-    "evaluations": "Does a contact method need the fewest evaluations at equal error?",
-    "compiled": "Is a contact method the fastest at equal error, compiled?",
-    "marginal": "Is it for one more unit of time, without what every call takes?",
-    "callbacks": "Is it with Python callbacks?",
-}
+LEGEND: str = PROSE["work_precision"]["legend"]
+#: by kind of cost
+QUESTIONS: dict[str, str] = PROSE["work_precision"]["questions"]
 MARKS = {"win": Mark.best, CONTACT: Mark.best, "tie": Mark.tie, "undecided": Mark.tie}
 
 
@@ -83,14 +76,14 @@ def error_label(error: float) -> str:
     return f"error {power(error)}"
 
 
-def cost_text(row: Any, show: Callable[[float], str]) -> str:
+def cost_text(row: Cost, show: Callable[[float], str]) -> str:
     if math.isnan(row.cost):
         return row.reason or DASH
     return f"{'≤ ' if row.bound else ''}{show(row.cost)}{' °' if row.fixed > 0.5 else ''}"
 
 
 def cost_cell(rows: pd.DataFrame, show: Callable[[float], str] = duration) -> Cell:
-    row = next(rows.itertuples())
+    row = next(cost_rows(rows))
     return Cell(cost_text(row, show), None if math.isnan(row.cost) else row.cost, MARKS.get(row.verdict))
 
 
@@ -100,18 +93,15 @@ def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
     reached = reached[reached.groupby("scene")["cost"].transform("min").notna()]
 
     def cell(ranked: pd.DataFrame) -> Cell:
-        first = next(ranked.itertuples())
+        first = next(cost_rows(ranked))
         text = cost_text(first, duration if own.kind.timed else count)
         behind = ranked[ranked["family"] == CONTACT]["ratio"].min()
         factor = f" (contact {times(behind)})" if behind > 1 else ""
         named = text if math.isnan(first.cost) else f"{first.method} {text}{factor}"
         return Cell(named, mark=MARKS.get(winner[first.scene, first.error]))
 
-    legend = (
-        f"{own.kind.about} In brackets the best contact method, where it is not the cheapest. "
-        "Bold: a contact method is the cheapest; italic: it ties with another, or is undecided."
-    )
-    return View(name, own.kind.title, matrix(reached, "scene", "error", cell, error_label), legend, source)
+    made = view("winners", matrix(reached, "scene", "error", cell, error_label), about=own.kind.about)
+    return replace(made, name=name, title=own.kind.title, source=source)
 
 
 def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE) -> View:
@@ -126,13 +116,7 @@ def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE
 
     every = pd.concat([own.assign(kind=title) for title, own in won.items()])
     lost = every[every["scene"].isin(every[every["winner"] == OTHER]["scene"])]
-    legend = (
-        "At how many errors another method is cheaper than every contact method, and where by most: at which error, "
-        "which method, how many times cheaper. `contact-exact`, a closed form that costs the same for any span, takes "
-        "no part in marginal time. [Why](../docs/reading.md#where-the-contact-methods-lose)."
-    )
-    title = "Where the contact methods lose"
-    return View(name, title, matrix(lost, "scene", "kind", cell), legend, source)
+    return replace(view("losses", matrix(lost, "scene", "kind", cell)), name=name, source=source)
 
 
 # -- scene by scene --------------------------------------------------------------------------------
@@ -166,7 +150,6 @@ AXES = {
     "time_min_s": ("time of a solve, ms", 1e3),
     "marginal_s": ("time per unit of simulated time, ms", 1e3),
 }
-IN_COLOUR = "Cheaper below. In colour: the cheapest of each family at most errors; thin and grey: the others."
 
 
 def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str] = ()) -> Panel:
@@ -191,9 +174,8 @@ def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
 def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     title, named = message(work, scene)
     found = {kind: compared(work, scene, kind) for kind in (COMPILED, EVALUATIONS)}
-    panels = tuple(panel(rows, kind, named) for kind, rows in found.items() if len(rows))
-    caption = f"{IN_COLOUR} Costs beyond 30 times the least of the contest are outside the panels."
-    return Figure(f"work_precision_{scene}", title, panels, caption) if panels else None
+    panels = [panel(rows, kind, named) for kind, rows in found.items() if len(rows)]
+    return chart("work_precision", panels, f"work_precision_{scene}", title=title)
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:

@@ -12,7 +12,6 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
-from contactbench.measure.ladder import stepping
 from contactbench.report import draw, headline, markdown, page
 from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, every
 from contactbench.report.drawing import Figure
@@ -89,7 +88,7 @@ def report(
 # -- the glossary: what the registries say of methods, scenes and columns ----------------------------
 def glossary(registries: Registries) -> tuple[Part, ...]:
     methods = [
-        (name, m.family, str(m.order or "variable"), stepping(m), ", ".join(m.engines), m.about)
+        (name, m.family, str(m.order or "variable"), m.stepping, ", ".join(m.engines), m.about)
         for name, m in registries["methods"].items()
     ]
     labels = ["method", "family", "order", "steps", "engines", "what it is"]

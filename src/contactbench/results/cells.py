@@ -15,7 +15,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from filelock import FileLock
 from contactbench.errors import BadInput
 from contactbench.files import replacing
 from contactbench.results.provenance import save_run
-from contactbench.results.schema import PROFILES, TABLES, Table
+from contactbench.results.schema import PROFILES, TABLES, Row, Table
 from contactbench.results.store import check, keys, merge, note, read
 
 FOLDER = ".cells"
@@ -34,7 +34,7 @@ FOLDER = ".cells"
 NEW, DONE, BEGUN = ".new", ".done", ".begun"
 
 type Cell = tuple[str, str]  #: the file of an experiment and the name of one of its cells
-type Rows = list[tuple[str, dict[str, Any]]]  #: each with the name of its table
+type Rows = list[tuple[str, Row]]  #: each with the name of its table
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,7 @@ class Cells:
 
     # -- one cell ----------------------------------------------------------------------------------
     @disk()
-    def save(
-        self, rows: Iterable[tuple[Table, Mapping[str, Any]]], cell: Cell, finished: bool = True
-    ) -> None:
+    def save(self, rows: Iterable[tuple[Table, Row]], cell: Cell, finished: bool = True) -> None:
         """Keep the rows of a cell: no kill takes them away when this returns (a failure of power may)."""
         named = [[table.name, dict(row)] for table, row in rows]
         entry = {"run": self.run, "cell": cell if finished else None, "rows": named}
@@ -91,7 +89,7 @@ class Cells:
         return None
 
     # -- all of them -------------------------------------------------------------------------------
-    def begin(self, record: Mapping[str, Any]) -> None:
+    def begin(self, record: Row) -> None:
         """Keep where and with what the run is made, and merge what killed runs have left."""
         with replacing(self._record(self.run)) as file:
             json.dump(record, file)
@@ -132,7 +130,7 @@ class Cells:
                 else:
                     entry.path.unlink()
 
-    def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
+    def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[Row]]:
         done = self.done() if expected else {}
         done |= {e.cell: e.rows for e in entries if e.cell and e.path.parent == self.folder}
         unfinished = {file for file, name in expected if (file, name) not in done}
@@ -145,8 +143,8 @@ class Cells:
         return self.mark.stat().st_mtime if self.mark.exists() else 0.0
 
 
-def _by_table(cells: Iterable[Rows]) -> dict[str, list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = {}
+def _by_table(cells: Iterable[Rows]) -> dict[str, list[Row]]:
+    found: dict[str, list[Row]] = {}
     for name, row in (each for rows in cells for each in rows):
         found.setdefault(name, []).append(row)
     return found

@@ -7,13 +7,14 @@ and time of solvers that call back into Python.  A method is of the family its r
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Literal, Protocol, cast
 
 import pandas as pd
 
-from contactbench.measure.ladder import GROWING
 from contactbench.measure.statistics import (
     COUNTED,
     Verdict,
@@ -24,6 +25,7 @@ from contactbench.measure.statistics import (
     verdict,
 )
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
+from contactbench.solution import GROWING
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -49,8 +51,9 @@ type Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of cost: its column, and those of the ratio of a cell's halves, and of a second process to the first.
+    """A kind of cost, declared in kinds.toml.
 
+    cost, halves, processes : its column, those of the ratio of a cell's halves, and of a second process to the first.
     resolved : neither a cost whose halves differ by more than `RESOLVED` takes part, nor a closed form.
     """
 
@@ -82,42 +85,31 @@ class Kind:
         return process_spread(*(sample[name].astype(float) for name in (self.processes, self.halves)))
 
 
-EVALUATIONS = Kind(
-    "evaluations",
-    "Evaluations",
-    "rhs_equivalents",
-    "any",
-    "Evaluations of the right-hand side or their equivalents, whatever the engine: a Taylor order counts as one, two "
-    f"rotations of the body as one, its free flow in closed form as {FREE_COST} rotations ({MOMENTUM_COST} where the "
-    "attitude is not carried). Jacobians are not counted.",
-    timed=False,
+DECLARED = tomllib.loads(Path(__file__).with_name("kinds.toml").read_text(encoding="utf-8"))
+ROTATIONS = {"free": FREE_COST, "momentum": MOMENTUM_COST}
+KINDS = tuple(
+    Kind(name, **given | {"about": given["about"].format(**ROTATIONS)}) for name, given in DECLARED.items()
 )
-COMPILED = Kind(
-    "compiled",
-    "Time, compiled",
-    "time_min_s",
-    "compiled",
-    "Time of a call (least round) that is compiled as a whole.",
-)
-MARGINAL = Kind(
-    "marginal",
-    "Marginal time, compiled",
-    "marginal_s",
-    "compiled",
-    "Time of one more unit of the scene's time, compiled: from runs over a fifth of the span and all of it.",
-    halves="marginal_halves_ratio",
-    processes="marginal_process_ratio",
-    resolved=True,
-)
-CALLED_BACK = Kind(
-    "callbacks",
-    "Time, Python callbacks",
-    "time_min_s",
-    "callbacks",
-    "Time of a call (least round) that evaluates the right-hand side in Python. It is written into the loops of this "
-    "suite and called back by SciPy and scikit-sundae, which favours the former.",
-)
-KINDS = (EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK)
+EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK = KINDS
+
+
+class Cost(Protocol):
+    """A row of `costs`, read by its columns."""
+
+    scene: str
+    method: str
+    error: float
+    cost: float
+    bound: bool
+    reason: str
+    fixed: float
+    halves: float
+    processes: float
+    verdict: str
+
+
+def cost_rows(frame: pd.DataFrame) -> Iterator[Cost]:
+    return cast("Iterator[Cost]", frame.itertuples())
 
 
 def contestants(work: pd.DataFrame) -> pd.DataFrame:
@@ -190,10 +182,10 @@ def cut_off(rows: pd.DataFrame) -> str:
 
 
 def _floats(column: pd.Series) -> list[float]:
-    return column.to_numpy(dtype=float, na_value=math.nan).tolist()
+    return list(column.to_numpy(dtype=float, na_value=math.nan).tolist())
 
 
-def pair_margin(one: Any, other: Any) -> float:
+def pair_margin(one: Cost, other: Cost) -> float:
     return margin((one.halves, other.halves), max(one.processes, other.processes))
 
 
@@ -209,9 +201,9 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
     parts = []
     for _, part in costs.groupby(list(by), sort=False):
         part = part.sort_values("cost", kind="stable")
-        least = next(part.itertuples())
+        least = next(cost_rows(part))
         ratios = part["cost"] / least.cost
-        margins = [pair_margin(row, least) if row.cost == row.cost else math.nan for row in part.itertuples()]
+        margins = [pair_margin(row, least) if row.cost == row.cost else math.nan for row in cost_rows(part)]
         pairs = zip(ratios, margins, strict=True)
         verdicts = [str(verdict(ratio, most)) if ratio == ratio else "" for ratio, most in pairs]
         if verdicts[0]:
@@ -236,13 +228,13 @@ def contests(costs: pd.DataFrame) -> pd.DataFrame:
         for target, part in here.groupby("error", sort=False):
             part = part[part["cost"].notna()].sort_values("cost", kind="stable")
             contact = part["family"] == CONTACT
-            ours, theirs = (next(part[own].itertuples(), None) for own in (contact, ~contact))
+            ours, theirs = (next(cost_rows(part[own]), None) for own in (contact, ~contact))
             rows.append({"scene": scene, "error": target} | _contest(ours, theirs))
     names = "scene error contact contact_cost other other_cost ratio margin winner"
     return pd.DataFrame(rows, columns=names.split())
 
 
-def _contest(ours: Any, theirs: Any) -> Record:
+def _contest(ours: Cost | None, theirs: Cost | None) -> Record:
     row = {"contact": ours.method, "contact_cost": ours.cost} if ours else {"contact": ""}
     row |= {"other": theirs.method, "other_cost": theirs.cost} if theirs else {"other": ""}
     if ours is None or theirs is None:

@@ -13,7 +13,7 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -23,7 +23,7 @@ from contactbench.errors import BadInput
 from contactbench.files import replacing
 from contactbench.measure.clock import SEED
 from contactbench.plugins import LOADED
-from contactbench.results.schema import TABLES
+from contactbench.results.schema import TABLES, Row
 
 PACKAGES = """contactbench numpy scipy pandas matplotlib mpmath
 numba llvmlite jax jaxlib diffrax scikit-sundae heyoka cyrk"""
@@ -34,7 +34,7 @@ THREADS = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")
 THREADS += ["XLA_FLAGS", "JAX_PLATFORMS"]
 
 
-def environment(profile: str) -> dict[str, Any]:
+def environment(profile: str) -> Row:
     versions = {}
     for name in PACKAGES.split():
         with contextlib.suppress(metadata.PackageNotFoundError):
@@ -105,9 +105,7 @@ def runs(results: Path) -> list[dict[str, Any]]:
     return [{"run": f"run {k}", "tables": {}, **run} for k, run in enumerate(listed, start=1)]
 
 
-def save_run(
-    name: str, record: Mapping[str, Any], made: Iterable[str], whole: Iterable[str], results: Path
-) -> None:
+def save_run(name: str, record: Row, made: Iterable[str], whole: Iterable[str], results: Path) -> None:
     """Add a run that made rows of some tables, and some tables as a whole, and forget runs without rows."""
     others = {run["run"]: run for run in runs(results)}
     own = {**others.pop(name, {"tables": {}})["tables"], **dict.fromkeys(made, "part")}

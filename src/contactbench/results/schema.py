@@ -22,6 +22,9 @@ from contactbench.registry import Registry
 if TYPE_CHECKING:
     import pandas as pd
 
+#: what a row holds, by column
+type Row = Mapping[str, object]
+
 #: how much is run, from little to much; each makes the rows of those before it, and more
 PROFILES = ("smoke", "standard", "full")
 SEPARATOR = " // "  #: between the measurements listed in one cell

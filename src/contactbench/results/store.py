@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from numbers import Real
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
-from contactbench.results.schema import Column, Table, floor
+from contactbench.results.schema import Column, Row, Table, floor
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
 FLAGS = {"True": True, "False": False, True: True, False: False}
@@ -28,6 +27,8 @@ FLAGS = {"True": True, "False": False, True: True, False: False}
 DTYPES = {"text": "str", "number": "float64", "whole": "Int64", "flag": "bool", "answer": "boolean"}
 WORDS = {"number": "finite number", "whole": "whole number", "flag": "truth value", "answer": "truth value"}
 LOG = logging.getLogger("contactbench")
+
+type Key = tuple[object, ...]  #: the values of a row's key columns
 
 
 class OldTable(BadInput):
@@ -121,7 +122,7 @@ def lost(values: pd.Series, typed: pd.Series) -> pd.Series:
     return missing & values.notna() & (values.astype(object) != "") if missing.any() else missing
 
 
-def check(table: Table, row: Mapping[str, Any]) -> None:
+def check(table: Table, row: Row) -> None:
     """Raise `BadInput` for a row with a column or a value that the table cannot take."""
     for name, value in row.items():
         if name not in table.every_column:
@@ -131,19 +132,22 @@ def check(table: Table, row: Mapping[str, Any]) -> None:
         kind = table.every_column[name].type
         if value is None or kind == "text":
             continue
-        number, flag = isinstance(value, Real), isinstance(value, bool | np.bool_)
-        if kind == "whole" and number and math.isfinite(value):
-            number = value == round(value) and abs(value) <= 2**53
-        if not (flag if kind in ("flag", "answer") else number):
+        if kind in ("flag", "answer"):
+            fits = isinstance(value, bool | np.bool_)
+        elif kind == "whole" and isinstance(value, Real) and math.isfinite(value):
+            fits = value == round(value) and abs(float(value)) <= 2**53
+        else:
+            fits = isinstance(value, Real)
+        if not fits:
             raise BadInput(f"table {table.name!r}, column {name!r}: {value!r} is no {WORDS[kind]}")
 
 
 # -- writing ---------------------------------------------------------------------------------------
 def merge(
     table: Table,
-    rows: Iterable[Mapping[str, Any]],
+    rows: Iterable[Row],
     results: Path,
-    made: Iterable[tuple[Any, ...]] | None = None,
+    made: Iterable[Key] | None = None,
     profiles: Sequence[str] = (),
 ) -> pd.DataFrame:
     """Put rows into the table's files, one of an older version replaced; return the merged table.
@@ -168,7 +172,7 @@ def merge(
     return frame
 
 
-def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+def canonical(table: Table, rows: Iterable[Row]) -> pd.DataFrame:
     rows = list(rows)
     for row in rows:
         check(table, row)
@@ -178,7 +182,7 @@ def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     return round_digits(frame, table).drop_duplicates(list(table.key), keep="last")
 
 
-def keys(table: Table, rows: Iterable[Mapping[str, Any]]) -> list[tuple[Any, ...]]:
+def keys(table: Table, rows: Iterable[Row]) -> list[Key]:
     named = pd.DataFrame([{name: row.get(name) for name in table.key} for row in rows], columns=[*table.key])
     return list(index(round_digits(set_types(named, table), table), list(table.key)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from contactbench.errors import BadInput
 from contactbench.measure.law import JUDGEMENT
@@ -15,17 +15,19 @@ from contactbench.results.schema import TABLES, Column, Rule, Table
 if TYPE_CHECKING:
     import pandas as pd
 
-DECLARED = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
+type Data = Mapping[str, Any]  #: what is read from tables.toml
+DECLARED: Data = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
 #: why a column has no rule
 FOLLOWS = "it follows from the deviation, which is compared, and what round-off may amount to"
 
 
-def column(meaning: str, rule: str | None = None, **more: Any) -> Column:
-    return Column(meaning, rule=Rule[rule] if rule else None, **more)
+def column(entry: Data) -> Column:
+    rule = {"rule": Rule[entry["rule"]]} if "rule" in entry else {}
+    return Column(**{**entry, **rule})
 
 
 GROUPS = {
-    f"+{group}": {name: column(**entry) for name, entry in entries.items()}
+    f"+{group}": {name: column(entry) for name, entry in entries.items()}
     for group, entries in DECLARED["groups"].items()
 }
 COMMON = GROUPS["+common"]
@@ -35,7 +37,7 @@ def law_columns(names: Iterable[str]) -> dict[str, Column]:
     """Return the columns of laws, then those of the judgement of each that is structural."""
     columns, laws = {}, {name: LAWS[name] for name in names}
     for name, law in laws.items():
-        kind: Any = "whole" if law.gate.value == "count" else "number"
+        kind: Literal["whole", "number"] = "whole" if law.gate.value == "count" else "number"
         label = law.label or name.replace("_", " ")
         columns[name] = Column(law.definition, kind, Rule[law.gate.value], label=label, shown=law.shown)
     for name in [name for name, law in laws.items() if law.structural]:
@@ -47,23 +49,24 @@ def law_columns(names: Iterable[str]) -> dict[str, Column]:
     return columns
 
 
-def columns(declared: Mapping[str, Any]) -> dict[str, Column]:
+def columns(declared: Data) -> dict[str, Column]:
     found: dict[str, Column] = {}
     for name, entry in declared.items():
         if name.startswith("+laws"):
             found |= law_columns(LAWS if entry is True else entry)
         else:
-            found |= GROUPS.get(name) or {name: column(**entry)}
+            found |= GROUPS.get(name) or {name: column(entry)}
     return found
 
 
 def declare(name: str) -> Table:
-    given: dict[str, Any] = {
-        k: tuple(v) if isinstance(v, list) else v for k, v in DECLARED["tables"][name].items()
-    }
-    own = given.pop("columns")
+    given: Data = DECLARED["tables"][name]
+    own = given["columns"]
+    more: Data = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if k != "columns"}
     by_law = any(entry.startswith("+laws") for entry in own)  # depend on what is registered
-    return TABLES.add(Table(name, declared=(lambda: columns(own)) if by_law else columns(own), **given))
+    table = Table(name, declared=(lambda: columns(own)) if by_law else columns(own), **more)
+    TABLES.add(table)
+    return table
 
 
 CONVERGENCE = declare("convergence")

@@ -6,6 +6,7 @@ They are registered beside the standard ones and marked `hard`, so that only the
 
 from __future__ import annotations
 
+from contactbench.numbers.functions import exp
 from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Mechanical, Vector
 from contactbench.scenes.standard import OSCILLATOR, PARTICLE, RIGID_BODY, RIGID_BODY_ANISOTROPIC
@@ -50,6 +51,19 @@ def kepler_hessian(q: Vector, strength: Arithmetic) -> tuple[Vector, ...]:
     return ((pull * (1 - 3 * square * x * x), mixed), (mixed, pull * (1 - 3 * square * y * y)))
 
 
+def wall(q: Vector, steepness: Arithmetic) -> Arithmetic:
+    """V = e^{k (q − 1)}."""
+    return exp(steepness * (q[0] - 1))
+
+
+def wall_gradient(q: Vector, steepness: Arithmetic) -> Vector:
+    return (steepness * wall(q, steepness),)
+
+
+def wall_hessian(q: Vector, steepness: Arithmetic) -> tuple[Vector, ...]:
+    return ((steepness * steepness * wall(q, steepness),),)
+
+
 STIFF_SPRING = Mechanical(
     name="stiff_spring",
     about="two oscillations, one a hundred times faster and as energetic as the other, coupled: explicit "
@@ -78,6 +92,21 @@ KEPLER_DRAG = Mechanical(
     q=(0.1, 0.0),
     p=(0.0, 4.358898943540674),
     t_end=100.0,
+)
+
+STEEP_WALL = Mechanical(
+    name="steep_wall",
+    about="a free flight into a wall, V = e^{50(q − 1)}: at the start the force is 10⁻²⁰, on the wall the time scale "
+    "is 0.1. A solver that chooses its step by what it sees where it is steps into the wall, is thrown back with "
+    "whatever energy it found there, and may call it `ok`.",
+    potential=wall,
+    gradient=wall_gradient,
+    hessian=wall_hessian,
+    parameters={"steepness": 50.0},
+    gamma=0.1,
+    q=(0.0,),
+    p=(0.25,),
+    t_end=10.0,
 )
 
 _KERNEL = "the other rotations die out and a steady rotation about it remains, not rest"
@@ -171,6 +200,7 @@ HARD = tuple(
             t_end=10.0,
         ),
         KEPLER_DRAG,
+        STEEP_WALL,
         OSCILLATOR.with_(
             name="antidamping",
             about="γ = −0.1: energy is fed in and the motion grows by e^{5}. Nothing may assume that things decay.",

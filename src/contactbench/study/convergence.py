@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 
 import contactbench as cb
-from contactbench.measure.ladder import save_times, steps
 from contactbench.measure.order import error_at, fit_order
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
@@ -19,6 +18,7 @@ from contactbench.scene import Scene
 from contactbench.solution import keywords
 from contactbench.study.choice import key, outcome, pairs
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
+from contactbench.study.settings import halving_steps, times
 
 POINTS = 9
 #: below this, relative to the solution, an error is round-off
@@ -27,10 +27,8 @@ EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
 
 
 def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, float, float]]:
-    for h in steps(scene, POINTS):
-        solution = cb.solve(
-            scene, method.name, save_at=save_times(scene), carry=(), **keywords(method.control, h)
-        )
+    for h in halving_steps(scene, POINTS):
+        solution = cb.solve(scene, method.name, save_at=times(scene), carry=(), **keywords(method.control, h))
         yield outcome(solution), h, cb.LAWS["solution_error"](solution)
 
 

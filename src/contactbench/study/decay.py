@@ -8,8 +8,6 @@ largest at five times, which are step boundaries of every step taken.
 
 from __future__ import annotations
 
-import numpy as np
-
 import contactbench as cb
 from contactbench.measure.laws import row as law_columns
 from contactbench.methods.base import Method
@@ -20,6 +18,7 @@ from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import contestants, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
+from contactbench.study.settings import times
 
 #: of the scenes of every experiment
 FEW = ("oscillator", "particle", "central", "rigid_body")
@@ -41,13 +40,9 @@ def ladder(profile: Profile) -> list[Cell]:
     ]
 
 
-def save_times(scene: Scene) -> np.ndarray:
-    return scene.t_end * np.arange(1, SAVES + 1) / SAVES
-
-
 def to_the_end(scene: Scene, method: Method, value: float, budget: int | None) -> Solution:
     """Return a run to the end, saved there alone; of diffrax, where that changes nothing, as the laws' program does."""
-    saves = save_times(scene) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
+    saves = times(scene, SAVES) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
     return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **keywords(method.control, value))
 
 
@@ -67,7 +62,7 @@ def value_at(scene: Scene, method: Method, target: float, budget: int | None = N
 
 def laws_row(scene: Scene, method: Method, value: float, budget: int | None) -> Row:
     setting = keywords(method.control, value)
-    solution = cb.solve(scene, method.name, save_at=save_times(scene), max_steps=budget, **setting)
+    solution = cb.solve(scene, method.name, save_at=times(scene, SAVES), max_steps=budget, **setting)
     if not solution.ok:
         return {"status": str(solution.status), "message": solution.message}
     columns = law_columns(solution)

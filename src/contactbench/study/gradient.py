@@ -108,7 +108,7 @@ def truth(name: str, end: float) -> np.ndarray:
     pairs = zip(scene.number_names(), scene.numbers(), strict=True)
     twin = scene.with_numbers([given.get(*pair) for pair in pairs])
 
-    def rates(y: np.ndarray) -> np.ndarray:
+    def rates(t: object, y: np.ndarray) -> np.ndarray:
         state = twin.unpack([Dual(row[0], row[1:]) for row in y.reshape(len(x) - 2, -1)], ())
         return np.concatenate([[each.a, *(each.b + 0 * one[0])] for each in twin.pack(twin.rhs(state))])
 

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 import contactbench as cb
-from contactbench.measure.ladder import save_times, steps
 from contactbench.measure.laws import LAWS, energies, row
 from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
 from contactbench.solution import Solution, keywords
 from contactbench.study.choice import outcome, pairs, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
+from contactbench.study.settings import halving_steps, times
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
@@ -20,11 +20,11 @@ RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 @experiment(lambda profile: pairs(profile, "laws", cb.METHODS))
 def laws(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
-    values = {"step": steps(scene, 6)[::2], "rtol": RTOLS}.get(method.control, [0.0])
+    values = {"step": halving_steps(scene, 6)[::2], "rtol": RTOLS}.get(method.control, [0.0])
     shown = values[1:2] or values
     for value in values:
         budget = step_budget(profile, scene, method, method.engines[0])
-        options = {"save_at": save_times(scene), "max_steps": budget, **keywords(method.control, value)}
+        options = {"save_at": times(scene), "max_steps": budget, **keywords(method.control, value)}
         solution = cb.solve(scene, method.name, **options)
         yield LAWS_TABLE, outcome(solution) | {"saved_times": len(solution.t)} | row(solution)
         if value in shown and solution.ok:

@@ -19,13 +19,13 @@ import contactbench as cb
 from contactbench.measure.clock import Call
 from contactbench.measure.isolation import usable_cores
 from contactbench.measure.memory import peak_memory
-from contactbench.race.comparison import Question, Scout, ends
 from contactbench.results.tables import SCALING
 from contactbench.solution import keywords
 from contactbench.study.c_loops import ring_kernel
 from contactbench.study.choice import EVERYWHERE, key, outcome
 from contactbench.study.experiment import Cell, Profile, Row, Timing, experiment
-from contactbench.study.search import step_at
+from contactbench.study.search import Question, Search, step_at
+from contactbench.study.settings import ENDS, times
 from contactbench.study.timetable import last_cores
 from contactbench.truth import Reference
 
@@ -80,16 +80,16 @@ def sized(name: str, n: int) -> Any:
 @cache
 def truth(name: str) -> Reference:
     short = sized(name, PERIOD)
-    return cb.reference(short, ends(short), ())
+    return cb.reference(short, times(short, ENDS), ())
 
 
 @cache
 def found(name: str, method: str) -> float:
     """The value of the cheapest setting that reaches the error on the short ring, else of the finest that ends well."""
-    scout = Scout(Question(truth(name).scene, truth(name), (ERROR,), 60.0), method)
-    for _ in scout.turns():
+    search = Search(Question(truth(name).scene, truth(name), (ERROR,), 60.0), method)
+    for _ in search.turns():
         pass
-    return (scout.best(ERROR) or min((a for a in scout.attempts if a.ok), key=lambda a: a.value)).value
+    return (search.best(ERROR) or min((a for a in search.attempts if a.ok), key=lambda a: a.value)).value
 
 
 def value(name: str, method: str, n: int) -> float:

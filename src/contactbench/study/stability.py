@@ -22,7 +22,6 @@ from contactbench.blame import UserError
 from contactbench.measure import stability as linear
 from contactbench.measure.clock import Call, least
 from contactbench.measure.isolation import Died, TimedOut, Worker
-from contactbench.measure.ladder import SAVES, save_times
 from contactbench.measure.law import MEANINGFUL
 from contactbench.measure.laws import row as laws_row
 from contactbench.methods.base import Method
@@ -33,6 +32,7 @@ from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import controlled, key, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, tolerance_at
+from contactbench.study.settings import SAVES, times
 from contactbench.truth import blow_up_time, condition_number
 
 #: seconds after which a call hangs; the dearest, over 10⁵ units of time, takes about twenty
@@ -160,7 +160,7 @@ LONG = 0.3
 def stability_row(name: str, method: str, engine: str, kind: str, value: float, max_steps: int | None) -> Row:
     scene = cb.SCENES[name]
     with blamed_on_solver():
-        options: dict[str, Any] = {"engine": engine, "save_at": save_times(scene), "max_steps": max_steps}
+        options: dict[str, Any] = {"engine": engine, "save_at": times(scene), "max_steps": max_steps}
         run = cb.prepare(scene, method, **options, **keywords(kind, value))
         start = perf_counter()
         solution = run()

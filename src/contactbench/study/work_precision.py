@@ -16,27 +16,25 @@ from typing import Any
 
 import contactbench as cb
 from contactbench.measure.clock import Call, Part
-from contactbench.measure.ladder import (
-    BETWEEN,
-    ENDS,
-    GROWING,
-    LOOSEST,
-    carry_of,
-    control_of,
-    fields,
-    setting_to,
-    tolerances,
-    work_ladder,
-)
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
-from contactbench.solution import EXACT, Solution
+from contactbench.solution import EXACT, GROWING, Solution
 from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment
+from contactbench.study.settings import (
+    BETWEEN,
+    ENDS,
+    LOOSEST,
+    carry_of,
+    control_of,
+    setting_to,
+    steps,
+    tolerances,
+)
 
 #: of tolerances down to this a profile chooses some; tighter ones are all run
 TIGHT = 1e-13
@@ -58,7 +56,7 @@ def ladder(profile: Profile) -> list[Cell]:
                 elif scene.name == SMOKE:  # a step control that stops short shows at the tightest
                     values.append(rungs[-1])
             else:
-                values = profile.choose(work_ladder(scene, method.order))
+                values = profile.choose(steps(scene, method.order))
             rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
     return rows
 
@@ -100,7 +98,9 @@ def errors(cell: Cell, profile: Profile) -> Row:
     start = perf_counter()
     solution = run()
     row = {"compile_s": run.compile_s, "first_call_s": perf_counter() - start}
-    row |= {"carried": " ".join(fields(scene, method, run.request.carry))}
+    carried = scene.initial(run.request.carry)._asdict().items()
+    own = ("t",) if method.own_time else ()
+    row |= {"carried": " ".join(name for name, field in carried if field is not None and name not in own)}
     variant = GROWING if control == GROWING else ""
     if control == GROWING:
         row |= controlled(method.control, value, variant)
@@ -118,6 +118,8 @@ def errors(cell: Cell, profile: Profile) -> Row:
 #: a run with callbacks that takes longer has no second length: what is fixed is lost in it; and in one longer than
 #: SHORT what the public call adds
 LONG_CALLBACK, SHORT = 0.02, 5e-4
+#: rounds in which both calls are compared, and seconds of each
+PAIRS, BLOCK_SECONDS = 15, 1e-4
 
 
 def runs(scene: str, method: str, setting: Sequence[Any], given: dict[str, Any]) -> tuple[Row, Call]:
@@ -135,7 +137,11 @@ def runs(scene: str, method: str, setting: Sequence[Any], given: dict[str, Any])
     once = call.once[0]
     if "python" not in given["engine"] or once < LONG_CALLBACK:
         call = Call(bare, Part(lambda: shorter.bare(earlier), 1 / ENDS, end))
-    return {"call_s": added(run, bare)} if once < SHORT else {}, call
+    if once >= SHORT:
+        return {}, call
+    beside = Part(bare, 0.0, 1.0)
+    added = beside.marginal([Call(run, beside, BLOCK_SECONDS).visit(PAIRS)])
+    return {"call_s": max(0.0, added)}, call  # the difference may be lost in noise
 
 
 #: changes of the initial data, relative: a few roundings
@@ -160,15 +166,3 @@ def work_precision_errors(cell: Cell, profile: Profile) -> Recorded:
 @experiment(ladder, timed=True, errors=work_precision_errors)
 def work_precision(cell: Cell, profile: Profile) -> Timing:
     return Timing(WORK_PRECISION, runs, options(cell, profile))
-
-
-#: rounds in which `added` compares both calls, and seconds of each
-PAIRS, BLOCK_SECONDS = 15, 1e-4
-
-
-def added(run: Any, bare: Any) -> float:
-    """Seconds the public call takes more than the bare one, by the least of rounds in turns; 0 if lost in noise."""
-    call = Call(run, Part(bare, 0.0, 1.0), BLOCK_SECONDS)
-    call.warm_up()
-    visit = call.visit(PAIRS)
-    return max(0.0, min(visit.whole) - min(visit.part))

@@ -268,16 +268,33 @@ def extrapolation(
     most = 4 + digits // 2
     tolerance = context.mpf(10) ** -digits
 
-    def slope(y: np.ndarray) -> np.ndarray:
-        return np.array(twin.pack(twin.rhs(twin.unpack(y.tolist(), carry))))
-
-    start, watch = np.array(twin.pack(twin.initial(carry))), Stopwatch(scene, float(times[-1]), deadline)
-    breaks = scene.breaks_until(float(times[-1]))
+    slope, y0, origin = initial_value_problem(twin, carry)
+    watch, breaks = Stopwatch(scene, float(times[-1]), deadline), scene.breaks_until(float(times[-1]))
 
     def solve(y: np.ndarray, times: list[Any], begin: Any) -> list[np.ndarray]:
         return extrapolate(slope, y, times, most, tolerance, watch, collapse, begin)
 
-    return [y.tolist() for y in across_breaks(solve, slope, start, list(map(context.mpf, times)), breaks)]
+    saved = list(map(context.mpf, times))
+    rows = across_breaks(solve, slope, y0, saved, breaks)
+    return [list(twin.with_clock(y.tolist(), origin + t)) for t, y in zip(saved, rows, strict=True)]
+
+
+#: f(t, y): t since the start, y a packed state less the time
+Slope = Callable[[Any, np.ndarray], np.ndarray]
+
+
+def initial_value_problem(scene: Scene, carry: tuple[str, ...]) -> tuple[Slope, np.ndarray, Any]:
+    """Return y' = f(t, y), y(0), and the time at the start.
+
+    A force that jumps asks for the time itself: one that is summed step by step would be some roundings off.
+    """
+    start = scene.pack(scene.initial(carry))
+    origin = 0.0 if scene.clock is None else start[scene.clock]
+
+    def slope(t: Any, y: np.ndarray) -> np.ndarray:
+        return np.asarray(scene.slopes(origin + t, scene.entries(y), carry))
+
+    return slope, np.array(scene.without_clock(start)), origin
 
 
 Breaks = Sequence[tuple[float, float]]  #: times, and how exact they are
@@ -290,23 +307,24 @@ def sides(breaks: Breaks, end: float) -> list[float]:
 
 def across_breaks(
     solve: Callable[..., list[np.ndarray]],
-    slope: Callable[[np.ndarray], np.ndarray],
+    slope: Slope,
     y: np.ndarray,
     times: Sequence[Any],
     breaks: Breaks,
+    begin: Any = 0,
 ) -> list[np.ndarray]:
     """Return states at increasing times, `sides` of breaks among them, by `solve(y, times, begin)`.
 
     Over a break itself nothing converges: there a state moves by the mean of the slopes on both sides.
     """
-    rows, begin, group = list[np.ndarray](), 0 * times[-1], list[Any]()
+    rows, begin, group = list[np.ndarray](), begin + 0 * times[-1], list[Any]()
     for time in times:
         before = group[-1] if group else begin
         if before < time and any(b - m <= float(before) and float(time) <= b + m for b, m in breaks):
             rows += solve(y, group, begin)
             y = rows[-1] if rows else y
-            ahead = y + (time - before) * slope(y)  # which has the other time
-            y = y + (time - before) / 2 * (slope(y) + slope(ahead))
+            here = slope(before, y)
+            y = y + (time - before) / 2 * (here + slope(time, y + (time - before) * here))
             rows.append(y)
             begin, group = time, []
         else:
@@ -315,7 +333,7 @@ def across_breaks(
 
 
 def extrapolate(
-    slope: Callable[[np.ndarray], np.ndarray],
+    slope: Slope,
     y: np.ndarray,
     times: Sequence[Any],
     most: int,
@@ -333,7 +351,7 @@ def extrapolate(
             step = min(trial, time - now)
             check = partial(watch.check, float(now + step))
             try:
-                column, result = extrapolated(slope, y, step, most, tolerance, check)
+                column, result = extrapolated(slope, now, y, step, most, tolerance, check)
             except ArithmeticError:  # it lands on a singularity
                 column, result = most, None
             if result is None:
@@ -349,25 +367,26 @@ def extrapolate(
 
 
 def extrapolated(
-    slope: Callable[[np.ndarray], np.ndarray],
+    slope: Slope,
+    t: Any,
     y: np.ndarray,
     step: Any,
     most: int,
     tolerance: Any,
     check: Callable[[], None],
 ) -> tuple[int, np.ndarray | None]:
-    """Return one extrapolated step and the number of columns it took; None if `most` are not enough.
+    """Return one extrapolated step from t and the number of columns it took; None if `most` are not enough.
 
     check : called before every slope, raises where the time is over.
     """
-    first, far = slope(y), BEYOND * (1 + np.abs(y).max())
+    first, far = slope(t, y), BEYOND * (1 + np.abs(y).max())
     previous: list[np.ndarray] = []
     for j in range(1, most + 1):
         h = step / (2 * j)
         old, mid = y, y + h * first
-        for _ in range(2 * j - 1):
+        for k in range(1, 2 * j):
             check()
-            old, mid = mid, old + 2 * h * slope(mid)
+            old, mid = mid, old + 2 * h * slope(t + k * h, mid)
             if not np.abs(mid).max() <= far:  # it diverges at this step, and numbers would grow without end
                 return j, None
         row = [mid]

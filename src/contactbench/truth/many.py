@@ -7,7 +7,7 @@ as far as they agree.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -17,7 +17,14 @@ import numpy as np
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
 from contactbench.scene.many import Many
-from contactbench.truth.engines import OutOfTime, Stopwatch, across_breaks, extrapolate
+from contactbench.truth.engines import (
+    OutOfTime,
+    Slope,
+    Stopwatch,
+    across_breaks,
+    extrapolate,
+    initial_value_problem,
+)
 
 #: numbers of a state up to which its components are solved to 30 digits
 FEW = 128
@@ -29,8 +36,6 @@ PAIRS = (("DOP853", ""), ("Radau", "LSODA"))
 #: and how many times its budget one may be foreseen to need: there is nobody to go on
 SOLVERS, UNEVEN, PATIENCE = 2, 1.5, 4.0
 
-Slope = Callable[[np.ndarray], np.ndarray]
-
 
 def doubles(
     scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float, stops: Sequence[float] = ()
@@ -39,14 +44,11 @@ def doubles(
 
     stops : times at which a step ends.
     """
-
-    def slope(y: np.ndarray) -> np.ndarray:
-        return np.asarray(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry))))
-
-    start, times = np.array(scene.pack(scene.initial(carry))), sorted({*t.tolist(), *stops})
+    slope, start, origin = initial_value_problem(scene, carry)
+    times = sorted({*t.tolist(), *stops})
     saved, breaks = np.searchsorted(times, t), scene.breaks_until(times[-1])
     with np.errstate(all="ignore"):
-        slope(start)  # the first records the functions: no part of the pace
+        slope(0.0, start)  # the first records the functions: no part of the pace
     gragg = partial(extrapolate, most=COLUMNS, tolerance=TIGHTEST)
 
     def agreed(pair: tuple[str, str]) -> tuple[np.ndarray, int]:
@@ -96,7 +98,7 @@ def doubles(
         raise BadInput(
             f"no reference for scene {scene.name!r}: two solvers agree on no digit at t = {t[-1]:g}"
         )
-    return y, digits
+    return y if scene.clock is None else np.insert(y, scene.clock, origin + t, axis=1), digits
 
 
 def by_scipy(
@@ -107,7 +109,7 @@ def by_scipy(
 
     def checked(time: float, y: np.ndarray) -> np.ndarray:
         watch.check(time)
-        return slope(y)
+        return slope(time, y)
 
     rows, now = [], begin
     for time in times:

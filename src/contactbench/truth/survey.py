@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,15 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.engines import DoublesOnly, OutOfTime, Stopwatch, across_breaks, sides
+from contactbench.truth.engines import (
+    DoublesOnly,
+    OutOfTime,
+    Slope,
+    Stopwatch,
+    across_breaks,
+    initial_value_problem,
+    sides,
+)
 
 #: relative tolerance of a step, and by how much its change may be off the integral of the slopes, against the motion
 STEP, OFF = 1e-10, 1e-7
@@ -36,26 +44,21 @@ _angles = math.pi * (np.arange(12) + 0.5) / 12
 NODES, BARYCENTRIC = (1 - np.cos(_angles)) / 2, np.sin(_angles) * (-1.0) ** np.arange(12)
 FEJER = [(1 - 2 * sum(math.cos(2 * k * a) / (4 * k * k - 1) for k in range(1, 6))) / 12 for a in _angles]
 
-Slopes = Callable[[np.ndarray], np.ndarray]
 
+def of_many_times(scene: Scene, carry: tuple[str, ...]) -> tuple[Slope, bool]:
+    """Return f(t, y) for k times and states (d, k), and whether it takes them all at once."""
+    one, start, origin = initial_value_problem(scene, carry)
 
-def slopes_of(scene: Scene, carry: tuple[str, ...]) -> tuple[Slopes, bool]:
-    """Return the right-hand side of packed states (d,) or (d, k), and whether it takes many at once."""
+    def together(t: np.ndarray, y: np.ndarray) -> np.ndarray:
+        rows = scene.slopes(origin + t, tuple(y), carry)
+        return np.array([np.broadcast_to(row, t.shape) for row in rows], dtype=float)
 
-    def together(y: np.ndarray) -> np.ndarray:
-        rows = scene.pack(scene.rhs(scene.unpack(tuple(y), carry)))
-        return np.array([np.broadcast_to(row, y.shape[1:]) for row in rows], dtype=float)
+    def one_by_one(t: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.array([one(*pair) for pair in zip(t.tolist(), y.T, strict=True)], dtype=float).T
 
-    def one(y: np.ndarray) -> np.ndarray:
-        return np.array(scene.pack(scene.rhs(scene.unpack(y.tolist(), carry))), dtype=float)
-
-    def one_by_one(y: np.ndarray) -> np.ndarray:
-        return one(y) if y.ndim == 1 else np.array([one(column) for column in y.T]).T
-
-    start = np.array(scene.pack(scene.initial(carry)), dtype=float)
     try:
-        if np.array_equal(together(np.array([start, start]).T)[:, 0], one(start)):
-            return lambda y: one(y) if y.ndim == 1 else together(y), True
+        if np.array_equal(together(np.zeros(2), np.array([start, start]).T)[:, 0], one(0.0, start)):
+            return together, True
     except Exception:  # whatever a function of floats says of arrays
         pass
     return one_by_one, False
@@ -73,17 +76,16 @@ class Survey:
     unseen: bool = False
 
     def __post_init__(self) -> None:
-        self.slopes, arrays = slopes_of(self.scene, self.carry)
-        self.start = np.array(self.scene.pack(self.scene.initial(self.carry)), dtype=float)
+        self.slope, self.start, _ = initial_value_problem(self.scene, self.carry)
+        self.slopes, arrays = of_many_times(self.scene, self.carry)
         self.density = (SAMPLES / len(self.start) if arrays else ONE_BY_ONE) / (self.end or 1.0)
         # the scale of every component: what it is at the start, or has been since; all alike as long as it is none
         self.sizes, self.steepest = np.abs(self.start), np.zeros_like(self.start)
-        if (clock := self.scene.clock) is not None:  # a force that is rounding now may be large later
-            waiting = np.tile(self.start[:, None], int(self.density * self.end))
-            waiting[clock] += np.linspace(0.0, self.end, waiting.shape[1])
+        if self.scene.clock is not None:  # a force that is rounding now may be large later
+            t = np.linspace(0.0, self.end, int(self.density * self.end))
             with np.errstate(all="ignore"):
-                self.steepest = np.abs(np.nan_to_num(self.slopes(waiting))).max(axis=1)
-        self.moves = np.arange(len(self.start)) != self.scene.clock
+                waiting = self.slopes(t, np.tile(self.start[:, None], len(t)))
+            self.steepest = np.abs(np.nan_to_num(waiting)).max(axis=1)
         self.known = dict[float, np.ndarray]()  # states at the ends of steps
         self.breaks = self.scene.breaks_until(self.end)
         self.sides = sides(self.breaks, self.end)
@@ -107,6 +109,8 @@ class Survey:
 
     def check(self, times: Sequence[float], states: np.ndarray) -> None:
         """Raise `BadInput` unless states (k, d) at increasing times, the stops among them, lead to each other."""
+        if self.scene.clock is not None:
+            states = np.delete(states, self.scene.clock, axis=1)
         pairs = ((self.known[t], y) for t, y in zip(times, states, strict=True) if t in self.known)
         if self.unseen or all(self.agree(*pair) for pair in pairs):
             return
@@ -130,23 +134,19 @@ class Survey:
                 y = known[bound]
 
     def scale(self) -> np.ndarray:
-        return np.maximum(self.sizes, 1e-3 * self.sizes[self.moves].max() or 1.0)
+        return np.maximum(self.sizes, 1e-3 * self.sizes.max() or 1.0)
 
     def piece(self, ends: list[float], y: np.ndarray, bound: float, watch: Stopwatch) -> np.ndarray:
         """Follow the motion from the last of `ends` to a bound, adding to them; return the state there."""
         from scipy.integrate import DOP853
 
-        def slope(t: float, y: np.ndarray) -> np.ndarray:
-            return self.slopes(y)
-
         due, shortest = [bound], SHORTEST * self.end
         while due:
             if any(time - m <= ends[-1] and due[-1] <= time + m for time, m in self.breaks):
-                whole = [(0.0, due[-1] - ends[-1])]
-                (y,) = across_breaks(lambda *_: [], self.slopes, y, [due[-1] - ends[-1]], whole)
+                (y,) = across_breaks(lambda *_: [], self.slope, y, [due[-1]], self.breaks, ends[-1])
                 ends.append(due.pop())
                 continue
-            solver = DOP853(slope, ends[-1], y, due[-1], rtol=STEP, atol=STEP * self.scale().min())
+            solver = DOP853(self.slope, ends[-1], y, due[-1], rtol=STEP, atol=STEP * self.scale().min())
             while solver.status == "running":
                 watch.check(solver.t)
                 if not math.isfinite(solver.h_abs) or solver.step() is not None:
@@ -173,12 +173,12 @@ class Survey:
             nodes = a + (b - a) * NODES
             count = LEAST + int((b - a) * self.density)
             t = np.linspace(a, b, count)
-            values = self.slopes(path(np.concatenate([nodes, t])))
+            values = self.slopes(every := np.concatenate([nodes, t]), path(every))
             at_nodes, sampled = values[:, : len(NODES)], values[:, len(NODES) :]
             self.steepest = np.maximum(self.steepest, np.abs(np.nan_to_num(values)).max(axis=1))
             weights = BARYCENTRIC / (t[:, None] - nodes + 1e-300)
             fitted = at_nodes @ (weights / weights.sum(axis=1)[:, None]).T
-            least = 1e-3 * self.steepest[self.moves].max() or 1.0
+            least = 1e-3 * self.steepest.max() or 1.0
             off = (np.abs(fitted - sampled) / np.maximum(self.steepest, least)[:, None]).max(axis=0)
             if (resolved := np.all(off <= RESOLVED)) or b - a <= shortest:
                 if not resolved and self.scene.clock is not None:

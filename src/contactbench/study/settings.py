@@ -1,4 +1,4 @@
-"""The settings a method is tried at: steps that halve, tolerances by decades, from coarse to fine."""
+"""The settings a method is tried at, coarse to fine: steps that halve, tolerances by decades."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from contactbench.methods.base import Method
 from contactbench.methods.prescribed import geometric_steps
 from contactbench.scene import Scene
-from contactbench.solution import keywords
+from contactbench.solution import GROWING, keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
@@ -25,30 +25,32 @@ LOOSEST = 1e-1
 BETWEEN = [3e-14, 3e-15, 1e-15]
 
 
-def steps(scene: Scene, count: int) -> list[float]:
-    """Halving steps t_end/(25·2^k), the coarsest not above 0.8."""
+def halving_steps(scene: Scene, count: int) -> list[float]:
+    """Return halving steps t_end/(25·2^k), the coarsest not above 0.8."""
     n = SAVES
     while scene.t_end / n > COARSEST:
         n *= 2
     return [scene.t_end / (n * 2**k) for k in range(count)]
 
 
-def work_ladder(scene: Scene, order: int) -> list[float]:
-    """About ten steps t_end/n, n a multiple of 5: halving from 0.8 or 4, from order 6 on by about √2 from 3.2.
+def steps(scene: Scene, order: int) -> list[float]:
+    """Return about ten steps t_end/n, n a multiple of 5: halving from 0.8 or 4, from order 6 on by about √2 from 3.2.
 
     That is from errors of 10⁻² or 10⁻³ on; high orders go not as far down, because finer steps meet round-off.
     """
     if order < 6:
-        fine = steps(scene, 9)
+        fine = halving_steps(scene, 9)
         longer = "body" in scene.kind or scene.slows_after is not None
         return [fine[0] * 5, fine[0] * 2.5, *fine] if longer else fine
-    coarse = steps(scene, 1)[0] * 4
+    coarse = halving_steps(scene, 1)[0] * 4
     counts = [ENDS * max(1, round(scene.t_end / coarse / ENDS * 2 ** (k / 2))) for k in range(11)]
     return [scene.t_end / n for n in dict.fromkeys(counts)]
 
 
-#: what is set of a fixed-step method on a scene that slows down: the mean of steps that grow
-GROWING = "growing"
+def tolerances(method: Method) -> list[float]:
+    low, high = method.rtol_range
+    rungs = [LOOSEST, *RTOLS, *(BETWEEN if method.order is None else [])]
+    return [*sorted((rtol for rtol in rungs if low < rtol <= high), reverse=True), low]
 
 
 def control_of(scene: Scene, method: Method) -> str:
@@ -67,26 +69,11 @@ def setting_to(end: float, scene: Scene, control: str, value: float) -> dict[str
     return {"step": geometric_steps(end, max(1, round(share * scene.t_end / value)), a)}
 
 
-def tolerances(method: Any) -> list[float]:
-    low, high = method.rtol_range
-    rungs = [LOOSEST, *RTOLS, *(BETWEEN if method.order is None else [])]
-    return [*sorted((rtol for rtol in rungs if low < rtol <= high), reverse=True), low]
-
-
-def save_times(scene: Scene) -> np.ndarray:
-    """The 25 times every ladder has in common, on the grid of the frozen references."""
-    return scene.t_end * np.arange(1, SAVES + 1) / SAVES
-
-
-def stepping(method: Any) -> str:
-    return "exact" if method.exact else "adaptive" if method.adaptive else "fixed"
-
-
-def fields(scene: Scene, method: Method, carry: tuple[str, ...]) -> list[str]:
-    kept = (name for name, part in scene.initial(carry)._asdict().items() if part is not None)
-    return [name for name in kept if not (name == "t" and method.own_time)]
+def times(scene: Scene, count: int = SAVES) -> np.ndarray:
+    """Return equidistant times up to the end; the 25 are on the grid of the frozen references."""
+    return scene.t_end * np.arange(1, count + 1) / count
 
 
 def carry_of(scene: Scene) -> tuple[str, ...]:
-    """The optional fields that a run needs where only the motion counts: R where J = R M is measured, s if it acts."""
+    """Return the optional fields that a run needs where only the motion counts: R where J = R M, s if it acts."""
     return scene.carry(("R",) if "R" in scene.optional and scene.conformal_rate is not None else ())

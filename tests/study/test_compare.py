@@ -11,11 +11,13 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench.measure.ladder import ENDS
 from contactbench.methods.base import ENGINES
-from contactbench.race import comparison
-from contactbench.race.comparison import COLUMNS, Attempt, Comparison, Scout, judge_times
 from contactbench.solution import Counts, Status
+from contactbench.study import compare, schedule
+from contactbench.study.compare import COLUMNS, with_verdicts
+from contactbench.study.schedule import Schedule
+from contactbench.study.search import Attempt, Search
+from contactbench.study.settings import ENDS
 from contactbench.truth import OutOfTime
 
 RACED = ["contact-strang", "rk4", "cyrk-vern8", "contact-exact", "scipy-dop853"]
@@ -78,13 +80,13 @@ def test_no_coarser_setting_that_was_tried_is_as_accurate(frame):
 
 def test_a_tighter_setting_that_is_sooner_done_stands_at_the_looser_error_too(frame):
     errors = (1e-3, 1e-6, 1e-9, 1e-12)
-    race = Comparison(cb.SCENES["particle"], ["rk4"], errors, 60.0, False)
+    race = Schedule(cb.SCENES["particle"], ["rk4"], errors, 60.0, False)
     coarse, fine, finest = (
         Attempt(e, "", Status.ok, "", 0.0, e, Counts(1, round(1 / e), kind="rhs")) for e in (1e-3, 1e-6, 1e-9)
     )
-    race.scouts[0].attempts += [coarse, fine, finest]
+    race.searches[0].attempts += [coarse, fine, finest]
     race.times = {id(coarse): {"time_median_s": 182e-6}, id(fine): {"time_median_s": 111e-6}}
-    assert [race.soonest(race.scouts[0], error) for error in errors] == [fine, fine, finest, None]
+    assert [compare.soonest(race, race.searches[0], error) for error in errors] == [fine, fine, finest, None]
     for _, rows in frame[frame["time_s"].notna()].groupby("method"):
         assert rows.sort_values("error_asked")["time_s"].is_monotonic_decreasing
 
@@ -122,8 +124,8 @@ def test_the_reference_is_checked_and_nothing_below_its_error_is_claimed(frame, 
     assert reference["source"] == "live"
     assert reference["digits"] >= 20
     assert reference["confirmed"] is None or reference["confirmed"] >= 15
-    exact = comparison.reference
-    monkeypatch.setattr(comparison, "reference", lambda *a, **more: replace(exact(*a, **more), digits=4))
+    exact = schedule.reference
+    monkeypatch.setattr(schedule, "reference", lambda *a, **more: replace(exact(*a, **more), digits=4))
     found = cb.compare(double_well(), ["rk4"], (1e-2, 1e-6), budget=10.0)
     assert found.attrs["reference"]["error"] == 1e-4
     first, second = found.itertuples()
@@ -141,7 +143,7 @@ def test_a_reference_that_would_take_too_long_is_refused_and_what_is_advised_ins
     more, t_end = re.search(r"--budget ([\d.]+)s \(budget=\1\), t_end=([\d.]+)", str(refused.value)).groups()
     assert float(more) > 5.0
     found = cb.compare(scene.with_(t_end=float(t_end)), ["rk4"], [1e-2], budget=0.5)
-    assert found.attrs["seconds"] < 2 * comparison.LEAST_REFERENCE
+    assert found.attrs["seconds"] < 2 * schedule.LEAST_REFERENCE
 
 
 def test_copies_of_a_frame_share_the_rows_of_every_setting(frame):
@@ -172,14 +174,14 @@ def test_what_cannot_be_had_in_high_precision_has_a_reference_that_two_solvers_a
 
 # -- interruption, budget --------------------------------------------------------------------------
 def test_control_c_ends_it_with_what_there_is(monkeypatch):
-    turns = Scout.turns
+    turns = Search.turns
 
-    def stopped(scout):
-        if scout.method.name == "contact-strang":
+    def stopped(search):
+        if search.method.name == "contact-strang":
             raise KeyboardInterrupt
-        yield from turns(scout)
+        yield from turns(search)
 
-    monkeypatch.setattr(Scout, "turns", stopped)
+    monkeypatch.setattr(Search, "turns", stopped)
     found = cb.compare("particle", ["rk4", "contact-strang", "herglotz2"], (0.5,), budget=20.0)
     assert found.attrs["interrupted"]
     assert list(found["status"]) == ["ok", "interrupted", "interrupted"]
@@ -187,14 +189,14 @@ def test_control_c_ends_it_with_what_there_is(monkeypatch):
 
 
 def test_what_the_fewest_rounds_have_no_time_for_is_not_timed_and_says_so():
-    race = Comparison(cb.SCENES["particle"], ["rk4", "contact-strang"], (1e-2,), 60.0, False)
+    race = Schedule(cb.SCENES["particle"], ["rk4", "contact-strang"], (1e-2,), 60.0, False)
     run = SimpleNamespace(bare=lambda y: None, start=None)
     quick, slow = (Attempt(1.0, "step=1", Status.ok, "", t, error=1e-3, run=run) for t in (1e-3, 100.0))
-    for each, attempt in zip(race.scouts, (quick, slow), strict=True):
+    for each, attempt in zip(race.searches, (quick, slow), strict=True):
         each.attempts.append(attempt)
     race.time()
     assert race.times.keys() == {id(quick)}
-    assert race.row(race.scouts[1], 1e-2)["reason"] == "too slow for the time that was left"
+    assert compare.row(race, race.searches[1], 1e-2)["reason"] == "too slow for the time that was left"
 
 
 def test_a_method_that_breaks_is_a_row(monkeypatch):
@@ -209,20 +211,20 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
 
 def test_a_turn_is_given_up_when_it_goes_on_for_too_long():
     """Between the runs of a setting; no setting of it is a row."""
-    race = Comparison(cb.SCENES["particle"], ["rk4", "herglotz2"], (1e-2,), 60.0, False)
-    for each in race.scouts:
+    race = Schedule(cb.SCENES["particle"], ["rk4", "herglotz2"], (1e-2,), 60.0, False)
+    for each in race.searches:
         each.question = replace(race.question, deadline=0.0)
-    race.scout()
-    assert [each.attempts for each in race.scouts] == [[], []]
-    assert [each.why for each in race.scouts] == [("budget", "no time was left to begin it")] * 2
+    race.search()
+    assert [each.attempts for each in race.searches] == [[], []]
+    assert [each.why for each in race.searches] == [("budget", "no time was left to begin it")] * 2
 
 
 def test_what_compiles_as_slowly_as_others_of_its_engine_did_is_begun_in_time_only():
-    race = Comparison(cb.SCENES["particle"], ["rk4", "herglotz2"], (1e-2,), 60.0, False)
-    race.scouts[0].compile_s, race.scouts[0].why = 100.0, ("failed", "")
-    race.scout()
-    assert race.scouts[1].why[0] == "budget"
-    assert "compiling it takes about 1e+02 s" in race.scouts[1].why[1]
+    race = Schedule(cb.SCENES["particle"], ["rk4", "herglotz2"], (1e-2,), 60.0, False)
+    race.searches[0].compile_s, race.searches[0].why = 100.0, ("failed", "")
+    race.search()
+    assert race.searches[1].why[0] == "budget"
+    assert "compiling it takes about 1e+02 s" in race.searches[1].why[1]
 
 
 # -- verdicts --------------------------------------------------------------------------------------
@@ -241,7 +243,7 @@ def test_a_tie_is_within_the_margin_of_its_pair(times, halves, expected):
     """The halves of the first call's visits agree; those of the second do not."""
     clock = {"time_s": times, "time_halves_ratio": [1.0, halves, 1.0]}
     frame = pd.DataFrame({"kind": "compiled", "error_asked": 1e-3} | clock)
-    assert list(judge_times(frame)["verdict"]) == expected
+    assert list(with_verdicts(frame)["verdict"]) == expected
 
 
 @pytest.mark.parametrize(
@@ -255,15 +257,17 @@ def test_a_tie_is_within_the_margin_of_its_pair(times, halves, expected):
     ],
 )
 def test_nobody_wins_where_a_rival_was_cut_off_that_might_be_sooner_done(status, spent, expected):
-    race = Comparison(cb.SCENES["particle"], ["rk4", "herglotz2", "contact-strang"], (1e-2,), 60.0, False)
-    first, second, rival = race.scouts
+    race = Schedule(cb.SCENES["particle"], ["rk4", "herglotz2", "contact-strang"], (1e-2,), 60.0, False)
+    first, second, rival = race.searches
     for each, seconds in ((first, 1.0), (second, 3.0)):
         each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", seconds, error=1e-3))
         race.times[id(each.attempts[0])] = {"time_min_s": seconds, "time_halves_ratio": 1.0}
     rival.why = (status, "")
     if spent:
         rival.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", spent, error=0.1))
-    verdicts = judge_times(pd.DataFrame([race.row(each, 1e-2) for each in race.scouts]))["verdict"]
+    verdicts = with_verdicts(pd.DataFrame([compare.row(race, each, 1e-2) for each in race.searches]))[
+        "verdict"
+    ]
     assert list(verdicts) == [expected, "loss", ""]
 
 

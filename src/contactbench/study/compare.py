@@ -1,0 +1,208 @@
+"""Methods raced on one scene, the user's own for example: `compare`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from contactbench.blame import their_code
+from contactbench.checks import array, finite, function, items_of, positive, switch
+from contactbench.errors import BadInput, excerpt
+from contactbench.measure.laws import laws_of
+from contactbench.measure.statistics import PROCESSES
+from contactbench.methods.base import METHODS
+from contactbench.results.contest import CUT, standings
+from contactbench.scene import Scene
+from contactbench.scene.base import scene_of
+from contactbench.study.schedule import Schedule
+from contactbench.study.search import Attempt, Search
+from contactbench.study.settings import ENDS, carry_of, times
+from contactbench.truth import Reference
+
+ERRORS = (1e-3, 1e-6, 1e-9)
+BUDGET = 60.0
+#: a run made once may take so many times as long as its least round
+ONCE = 2.0
+#: measures of a run that are no laws, or that another one covers
+LEFT_OUT = ("solution_error", "energy_law_relative", "energy_increases", "own_factor_drift")
+#: types of the columns beside the laws
+COLUMNS = dict.fromkeys(("scene", "method", "family", "engine", "kind"), "str")
+COLUMNS |= {"error_asked": "float64", "setting": "str"}
+COLUMNS |= dict.fromkeys(("error_reached", "time_s", "evaluations", "ratio", "margin"), "float64")
+COLUMNS |= dict.fromkeys(("verdict", "laws_kept", "status", "reason"), "str")
+
+
+def compare(
+    scene: Scene | str,
+    methods: Sequence[str] | None = None,
+    errors: Iterable[float] = ERRORS,
+    budget: float = BUDGET,
+    progress: bool = False,
+    reference: Callable[[np.ndarray], Any] | None = None,
+) -> pd.DataFrame:
+    """Race methods on one scene: what each costs at each error, and what it keeps.
+
+    Each method is tried from its coarsest setting to the one that reaches the smallest error, on the first
+    of its engines that can run the scene; the settings that reach the errors are then timed in turns, as bare
+    calls, each eight times or more, fewer on a machine too busy for that.  Times are compared within a kind of engine:
+    compiled, or calling back into Python.
+    Ctrl-C ends it with what there is.
+
+    Parameters
+    ----------
+    scene :
+        A scene or the name of one.  Where it `slows_after` some time, fixed steps grow geometrically.
+    methods :
+        Names, by default all.
+    errors :
+        Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs.
+    budget :
+        Seconds for everything; the reference may take five whatever it is.
+    progress :
+        Whether to show a bar on stderr, where that is a terminal.
+    reference :
+        ``reference(t) -> (k, d)``, the true states at k times where you know them: a row of q, then p (of a body of M,
+        then the quaternion R) for each.  It is taken to be right to 15 digits.  By default it is computed.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row for each method and error, columns: scene, method, family, engine, kind, error_asked, setting,
+        error_reached, time_s (the least round), evaluations (of the right-hand side, or what equals one), ratio (to
+        the least time of its kind at that error), margin (the ratio up to which the two cannot be told apart), verdict
+        (win; tie; undecided where the margin is too wide to judge, or a rival was cut off that might be sooner done;
+        loss), laws_kept, a column for each law, status, reason (why a method got no further, or was not timed).
+        ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
+        claimed), "runs" (every setting tried), "of_floats" (functions that cannot be recorded), "unrefined" (methods
+        without a last search for a coarser setting), "interrupted", "seconds".
+
+    Raises
+    ------
+    BadInput
+        For a wrong argument, and where no reference can be computed.
+    """
+    begun, scene = perf_counter(), scene_of(scene)
+    given = items_of("methods", METHODS if methods is None else methods, "a list of names")
+    if not given:
+        raise BadInput("methods = []: must be names, at least one; None for all")
+    for name in given:
+        METHODS[name]  # an unknown one raises
+    asked = items_of("errors", errors, "a list of numbers, as in errors=[1e-3, 1e-6]")
+    wanted = tuple(sorted({finite("error", error) for error in asked}, reverse=True))
+    if not wanted:
+        raise BadInput("errors: at least one, as in errors=[1e-3, 1e-6]")
+    for error in wanted:
+        if not 0 < error < 1:
+            size = "must be between 0 and 1, relative to the size of the motion"
+            raise BadInput(f"error = {excerpt(error)}: {size}")
+    switch("progress", progress)
+    truth = None if reference is None else users_reference(scene, reference)
+    race = Schedule(scene, list(dict.fromkeys(given)), wanted, positive("budget", budget), progress, truth)
+    race.run()
+    frame = frame_of(race)
+    frame.attrs["seconds"] = perf_counter() - begun
+    return frame
+
+
+def users_reference(scene: Scene, given: Callable[[np.ndarray], Any]) -> Reference:
+    """Return what a user's function says of the states at the ends of the runs; raise `BadInput` for other shapes."""
+    function("reference", given)
+    carry, t = carry_of(scene), times(scene, ENDS)
+    labels = ", ".join(scene.labels(carry)[:8])
+    wanted = f"a function of the times that gives a row of {labels} for each"
+    with their_code("reference"):
+        y = array("reference", given(t.copy()), wanted)
+    if y.shape != (shape := (len(t), len(scene.labels(carry)))) or not np.isfinite(y).all():
+        raise BadInput(f"reference: gives shape {y.shape}: must be {shape}, finite, for each time {labels}")
+    return Reference(scene, carry, t, y, [], np.finfo(float).precision, "given")
+
+
+# -- rows ------------------------------------------------------------------------------------------
+class Runs(tuple[dict[str, Any], ...]):
+    """Rows of every setting tried; pandas copies ``attrs`` deeply at every turn, which would take it seconds."""
+
+    def __deepcopy__(self, memo: object) -> Runs:
+        return self
+
+
+def frame_of(race: Schedule) -> pd.DataFrame:
+    scene, truth = race.question.scene, race.question.truth
+    frame = pd.DataFrame([row(race, each, error) for each in race.searches for error in race.question.errors])
+    columns = [*COLUMNS, *laws_in(scene), "map_growth", "time_halves_ratio"]
+    frame = with_verdicts(frame).reindex(columns=columns).astype(COLUMNS)
+    known = {"source": truth.source, "digits": truth.digits, "confirmed": race.confirmed}
+    frame.attrs = {
+        "runs": Runs(run for each in race.searches for run in runs_of(each)),
+        "reference": known | {"error": race.floor},
+        "of_floats": scene.functions_of_floats,
+        "unrefined": race.unrefined,
+        "interrupted": race.interrupted,
+    }
+    return frame
+
+
+def laws_in(scene: Scene) -> dict[str, str]:
+    """Return the laws that have a column, each with its label."""
+    laws = (law for law in laws_of(scene) if law.name not in LEFT_OUT and not law.name.endswith("_frozen"))
+    return {law.name: law.label or law.name for law in laws}
+
+
+def runs_of(search: Search) -> Iterator[dict[str, Any]]:
+    known = {"method": search.method.name, "engine": search.engine, "kind": search.kind}
+    for a in sorted(search.attempts, key=lambda a: -a.value):
+        ended = {"value": a.value, "status": str(a.status), "message": a.message, "error": a.error}
+        yield known | ended | a.columns(0.0)
+
+
+def row(race: Schedule, search: Search, error: float) -> dict[str, Any]:
+    """Return a row; at_least : seconds that it takes anyway, where it was cut off or left untimed, else nan."""
+    known, clock, laws = unreached(race, search, error), {}, {}
+    if (attempt := soonest(race, search, error)) is not None:
+        clock, laws = race.times.get(id(attempt), {}), race.laws.get(id(attempt), {})
+        reason = "" if clock else "too slow for the time that was left"
+        known = attempt.columns(race.floor) | {"status": "ok", "reason": reason}
+    cut = known["status"] in (*CUT, "interrupted") or (attempt is not None and not clock)
+    last = attempt or search.finest
+    at_least = (last.seconds / ONCE if last else 0.0) if cut else math.nan
+    row = {"scene": race.question.scene.name, "method": search.method.name, "family": search.method.family}
+    row |= {"engine": search.engine, "kind": search.kind, "error_asked": error, **known}
+    row |= {"time_s": clock.get("time_min_s", math.nan), "at_least": at_least}
+    labels = laws_in(race.question.scene)
+    row |= {name: laws.get(name, math.nan) for name in (*labels, "map_growth")}
+    row["laws_kept"] = ", ".join(label for law, label in labels.items() if laws.get(f"{law}_kept"))
+    return row | {"time_halves_ratio": clock.get("time_halves_ratio", math.nan)}
+
+
+def soonest(race: Schedule, search: Search, error: float) -> Attempt | None:
+    """Return the setting that reaches an error and is soonest done; one for a smaller error may be."""
+    if race.chosen(search, error) is None:
+        return None
+    reach = filter(None, (race.chosen(search, e) for e in race.question.errors if e <= error))
+    return min(reach, key=lambda a: race.times.get(id(a), {}).get("time_median_s", math.inf))
+
+
+def unreached(race: Schedule, search: Search, error: float) -> dict[str, Any]:
+    best = min((a for a in search.attempts if a.ok), key=lambda a: a.error, default=None)
+    known = {"setting": "", "error_reached": math.nan} if best is None else best.columns(race.floor)
+    last = search.finest
+    if error < race.floor:
+        why = ("unresolved", f"the reference is known to {race.floor:.1e} only")
+    elif search.why is not None:
+        why = search.why
+    elif last is not None and not last.ok:
+        why = (str(last.status), f"{last.setting}: {last.message}")
+    else:
+        assert last is not None
+        why = ("unreached", f"no setting is as accurate, tried down to {last.setting}")
+    return known | {"evaluations": math.nan, "status": why[0], "reason": why[1]}
+
+
+def with_verdicts(frame: pd.DataFrame) -> pd.DataFrame:
+    halves = frame["time_halves_ratio"]
+    costs = frame.assign(cost=frame["time_s"], halves=halves, processes=PROCESSES, place=range(len(frame)))
+    return standings(costs, ("kind", "error_asked")).sort_values("place", ignore_index=True)

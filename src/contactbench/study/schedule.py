@@ -1,0 +1,233 @@
+"""The schedule of a race: reference, search, laws and timing, in that order, within a budget of time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from itertools import accumulate
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from contactbench.blame import UserError
+from contactbench.errors import BadInput
+from contactbench.measure.clock import VISITS, Call, Race, time_columns
+from contactbench.measure.laws import row as laws_row
+from contactbench.methods.base import prepare
+from contactbench.scene import Scene
+from contactbench.solution import GROWING, Solution
+from contactbench.study.search import Attempt, Question, Search
+from contactbench.study.settings import ENDS, carry_of, setting_to, times
+from contactbench.truth import OutOfTime, Reference, confirmed, reference
+
+#: by when, in parts of the budget, the reference, its check, the search and the laws are over
+REFERENCE, CHECK, SEARCH, LAWS = 0.4, 0.42, 0.6, 0.8
+#: how much longer the rounds may take that every run is to have
+LATE = 0.05
+#: seconds for the reference at least, which it takes to compile it on a loaded machine: without one there is no race
+LEAST_REFERENCE = 5.0
+#: calls of a run in the shortest race: to warm up, and a round of each visit
+FEWEST_CALLS = 1 + VISITS
+KINDS = ("compiled", "callbacks")
+#: seconds that compiling the first method of an engine takes: without them it is not begun
+COMPILING = {"jax": 5.0, "c++": 1.5}
+#: what compiles so slowly begins when every other method is done or had this part of the budget
+PATIENCE = 0.03
+#: what a single run may take, as a share of the whole budget
+RUN_SHARE = 0.006
+#: what a derivative of the map costs, roughly: compilations of the solver, and runs
+COMPILATIONS, RUNS = 2.0, 100.0
+#: seconds that compiling a derivative takes at least, where the method itself was found compiled
+CACHED = 0.2
+#: components from which on compiling it takes longer, as their cube
+MANY = 20
+
+type Columns = dict[str, Any]
+
+
+class Schedule:
+    """The state of one race: what was found of each method, and the laws and times at the settings that reach an error.
+
+    floor : what the reference may be off by, relative to the largest state; no error below is claimed.  unrefined :
+    methods without a last search for a coarser setting.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        methods: list[str],
+        errors: tuple[float, ...],
+        budget: float,
+        progress: bool = False,
+        truth: Reference | None = None,
+    ) -> None:
+        self.begun, self.budget = perf_counter(), budget
+        self.bar = tqdm(total=len(methods) + 3, disable=None if progress else True, unit="", leave=False)
+        self.bar.set_description("reference")
+        truth = truth or self.reference_of(scene)
+        self.question = Question(scene, truth, errors, RUN_SHARE * budget, self.begun + LAWS * budget)
+        self.floor = max(10.0**-truth.digits, float(np.finfo(float).eps))
+        self.confirmed = confirmed(truth, self.left(CHECK))
+        if self.confirmed == 0:
+            why = "a second engine confirms none of its digits"
+            raise BadInput(f"no reference for scene {scene.name!r}: {why}")
+        self.bar.update()
+        self.searches = [Search(self.question, name) for name in methods]
+        self.interrupted = False
+        self.unrefined: list[str] = []
+        self.laws: dict[int, Columns] = {}
+        self.times: dict[int, Columns] = {}
+        self.truths: dict[tuple[tuple[str, ...], bytes], Reference | None] = {}
+        #: how many times longer than foreseen the derivative of a map has taken
+        self.slower = 1.0
+
+    def reference_of(self, scene: Scene) -> Reference:
+        """Return the truth at the ends of the runs; raise `OutOfTime`, which says what budget or end time would do."""
+        seconds = max(self.left(REFERENCE), LEAST_REFERENCE)
+        try:
+            return reference(scene, times(scene, ENDS), carry_of(scene), seconds)
+        except OutOfTime as why:
+            ways = "a larger budget, an earlier t_end"
+            if math.isfinite(why.needed):
+                more = float(f"{max(why.needed / REFERENCE, 2 * self.budget):.2g}")
+                sooner = float(f"{scene.t_end * min(seconds / why.needed, 0.5):.1g}")
+                ways = f"--budget {more:g}s (budget={more:g}), t_end={sooner:g}"
+            what = f"no reference for scene {scene.name!r} in its part of the budget, {seconds:.2g} s"
+            raise OutOfTime(f"{what}: give {ways}, or reference=, your own", why.needed) from why
+
+    def left(self, part: float) -> float:
+        return self.begun + part * self.budget - perf_counter()
+
+    def chosen(self, search: Search, error: float) -> Attempt | None:
+        return search.best(error) if error >= self.floor else None
+
+    def run(self) -> None:
+        """Do all of it; Ctrl-C ends it with what there is, a second time at once."""
+        for stage in (self.search, self.measure_laws, self.time):
+            try:
+                with np.errstate(all="ignore"):  # long steps overflow, and end as diverged
+                    stage()
+            except KeyboardInterrupt:
+                if self.interrupted:
+                    break
+                self.interrupted = True
+                self.stop(
+                    "interrupted", "interrupted before it was tried", "interrupted after", self.searches
+                )
+            self.bar.update()
+        self.bar.close()
+
+    # -- search ----------------------------------------------------------------------------------------
+    def search(self) -> None:
+        """Give the next turn to the method that has had the least time: what a cheap one leaves goes to the others."""
+        for each in self.searches:
+            if (why := each.method.refuses(self.question.scene)) is not None:
+                each.why = ("unsupported", why)
+        turns = {each: each.turns() for each in self.searches if each.why is None}
+        self.bar.update(len(self.searches) - len(turns))
+        while turns and (left := self.left(SEARCH)) > 0:
+            slow = {each for each in turns if each.engine in COMPILING and not each.attempts}
+            # the others go first
+            each = min(turns, key=lambda one: PATIENCE * self.budget if one in slow else one.spent)
+            self.bar.set_description(each.method.name)
+            seen = [one.compile_s for one in self.searches if one.engine == each.engine and one.compile_s]
+            expected = 0.0 if each.attempts else max(COMPILING.get(each.engine, 0.0), min(seen, default=0.0))
+            if expected > left:
+                each.why = ("budget", f"compiling it takes about {expected:.2g} s, {left:.2g} s were left")
+                del turns[each]
+                continue
+            begun, compiled = perf_counter(), each.compile_s
+            try:
+                next(turns[each])
+            except OutOfTime:
+                break
+            except StopIteration:
+                del turns[each]
+                self.bar.update()
+            each.spent += perf_counter() - begun - (each.compile_s - compiled)
+        self.stop("budget", "no time was left to begin it", "no time was left after", turns)
+
+    def stop(self, status: str, before: str, after: str, some: Iterable[Search]) -> None:
+        for each in (each for each in some if each.why is None):
+            last = each.finest
+            if last is None:
+                each.why = (status, before)
+            elif not each.done:
+                each.why = (status, f"{after} {last.setting}, {each.spent:.2g} s of its own")
+            else:
+                self.unrefined.append(each.method.name)
+
+    # -- laws ------------------------------------------------------------------------------------------
+    def measure_laws(self) -> None:
+        self.bar.set_description("laws")
+        for error in self.question.errors:
+            pairs = [(each, a) for each in self.searches if (a := self.chosen(each, error)) is not None]
+            for each, attempt in sorted(pairs, key=lambda pair: differentiation_time(*pair)):
+                if id(attempt) not in self.laws and not self.interrupted:
+                    begun, foreseen = perf_counter(), differentiation_time(each, attempt)
+                    self.laws[id(attempt)] = self.laws_at(each, attempt)
+                    self.slower = max(self.slower, (perf_counter() - begun) / foreseen)
+
+    def laws_at(self, search: Search, attempt: Attempt) -> Columns:
+        """Return how far a run that carries every field is from the laws; nothing where that would take too long."""
+        scene, left = self.question.scene, self.left(LAWS)
+        if left < (search.compile_s if search.engine == "jax" else 0.0):  # another field is another program
+            return {}
+        options = setting_to(scene.t_end, scene, search.control, attempt.value) | {"engine": search.engine}
+        saves = times(scene, ENDS) if search.control != GROWING else None
+        solution = prepare(scene, search.method, save_at=saves, **options)()
+        if (truth := self.truth_of(solution)) is None:
+            return {}
+        late = "" if self.slower * differentiation_time(search, attempt) <= left else "no time was left"
+        try:
+            return laws_row(replace(solution, truth=truth), late)
+        except UserError:  # a function of floats, and laws are taken of arrays
+            return {}
+
+    def truth_of(self, solution: Solution) -> Reference | None:
+        """Return the truth of a run with every field, None where it takes longer than there is."""
+        t, carry, known = solution.t, solution.carry, self.question.truth
+        if carry == known.carry and np.array_equal(t, known.t):
+            return known
+        if (carry, t.tobytes()) not in self.truths:
+            found = None
+            with suppress(OutOfTime):
+                found = reference(solution.scene, t, carry, self.left(LAWS))
+            self.truths[carry, t.tobytes()] = found
+        return self.truths[carry, t.tobytes()]
+
+    # -- times -----------------------------------------------------------------------------------------
+    def time(self) -> None:
+        """Time each kind of engine by itself, the compiled first; the slowest are left out where time is short."""
+        self.bar.set_description("timing")
+        runs: dict[str, dict[int, Attempt]] = {kind: {} for kind in KINDS}
+        for each in self.searches:
+            found = (self.chosen(each, error) for error in self.question.errors)
+            runs[each.kind] |= {id(attempt): attempt for attempt in found if attempt}
+        least = sum(FEWEST_CALLS * attempt.seconds for attempt in runs["callbacks"].values())
+        for kind in KINDS:
+            left = self.left(1.0)
+            given = max(left - (least if kind == "compiled" else 0.0), left / 2, 0.0)
+            attempts = sorted(runs[kind].values(), key=lambda attempt: attempt.seconds)
+            spent = accumulate(FEWEST_CALLS * attempt.seconds for attempt in attempts)
+            timed = [attempt for attempt, seconds in zip(attempts, spent, strict=True) if seconds <= given]
+            race = Race(
+                [Call(partial(attempt.run.bare, attempt.run.start)) for attempt in timed if attempt.run]
+            )
+            try:
+                race.go(0.0 if self.interrupted else given, given + LATE * self.budget)
+            finally:
+                visited = zip(timed, race.visits, strict=True)
+                self.times |= {id(attempt): time_columns(visits) for attempt, visits in visited if visits}
+
+
+def differentiation_time(search: Search, attempt: Attempt) -> float:
+    scene = search.question.scene
+    components = 0 if scene.by_sites else scene.motion
+    compilation = max(search.compile_s, CACHED) * (1 + (components / MANY) ** 3)
+    return COMPILATIONS * compilation + RUNS * attempt.seconds
