@@ -383,11 +383,11 @@ def terms_of(scene: Scene | str) -> tuple[Any, Any]:
     (1,)
     """
     scene = scene_of(scene)
-    if scene.kind not in ("mechanical", "driven"):
+    if not scene.canonical:
         raise BadInput(
             f"scene {scene.name!r} has no terms on (q, p), being of kind {scene.kind!r}; cb.step_map takes it"
         )
-    if scene.nonlinear_damping:  # type: ignore[attr-defined]
+    if scene.nonlinear_damping:
         raise BadInput(
             f"scene {scene.name!r} has no terms on (q, p) alone: its damping depends on s; cb.step_map takes it"
         )
@@ -413,8 +413,7 @@ def terms_of(scene: Scene | str) -> tuple[Any, Any]:
         return -jnp.stack(twin(args).gradient_at(state(t, q, q)))
 
     def damping(t: Any, p: Any, args: Any) -> Any:
-        rate = twin(args).rate_at(t) if scene.kind == "driven" else twin(args).gamma
-        return -rate * p
+        return -twin(args).damping_at(state(t, p, p)) * p
 
     terms = map(diffrax.ODETerm, (force, damping))
     return diffrax.ODETerm(velocity), diffrax.MultiTerm(*terms)

@@ -135,7 +135,7 @@ class DiscreteGradient(Implicit):
     """Damping for h/2, a step that keeps H0 = T + V, and damping for h/2: H0 never rises where Γ' ≥ 0."""
 
     def refuses(self, scene: Scene) -> str | None:
-        fits = scene.kind in ("mechanical", "general damping")
+        fits = scene.canonical and scene.clock is None
         return unfit(self, scene, fits, "forces that depend on q alone")
 
 

@@ -27,7 +27,7 @@ class Dual(Number):
     __slots__ = ("a", "b")
     __array_ufunc__ = None  # NumPy arrays leave mixed arithmetic to us
 
-    def __init__(self, a: Arithmetic, b: Arithmetic) -> None:
+    def __init__(self, a: Any, b: Any) -> None:
         self.a, self.b = a, b
 
     @property
@@ -36,6 +36,9 @@ class Dual(Number):
 
     def __add__(self, other: Arithmetic) -> Dual:
         return Dual(self.a + value(other), self.b + slope(other))
+
+    def __float__(self) -> float:
+        raise TypeError(f"a number is expected, not {type(self).__name__!r}")
 
     def __neg__(self) -> Dual:
         return Dual(-self.a, -self.b)

@@ -24,7 +24,6 @@ from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, expression_of
 from contactbench.peers.base import Call, Ending, Peer
 from contactbench.scene import Cache, Scene, key
-from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
 
 
@@ -61,7 +60,7 @@ class Taylor(Call):
 
         super().__init__(method, request)
         r, size = request, len(request.start)
-        scene = r.scene.unrolled() if isinstance(r.scene, Many) else r.scene
+        scene = r.scene.unrolled()
 
         _, y0 = self.split_clock(r.start)
         scaled = np.ndim(r.scales) > 0

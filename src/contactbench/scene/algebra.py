@@ -107,7 +107,7 @@ def dot(a: Sequence[Arithmetic], b: Sequence[Arithmetic]) -> Arithmetic:
     return total
 
 
-def norm(a: Vector) -> Arithmetic:
+def norm(a: Vector) -> Any:
     return dot(a, a) ** 0.5
 
 

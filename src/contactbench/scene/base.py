@@ -36,6 +36,12 @@ EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability
 ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time
 TRIED = 1e-3
+#: a state of the kind of scene at hand: `State`, `DrivenState`, `BodyState`, or that of a user's own kind
+OwnState = Any
+#: a number, or an array of them where the state is one of arrays: the caller knows which
+Numeric = Any
+#: a packed state: a sequence of numbers, or an array with one component after the other along its first axis
+Packed = Any
 #: what returns the value of a field as it is kept, or raises `BadInput`; called with its name and the value given
 Check = Callable[[str, object], Any]
 
@@ -154,7 +160,7 @@ class System(ABC):
         return len(self.without_clock(self.labels(())))
 
     @abstractmethod
-    def initial(self, carry: Sequence[str], **data: object) -> Any:
+    def initial(self, carry: Sequence[str], **data: object) -> OwnState:
         """Return the initial state; `data` overrides the scene's own initial values."""
 
     @property
@@ -170,19 +176,19 @@ class System(ABC):
         """Return a packed state less the time, as a solver integrates it that has a time of its own."""
         return y if self.clock is None else [*y[: self.clock], *y[self.clock + 1 :]]
 
-    def with_clock(self, y: Sequence[Arithmetic], t: Arithmetic) -> Sequence[Arithmetic]:
+    def with_clock(self, y: Packed, t: Numeric) -> Sequence[Numeric]:
         """Return the packed state again."""
         return y if self.clock is None else [*y[: self.clock], t, *y[self.clock :]]
 
     @abstractmethod
-    def unpack(self, y: Any, carry: Sequence[str]) -> Any:
+    def unpack(self, y: Packed, carry: Sequence[str]) -> OwnState:
         """Return a packed state as a NamedTuple of components."""
 
-    def entries(self, y: Any) -> Any:
+    def entries(self, y: Packed) -> Sequence[Numeric]:
         """Return the numbers of a packed state, an array, as `unpack` is to get them."""
         return y.tolist() if isinstance(y, np.ndarray) else list(y)
 
-    def components(self, y: Any) -> Any:
+    def components(self, y: Packed) -> Sequence[Numeric]:
         """Return packed states, an array (d, …), as `unpack` is to get them."""
         return tuple(y)
 
@@ -308,14 +314,14 @@ class System(ABC):
 
     # -- equations -----------------------------------------------------------------------------
     @abstractmethod
-    def rhs(self, x: Any) -> Any:
+    def rhs(self, x: OwnState) -> OwnState:
         """Return the time derivative of the state, a state of the same fields."""
 
-    def jacobian(self, x: Any) -> Any:
+    def jacobian(self, x: OwnState) -> Any:
         """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
         return None
 
-    def slopes(self, t: Arithmetic, y: Sequence[Arithmetic], carry: Sequence[str]) -> Sequence[Arithmetic]:
+    def slopes(self, t: Numeric, y: Packed, carry: Sequence[str]) -> Sequence[Numeric]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
 
@@ -369,7 +375,7 @@ class Scene(System):
     """
 
     s: float = 0.0
-    exact: Callable[..., AnyState] | None = None
+    exact: Callable[..., OwnState] | None = None
     about: str = ""
     slows_after: float | None = None
     hard: bool = False
@@ -400,8 +406,10 @@ class Scene(System):
     parts: ClassVar[tuple[str, ...]] = ()
     #: its flows for the paper's A, B and C, where they are not `drift`, `kick` and `damp`
     paper_flows: ClassVar[Mapping[str, str]] = {}
-    #: its state has coordinates q and p of the same number, and η = ds − p dq
+    #: its components are numbers, coordinates q and momenta p as many of each, and η = ds − p dq
     canonical: ClassVar[bool] = False
+    #: Γ(s) is not γ s
+    nonlinear_damping: ClassVar[bool] = False
     #: what its equations or flows choose by, computed once of the numbers it was made with
     decided: ClassVar[tuple[Hashable, ...]] = ()
     #: φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant
@@ -503,6 +511,10 @@ class Scene(System):
             raise BadInput(f"numbers: {both} make two problems of scene {self.name!r}: one call for each")
         return self.with_numbers(numbers)._decide(ends[0])
 
+    def unrolled(self) -> Scene:
+        """Return the scene component by component, for solvers that know no arrays: itself, but of many sites."""
+        return self
+
     def _decide(self, like: Self | None = None) -> Self:
         """Return the scene with what its numbers decide anew, or as another one has it."""
         return self
@@ -514,12 +526,12 @@ class Scene(System):
         sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
         return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
-    def sizes(self, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
+    def sizes(self, x: OwnState, end: float) -> tuple[np.ndarray, np.ndarray]:
         """Return how large every component of the motion from x becomes until `end`, and the action: see `scales`."""
         most = np.linalg.norm(np.array(x.M, dtype=float), axis=0)
         return np.array([most] * 3), most
 
-    def scales(self, x: Any, end: float) -> np.ndarray:
+    def scales(self, x: OwnState, end: float) -> np.ndarray:
         """Return the scale of every component of a packed state but the time, from x on: one where of order one."""
         with np.errstate(all="ignore"):
             motion, action = self.sizes(x, end)
@@ -539,13 +551,13 @@ class Scene(System):
             found += [f"{name}{i + 1}" for i in range(len(value))] if isinstance(value, tuple) else [name]
         return found
 
-    def initial(self, carry: Sequence[str], **data: object) -> Any:
+    def initial(self, carry: Sequence[str], **data: object) -> OwnState:
         values = {name: getattr(self, name) for name in self.initial_fields} | data
         vectors = {name for name in values if isinstance(getattr(self, name), tuple)}
         kept = self.fields_in(carry)
         return self.state(**{name: tuple(values[name]) if name in vectors else values[name] for name in kept})
 
-    def data(self, x: Any) -> dict[str, Any]:
+    def data(self, x: OwnState) -> dict[str, Any]:
         """Return the initial data that a state is, by name, as `with_` takes them."""
         return {name: value for name, value in x._asdict().items() if value is not None}
 
@@ -559,18 +571,18 @@ class Scene(System):
 
     # -- physics -------------------------------------------------------------------------------
     @abstractmethod
-    def energy(self, x: Any) -> Arithmetic:
+    def energy(self, x: OwnState) -> Numeric:
         """Return the mechanical energy H0."""
 
     @abstractmethod
-    def hamiltonian(self, x: Any) -> Arithmetic:
+    def hamiltonian(self, x: OwnState) -> Numeric:
         """Return the contact Hamiltonian H = H0 + Γ(s); needs s."""
 
     @abstractmethod
-    def momentum(self, x: Any) -> Vector | None:
+    def momentum(self, x: OwnState) -> Vector | None:
         """Return the momentum map J of the rotations, None where there is none."""
 
-    def tangents(self, x: Any) -> Sequence[AnyState]:
+    def tangents(self, x: OwnState) -> Sequence[OwnState]:
         """Return a basis of the tangent space at x, as states: the coordinates', the time left out."""
         size = len(self.pack(x))
         carry = [name for name in self.optional if getattr(x, name) is not None]
@@ -582,30 +594,30 @@ class Scene(System):
         return shifted(x, amount, v)
 
     @abstractmethod
-    def contact_form(self, x: Any, dx: Any) -> Arithmetic:
+    def contact_form(self, x: OwnState, dx: OwnState) -> Numeric:
         """Return η(dx) at x."""
 
     @abstractmethod
-    def contact_terms(self, x: Any, dx: Any) -> Arithmetic:
+    def contact_terms(self, x: OwnState, dx: OwnState) -> Numeric:
         """Return the size of the terms that η(dx) is the difference of."""
 
-    def energy_terms(self, x: Any) -> Arithmetic:
+    def energy_terms(self, x: OwnState) -> Numeric:
         return abs(self.energy(x))
 
     @abstractmethod
-    def hamiltonian_terms(self, x: Any) -> Arithmetic:
+    def hamiltonian_terms(self, x: OwnState) -> Numeric:
         """Return the size of the terms that H is the sum of."""
 
     @abstractmethod
-    def momentum_terms(self, x: Any) -> Arithmetic:
+    def momentum_terms(self, x: OwnState) -> Numeric:
         """Return the size of the terms that J is the sum of."""
 
     @property
     @abstractmethod
-    def conformal_rate(self) -> Arithmetic | None:
+    def conformal_rate(self) -> Numeric:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
 
-    def damped_by(self, x: Any, t: Arithmetic, xp: Namespace) -> Arithmetic | None:
+    def damped_by(self, x: OwnState, t: Arithmetic, xp: Namespace) -> Numeric:
         """Return ∫Γ' over the time t from x, None where it depends on the motion."""
         return None if self.conformal_rate is None else self.conformal_rate * t
 

@@ -15,7 +15,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.numbers import quadrature
 from contactbench.numbers.protocol import Arithmetic, Namespace
 from contactbench.scene.algebra import AnyState, DrivenState, Vector, scaled, times
-from contactbench.scene.base import Check, optional
+from contactbench.scene.base import Check, Numeric, optional
 from contactbench.scene.flow import Constants, Flow, plain
 from contactbench.scene.mechanical import Mechanical, _drift_damp_constants, drift_damp
 
@@ -189,9 +189,8 @@ class Driven(Mechanical):
     def damping_at(self, x: DrivenState) -> Arithmetic:
         return self.rate_at(x.t)
 
-    def hamiltonian(self, x: DrivenState) -> Arithmetic:  # type: ignore[override]
-        damped: Arithmetic = self.damping_at(x) * x.s
-        return self.energy(x) + damped
+    def hamiltonian(self, x: DrivenState) -> Numeric:  # type: ignore[override]
+        return self.energy(x) + self.damping_at(x) * x.s
 
     def rhs(self, x: DrivenState) -> DrivenState:  # type: ignore[override]
         rate = self.damping_at(x)
@@ -208,7 +207,7 @@ class Driven(Mechanical):
     bounds_energy = False
 
     @property
-    def conformal_rate(self) -> Arithmetic | None:
+    def conformal_rate(self) -> Numeric:
         return self.gamma if self.rate is None else None
 
     @property
@@ -224,7 +223,7 @@ class Driven(Mechanical):
             return self.span(t, h, xp, **self.parameters)
         return quadrature.integrals(self.rate_at, t, h, xp)
 
-    def damped_by(self, x: DrivenState, t: Arithmetic, xp: Namespace) -> Arithmetic:
+    def damped_by(self, x: DrivenState, t: Numeric, xp: Namespace) -> Numeric:
         if self.rate is None:
             return self.gamma * t
         if self.span is not None:

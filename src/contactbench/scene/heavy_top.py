@@ -12,7 +12,7 @@ from contactbench.checks import finite, function, require_number, vector
 from contactbench.errors import BadInput
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import BodyState, Vector, cross, dot, norm, rotate
-from contactbench.scene.base import Check, optional
+from contactbench.scene.base import Check, Numeric, optional
 from contactbench.scene.flow import Flow, plain
 from contactbench.scene.mechanical import derived_gradient
 from contactbench.scene.rigid_body import BODY, RigidBody, one_rate
@@ -160,6 +160,5 @@ class HeavyTop(RigidBody):
     def may_gain_energy(self) -> bool:  # type: ignore[override]
         return self.gamma <= 0
 
-    def hamiltonian_terms(self, x: BodyState) -> Arithmetic:
-        damped: Arithmetic = self.gamma * x.s
-        return self.kinetic(x) + abs(self.potential_at(x)) + abs(damped)
+    def hamiltonian_terms(self, x: BodyState) -> Numeric:
+        return self.kinetic(x) + abs(self.potential_at(x)) + abs(self.gamma * x.s)

@@ -21,7 +21,7 @@ from contactbench.numbers.functions import namespace
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total
 from contactbench.scene.algebra import AnyState, State, Vector, cross, dot, scaled
-from contactbench.scene.base import Check, Scene, named_numbers, optional
+from contactbench.scene.base import Check, Packed, Scene, named_numbers, optional
 from contactbench.scene.flow import Constants, Flow, plain, time_and_damping
 from contactbench.scene.mechanical import (
     Canonical,
@@ -217,7 +217,7 @@ class Many(Canonical):
         block = block.reshape(self.sites, self.dimensions, *block.shape[1:])
         return tuple(block[:, j] for j in range(self.dimensions))
 
-    def unpack(self, y: Any, carry: Sequence[str]) -> State:
+    def unpack(self, y: Packed, carry: Sequence[str]) -> State:
         """Return a packed state, its components along the first axis, as a state of arrays."""
         block: Any = y if hasattr(y, "reshape") else np.array(y)
         half = self.motion // 2
@@ -229,7 +229,7 @@ class Many(Canonical):
         flat = flat.reshape(2, self.motion // 2, *flat.shape[1:])
         return {"q": flat[0], "p": flat[1]} | ({} if x.s is None else {"s": x.s})
 
-    def entries(self, y: Any) -> Any:
+    def entries(self, y: Packed) -> Packed:
         return y
 
     components = entries

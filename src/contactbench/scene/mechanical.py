@@ -17,7 +17,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import AnyState, DrivenState, State, Vector, cross, dot, norm, scaled, times
-from contactbench.scene.base import Check, Scene, named_numbers, optional
+from contactbench.scene.base import Check, Numeric, Scene, named_numbers, optional
 from contactbench.scene.flow import Constants, Flow, damped_time, damping, linear_log_factor, plain
 from contactbench.scene.scales import in_order, reach
 from contactbench.trace.formula import Formula, formula
@@ -77,10 +77,10 @@ class Canonical(Scene):
         return self.gamma
 
     @property
-    def nonlinear_damping(self) -> bool:
+    def nonlinear_damping(self) -> bool:  # type: ignore[override]
         return self.kappa_sign != 0
 
-    def energy(self, x: State | DrivenState) -> Arithmetic:
+    def energy(self, x: State | DrivenState) -> Numeric:
         return self.kinetic(x.p) + self.potential_at(x)
 
     def dissipation(self, s: Arithmetic) -> Arithmetic:
@@ -90,7 +90,7 @@ class Canonical(Scene):
     def dissipation_rate(self, s: Arithmetic) -> Arithmetic:
         return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
 
-    def hamiltonian(self, x: State) -> Arithmetic:
+    def hamiltonian(self, x: State) -> Numeric:
         return self.energy(x) + self.dissipation(x.s)
 
     def rhs(self, x: State) -> State:
@@ -125,20 +125,18 @@ class Canonical(Scene):
     def energy_terms(self, x: State) -> Arithmetic:
         return self.kinetic(x.p) + abs(self.potential_at(x))
 
-    def contact_form(self, x: State, dx: State) -> Arithmetic:
-        ds: Arithmetic = dx.s
-        return ds - self.product(x.p, dx.q)
+    def contact_form(self, x: State, dx: State) -> Numeric:
+        return dx.s - self.product(x.p, dx.q)
 
-    def contact_terms(self, x: State, dx: State) -> Arithmetic:
-        ds: Arithmetic = dx.s
-        return abs(ds) + self.product(x.p, x.p) ** 0.5 * self.product(dx.q, dx.q) ** 0.5
+    def contact_terms(self, x: State, dx: State) -> Numeric:
+        return abs(dx.s) + self.product(x.p, x.p) ** 0.5 * self.product(dx.q, dx.q) ** 0.5
 
-    def hamiltonian_terms(self, x: State) -> Arithmetic:
+    def hamiltonian_terms(self, x: State) -> Numeric:
         kinetic = self.kinetic(x.p)
         return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
 
     @property
-    def conformal_rate(self) -> Arithmetic | None:
+    def conformal_rate(self) -> Numeric:
         return None if self.nonlinear_damping else self.gamma
 
 
@@ -472,5 +470,5 @@ class Mechanical(Canonical):
     def has_torque(self) -> bool:  # type: ignore[override]
         return len(self.q) == 2 and not self.rotation_invariant and not self.nonlinear_damping
 
-    def momentum_terms(self, x: State) -> Arithmetic:
+    def momentum_terms(self, x: State) -> Numeric:
         return norm(x.q) * norm(x.p)

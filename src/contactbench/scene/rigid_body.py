@@ -25,7 +25,7 @@ from contactbench.scene.algebra import (
     quaternion_product,
     rotate,
 )
-from contactbench.scene.base import Check, Scene, optional
+from contactbench.scene.base import Check, Numeric, Scene, optional
 from contactbench.scene.flow import Constants, Flow, damping, linear_log_factor, plain, time_and_damping
 from contactbench.scene.free_body import free
 
@@ -309,9 +309,8 @@ class RigidBody(Scene):
 
     energy = kinetic
 
-    def hamiltonian(self, x: BodyState) -> Arithmetic:
-        damped: Arithmetic = self.gamma * x.s
-        return self.energy(x) + damped
+    def hamiltonian(self, x: BodyState) -> Numeric:
+        return self.energy(x) + self.gamma * x.s
 
     def rhs(self, x: BodyState) -> BodyState:
         omega = self.angular_velocity(x.M)
@@ -362,26 +361,24 @@ class RigidBody(Scene):
     def may_gain_energy(self) -> bool:  # type: ignore[override]
         return self.isotropic and self.gamma <= 0
 
-    def contact_form(self, x: BodyState, dx: BodyState) -> Arithmetic:
+    def contact_form(self, x: BodyState, dx: BodyState) -> Numeric:
         """Return η(dx) = ds − M·ξ, ξ = 2 Im(R̄ ⊗ dR) the body-frame displacement (left trivialisation)."""
         assert x.R is not None
         assert dx.R is not None
         w, a, b, c = x.R
         xi = quaternion_product((w, -a, -b, -c), dx.R)[1:]
-        ds: Arithmetic = dx.s
-        return ds - 2 * dot(x.M, xi)
+        return dx.s - 2 * dot(x.M, xi)
 
-    def contact_terms(self, x: BodyState, dx: BodyState) -> Arithmetic:
+    def contact_terms(self, x: BodyState, dx: BodyState) -> Numeric:
         """Return |ds| + ‖M‖‖ξ‖, ‖ξ‖ = 2‖dR‖."""
         assert dx.R is not None
-        ds: Arithmetic = dx.s
-        return abs(ds) + 2 * norm(x.M) * norm(dx.R)
+        return abs(dx.s) + 2 * norm(x.M) * norm(dx.R)
 
-    def hamiltonian_terms(self, x: BodyState) -> Arithmetic:
+    def hamiltonian_terms(self, x: BodyState) -> Numeric:
         energy = self.energy(x)
         return abs(energy) + abs(self.hamiltonian(x) - energy)
 
-    def momentum_terms(self, x: BodyState) -> Arithmetic:
+    def momentum_terms(self, x: BodyState) -> Numeric:
         return norm(x.M)
 
     def displaced(self, x: BodyState, v: BodyState, amount: float) -> BodyState:  # type: ignore[override]
@@ -407,6 +404,5 @@ class RigidBody(Scene):
         return basis if x.s is None else [*basis, BodyState(zero3, R0, 1.0)]
 
     @property
-    def conformal_rate(self) -> Arithmetic | None:
-        gamma: Arithmetic | None = self.gamma
-        return gamma
+    def conformal_rate(self) -> Numeric:
+        return self.gamma

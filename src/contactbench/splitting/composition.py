@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import accumulate, chain, groupby
 from itertools import repeat as repeated
-from typing import Any, TypeGuard
+from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.control import turns as unrolled
@@ -149,7 +149,7 @@ class Plan:
 
 def plan(composition: Composition, scene: Scene) -> Plan:
     """Return the composition on a scene, with the merged joint where first and last flow are the same."""
-    return arrange(stages_on(composition, scene), composition.processor, by_the_clock(scene, composition))
+    return arrange(stages_on(composition, scene), composition.processor, by_the_clock(composition, scene))
 
 
 def arrange(stages: tuple[Stage, ...], before: tuple[Stage, ...] = (), clocked: bool = False) -> Plan:
@@ -175,7 +175,8 @@ def advance(
     repeat: Repeat = repeat,
 ) -> Any:
     """Advance the state x by n ≥ 1 steps of size h, merged at the joints."""
-    if by_the_clock(scene, composition):
+    if by_the_clock(composition, scene):
+        assert isinstance(scene, RigidBody)
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
     steps = plan(composition, scene)
     opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
@@ -233,9 +234,7 @@ def runner(
     return run
 
 
-def log_factor(
-    composition: Composition, scene: Scene, x: Any, h: Arithmetic, n: int, xp: Namespace
-) -> Arithmetic:
+def log_factor(composition: Composition, scene: Scene, x: Any, h: Arithmetic, n: int, xp: Namespace) -> Any:
     """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
     flows, steps = scene.flows, plan(composition, scene)
     total: Arithmetic = 0.0
@@ -287,7 +286,7 @@ def entry(constants: Constants, i: Any) -> Constants:
     return None if constants is None else constants[i]
 
 
-def by_the_clock(scene: Scene, composition: Composition) -> TypeGuard[RigidBody]:
+def by_the_clock(composition: Composition, scene: Scene) -> bool:
     """Return whether all of a step but its turns is one flow, so that damping only rescales their time."""
     odd = len(composition.stages) % 2 == 1  # its turns end as they begin
     return composition.two_part and odd and "free_damp" in scene.flows

@@ -23,10 +23,12 @@ from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from functools import cache
 from math import factorial
+from typing import Any
 
 from contactbench.numbers.dual import Dual, slope, value
 from contactbench.numbers.protocol import Arithmetic, Vector
 from contactbench.scene import Mechanical, State, dot, scaled
+from contactbench.scene.base import Numeric
 from contactbench.splitting.composition import Composition, Stage
 
 #: words of A and B, with coefficients
@@ -96,7 +98,7 @@ def bracket(scene: Mechanical, letters: str) -> Callable[[Vector, Vector], Arith
 
 def lift(x: Vector, direction: Sequence[Arithmetic]) -> Vector:
     """Return the vector as dual numbers that vary in a direction."""
-    return tuple(map(Dual, x, direction))
+    return tuple(Dual(a, b) for a, b in zip(x, direction, strict=True))
 
 
 def has_modified_hamiltonian(composition: Composition) -> bool:
@@ -104,8 +106,8 @@ def has_modified_hamiltonian(composition: Composition) -> bool:
 
 
 def modified_hamiltonian(
-    scene: Mechanical, composition: Composition, x: State, h: Arithmetic, degree: int = DEGREE
-) -> Arithmetic:
+    scene: Any, composition: Composition, x: State, h: Arithmetic, degree: int = DEGREE
+) -> Numeric:
     """Return H̃ at x for steps of size h, brackets of up to `degree` parts included, on a mechanical
     scene; needs s.  Its error is O(h^{degree+1})."""
     total = scene.hamiltonian(x)

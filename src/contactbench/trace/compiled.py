@@ -388,7 +388,7 @@ def compile_c(lowered: Compiled, name: str, given: str, key: str) -> Any:
 def compile_function(function: form.Function, lanes: int = 1, fused: bool = True) -> Any:
     """Return the function, compiled for the arrays that its arguments name.
 
-    `CannotRecord` where numba is not to compile.
+    Raise `CannotRecord` where numba is not to compile.
 
     lanes : states it runs on at a time.  fused : products and sums may be one operation, which Python's are not.
     """

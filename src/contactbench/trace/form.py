@@ -145,13 +145,22 @@ def text(operand: Operand) -> str:
     return "nan" if math.isnan(operand) else "inf" if operand > 0 else "(-inf)"
 
 
+def read_by(statement: Assign | Store) -> set[Operand]:
+    """Return the operands that a statement reads."""
+    if isinstance(statement, Assign) and isinstance(statement.value, Operation):
+        return {*statement.value.operands}
+    element: Any = statement.element if isinstance(statement, Store) else statement.value
+    stored = {statement.value} if isinstance(statement, Store) else set()
+    return {*element.indices, element.shift, *stored}
+
+
 def prune(statements: Sequence[Assign], result: Results) -> tuple[Assign, ...]:
-    """Return operations, one after the other, without those that the result does not need."""
+    """Return assignments, one after the other, without those that the result does not need."""
     kept, read = [], {*leaves(result)}
     for statement in reversed(statements):
-        if statement.target in read and isinstance(statement.value, Operation):
+        if statement.target in read:
             kept.append(statement)
-            read |= {*statement.value.operands}
+            read |= read_by(statement)
     return tuple(kept[::-1])
 
 

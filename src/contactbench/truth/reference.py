@@ -158,7 +158,7 @@ def reference(
     def make() -> Reference:
         if isinstance(scene, Many) and in_doubles:
             return of_many(scene, t, carry, begun + seconds, exact)
-        single = scene.unrolled() if isinstance(scene, Many) else scene
+        single = scene.unrolled()
         stored = closed_form(single, t, carry) or frozen(single, t, carry)
         decimals, digits, source = stored or live(single, t, carry, begun + HIGH * seconds)
         y = np.array([[float(x) for x in row] for row in decimals])
@@ -388,7 +388,7 @@ def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
     """Return the digits, at most 20, that extrapolation confirms; None without the time, or for its own result."""
     if not found.decimals or (found.source == "live" and importlib.util.find_spec("heyoka") is None):
         return None
-    scene = found.scene.unrolled() if isinstance(found.scene, Many) else found.scene
+    scene = found.scene.unrolled()
     digits, deadline = 20, perf_counter() + seconds
     try:
         stops = surveyed(scene, found.carry, float(found.t.max()), deadline).stops
