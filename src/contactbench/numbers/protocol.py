@@ -44,6 +44,9 @@ Vector = tuple[Arithmetic, ...]
 class Namespace(Protocol):
     """The elementary functions of one kind of number, usually written ``xp``; `math` is the smallest of them."""
 
+    pi: float
+    inf: float
+
     def exp(self, x: Any, /) -> Arithmetic: ...
     def expm1(self, x: Any, /) -> Arithmetic: ...
     def log(self, x: Any, /) -> Arithmetic: ...
@@ -55,10 +58,6 @@ class Namespace(Protocol):
     def atan2(self, y: Any, x: Any, /) -> Arithmetic: ...
     def hypot(self, x: Any, y: Any, /) -> Arithmetic: ...
     def floor(self, x: Any, /) -> Arithmetic: ...
-    @property
-    def pi(self) -> float: ...
-    @property
-    def inf(self) -> float: ...
 
 
 class ChoosingNamespace(Namespace, Protocol):
@@ -69,38 +68,25 @@ class ChoosingNamespace(Namespace, Protocol):
 
 
 #: a function that makes, joins or compares arrays
-ArrayFunction = Callable[..., Any]
+ArrayFunction = Any
 
 
 class ArrayNamespace(Namespace, Protocol):
     """`numpy` or `jax.numpy`: besides the elementary functions, what makes, joins and compares arrays."""
 
-    @property
-    def where(self) -> ArrayFunction: ...
-    @property
-    def multiply(self) -> Any: ...
-    @property
-    def asarray(self) -> ArrayFunction: ...
-    @property
-    def zeros(self) -> ArrayFunction: ...
-    @property
-    def ones(self) -> ArrayFunction: ...
-    @property
-    def stack(self) -> ArrayFunction: ...
-    @property
-    def concatenate(self) -> ArrayFunction: ...
-    @property
-    def broadcast_arrays(self) -> ArrayFunction: ...
-    @property
-    def maximum(self) -> ArrayFunction: ...
-    @property
-    def minimum(self) -> ArrayFunction: ...
-    @property
-    def isfinite(self) -> ArrayFunction: ...
-    @property
-    def abs(self) -> ArrayFunction: ...
-    @property
-    def linalg(self) -> Any: ...
+    where: ArrayFunction
+    multiply: Any
+    asarray: ArrayFunction
+    zeros: ArrayFunction
+    ones: ArrayFunction
+    stack: ArrayFunction
+    concatenate: ArrayFunction
+    broadcast_arrays: ArrayFunction
+    maximum: ArrayFunction
+    minimum: ArrayFunction
+    isfinite: ArrayFunction
+    abs: ArrayFunction
+    linalg: Any
 
 
 class ExactNamespace(Namespace, Protocol):

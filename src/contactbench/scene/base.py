@@ -7,11 +7,13 @@ import dataclasses
 import inspect
 import math
 import pickle
+import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -90,25 +92,10 @@ def key(identity: Hashable | None, *rest: Hashable) -> Hashable | None:
     return None if identity is None else (identity, *rest)
 
 
-#: what no scene of a kind takes, and the nearest way to it; the table is in docs/compare.md
-INSTEAD = {
-    "kinetic": "it is ‖p‖²/2m, of a mass for every component: mass=(1., 2., 5.); of one that depends on q, solve_ivp",
-    "hamiltonian": "it is ‖p‖²/2m + V(q): potential=lambda q: …, mass=(1., 2., 5.); of any other, SciPy's solve_ivp",
-    "potential": "of a body in a potential cb.HeavyTop(potential=lambda u: …) has it; a lattice has onsite=, bond=, "
-    "particles pair=",
-    "force": "forces are those of a potential: potential=lambda q: …; SciPy's solve_ivp takes any right-hand side",
-    "constraint": "q are free coordinates, as many as degrees of freedom; SciPy's solve_ivp takes any equations",
-    "magnetic": "no force may depend on p but for damping; SciPy's solve_ivp takes any right-hand side",
-    "torque": "of a weight cb.HeavyTop(weight=…, axis=…), of a potential of the vertical cb.HeavyTop(potential=lambda "
-    "u: …) has it; one without a potential SciPy's solve_ivp",
-    "friction": "damping is −γ p, or −Γ'(s) p (cb.GeneralDamping): friction with a jump has no smooth flow; "
-    "stop where p = 0 by an event of cb.scipy.Contact",
-    "rate": "a damping that depends on time is cb.Driven(rate=lambda t: …, potential=lambda q, t: …)",
-    "damping": "a damping Γ(s) is cb.GeneralDamping(damping=…, damping_slope=…); −γ p is gamma=0.1; of one that "
-    "depends on q, SciPy's solve_ivp",
-}
-INSTEAD |= {"metric": INSTEAD["kinetic"], "B": INSTEAD["magnetic"], "mu": INSTEAD["friction"]}
-INSTEAD |= {"lagrangian": INSTEAD["hamiltonian"], "drag": INSTEAD["damping"]}
+@cache
+def instead() -> dict[str, str]:
+    """Return what no kind of scene takes, by name, and the nearest way to it."""
+    return tomllib.loads(Path(__file__).with_name("instead.toml").read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -425,7 +412,7 @@ class Scene(System):
         for name in given.keys() - cls.__dataclass_fields__.keys():
             taken = inspect.signature(cls.__init__).parameters  # a class of a user's may have its own
             if name not in taken and not any(p.kind is p.VAR_KEYWORD for p in taken.values()):
-                near = INSTEAD.get(name, f"choose from {', '.join([*taken][1:])}")
+                near = instead().get(name, f"choose from {', '.join([*taken][1:])}")
                 raise BadInput(f"{name}: {cls.__name__} takes none: {near}")
         return super().__new__(cls)
 
