@@ -174,7 +174,7 @@ def leaves(x: object) -> list[Any]:
     if isinstance(x, Dual):
         return leaves(x.a) + leaves(x.b)
     if isinstance(x, tuple | list):
-        return [leaf for part in x for leaf in leaves(part)]
+        return [leaf for each in x for leaf in leaves(each)]
     return [x]
 
 
@@ -188,8 +188,8 @@ def rebuild[X](x: X, values: Sequence[object]) -> X:
         if isinstance(x, Dual):
             return Dual(again(x.a), again(x.b))
         if isinstance(x, tuple | list):
-            parts = [again(part) for part in x]
-            return type(x)(*parts) if hasattr(x, "_fields") else type(x)(parts)
+            inner = [again(each) for each in x]
+            return type(x)(*inner) if hasattr(x, "_fields") else type(x)(inner)
         return next(supply)
 
     made: X = again(x)

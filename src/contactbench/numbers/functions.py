@@ -89,7 +89,8 @@ def where(condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
     """Return a where a condition holds, else b, entry by entry of arrays.  Both are computed, and neither may fail."""
     if isinstance(condition, bool | np.bool_):
         return a if condition else b
-    xp: ChoosingNamespace = namespace(next((x for x in (a, b) if isinstance(x, Number)), condition))
+    decides = next((x for x in (a, b, condition) if isinstance(x, Number)), leading(a, b, condition))
+    xp: ChoosingNamespace = namespace(decides)
     return xp.where(condition, a, b)
 
 

@@ -183,11 +183,11 @@ class System(ABC):
     def pack(state: Iterable[object]) -> list[Any]:
         """Return a state, numbers and tuples of them, as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
-        for part in state:
-            if isinstance(part, tuple):
-                flat.extend(part)
-            elif part is not None:
-                flat.append(part)
+        for each in state:
+            if isinstance(each, tuple):
+                flat.extend(each)
+            elif each is not None:
+                flat.append(each)
         return flat
 
     # -- numbers -------------------------------------------------------------------------------
@@ -204,25 +204,27 @@ class System(ABC):
     def structure(self) -> tuple[Hashable, ...]:
         """Return everything but the numbers."""
 
+    @property
+    def given(self) -> dict[str, Callable[..., Any]]:
+        """Return the functions that it has, by name."""
+        return {name: f for name in self.functions if (f := getattr(self, name)) is not None}
+
     @cached_property
     def identity(self) -> Hashable | None:
         """What compiled code depends on besides the numbers, functions by their operations; None: nobody can tell."""
-        given = (getattr(self, name) for name in self.functions)
-        known = is_ours(type(self)) and all(f is None or isinstance(f, Formula) or is_ours(f) for f in given)
-        return self.structure if known else None
+        known = all(isinstance(f, Formula) or is_ours(f) for f in self.given.values())
+        return self.structure if known and is_ours(type(self)) else None
 
     @cached_property
     def has_users_functions(self) -> bool:
         """Return whether any of its functions, or of their derivatives, is not of this package."""
-        given = (getattr(self, name) for name in self.functions)
-        return not all(part is None or is_ours(part) for part in given)
+        return not all(map(is_ours, self.given.values()))
 
     @property
     def functions_of_floats(self) -> list[str]:
         """Return the names of its user's functions that cannot be recorded, as SciPy's splines cannot."""
-        given = ((name, getattr(self, name)) for name in self.functions)
-        plain = (name for name, f in given if not (f is None or is_ours(f) or isinstance(f, Formula)))
-        return [name for name in plain if self._formula(name) is None]
+        theirs = (name for name, f in self.given.items() if not (is_ours(f) or isinstance(f, Formula)))
+        return [name for name in theirs if self._formula(name) is None]
 
     @property
     def own_equations(self) -> str | None:
@@ -481,9 +483,9 @@ class Scene(System):
         """
         own = [getattr(self, name) for name in self.coefficients]
         ends = np.cumsum([0, *(len(leaves(value)) for value in own)]).tolist()
-        parts = zip(self.coefficients, pairwise(ends), strict=True)
+        spans = zip(self.coefficients, pairwise(ends), strict=True)
         zero = len(self.numbers())
-        return [(zero, i, True) for name, part in parts if name in self.reciprocals for i in range(*part)]
+        return [(zero, i, True) for name, span in spans if name in self.reciprocals for i in range(*span)]
 
     def decided_by(self, numbers: Sequence[Arithmetic]) -> Self:
         """Return the scene with other numbers, arrays too, and what they decide; `BadInput` for any not allowed."""

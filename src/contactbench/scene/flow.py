@@ -1,13 +1,9 @@
-"""What an exact subflow is: every contact integrator is composed of those that its scene has.
+"""Exact subflows, of which every contact integrator is composed: each an exact (conformal) contact map.
 
-Each is the time-h flow of one part of the Hamiltonian, and an exact (conformal) contact map.  A flow is split in two so
-that its transcendental coefficients leave the time loop: ``constants(scene, h, xp)`` once per step size,
-``apply(scene, x, constants, xp)`` once per step; `xp` is the namespace of the numbers.
-
-For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  H_A + H_C has a flow of its own
-(`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.  On these Nyström tables keep
-their order: {V, {V, {V, T + Γ}}} = 0, since V lowers the degree in (p, s) by one and T + Γ is of degree two
-(docs/mathematics.md).  A cubic term in Γ would break it.
+Each is the time-h flow of one part of the Hamiltonian; for T, V and Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.
+T + Γ has a flow of its own (`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.  On
+these Nyström tables keep their order: {V, {V, {V, T + Γ}}} = 0, since V lowers the degree in (p, s) by one and T + Γ is
+of degree two (docs/mathematics.md).  A cubic term in Γ would break it.
 """
 
 from __future__ import annotations
@@ -41,7 +37,7 @@ class Damped(Protocol):
 
 
 class Flow(NamedTuple):
-    """Define one exact subflow φ_h.
+    """Define one exact subflow φ_h, in two functions: what depends on h alone is computed once, outside the time loop.
 
     Flows for h1 and h2 compose to the flow for h1 + h2, so that neighbours may be merged.
 

@@ -139,8 +139,7 @@ class Many(Canonical):
             raise BadInput(f"q: the force or the potential of scene {self.name!r} is not finite at the start")
 
     def _check_functions(self) -> None:
-        given = [name for name in self.functions if getattr(self, name) is not None]
-        for name in given:
+        for name in self.given:
             self.recording(name)
             probes = (np.full(1, self.probe),) * (len(self.functions[name]) - 1)
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
@@ -149,8 +148,8 @@ class Many(Canonical):
                 why = f"{name}: must be one number that depends on its arguments; it is {excerpt(value)}"
                 raise BadInput(why)
         for parameter in self.parameters:
-            if not any(parameter in self.named(name) for name in given):
-                raise BadInput(f"parameter {parameter!r}: is taken by none of {', '.join(given)}")
+            if not any(parameter in self.named(name) for name in self.given):
+                raise BadInput(f"parameter {parameter!r}: is taken by none of {', '.join(self.given)}")
 
     def _field(self, name: str, given: object) -> np.ndarray:
         """Return initial data as an array of one number for every degree of freedom."""

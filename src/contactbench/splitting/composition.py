@@ -263,10 +263,7 @@ def stage_constants(
         scalars = {(f, c): flows[f].constants(scene, number(c, xp) * h, xp) for f, c in distinct}
         return lambda some: [scalars[stage] for stage in some].__getitem__
     coefficients = {name: [c for f, c in distinct if f == name] for name, _ in distinct}
-    vectors = {
-        name: flows[name].constants(scene, xp.multiply.outer(xp.asarray([number(c, xp) for c in cs]), h), xp)
-        for name, cs in coefficients.items()
-    }
+    vectors = {f: flows[f].constants(scene, scale(cs, h, xp), xp) for f, cs in coefficients.items()}
 
     def constants(some: Sequence[Stage]) -> Callable[[Any], Constants]:
         name = some[0][0]

@@ -1,8 +1,7 @@
-"""The intermediate form of recorded programs.
+"""The intermediate form of recorded programs: statements on scalars and on the elements of arrays.
 
-A `Function` is a list of statements on scalars and on the elements of arrays.  Every name is assigned once, by an
-`Assign`; what changes in a loop is a variable, set by `Update`.  An operand is a name or a constant.  `execute`
-prints it as Python; `compiled.py` turns it into instructions.
+Every name is assigned once, by an `Assign`; what changes in a loop is a variable, set by `Update`.  `execute` prints a
+`Function` as Python; `compiled.py` turns it into instructions.
 """
 
 from __future__ import annotations

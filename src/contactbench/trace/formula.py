@@ -1,8 +1,7 @@
-"""A function recorded as a list of operations: a formula.
+"""Formulas: functions recorded as lists of operations.
 
-A user's function is a Python object that may do another thing tomorrow: it reads globals, closures, attributes.  A
-formula is what it computed when it was recorded, and nothing else.  It is compared and hashed by its operations, can
-be pickled, runs on every kind of number that the function ran on, and is differentiated operation by operation.
+A user's function may change with the globals and attributes that it reads; a formula is what it computed when it was
+recorded.  It is compared and hashed by its operations, pickled, run on every kind of number, and differentiated.
 """
 
 from __future__ import annotations
@@ -16,20 +15,12 @@ from typing import Any
 from contactbench.errors import BadInput
 from contactbench.numbers import functions
 from contactbench.numbers.dual import DERIVATIVES, leaves
-from contactbench.numbers.protocol import Arithmetic, CannotRecord, ChoosingNamespace, Condition
+from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.trace import form
 from contactbench.trace.form import FORMS, Assign, Operand, Operation, Results, Statement, execute
 from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt, operand_of
 
-
 # -- how formulas are written, for numbers that may be arrays or traced ------------------------------
-def _where(condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
-    if isinstance(condition, bool):
-        return a if condition else b
-    xp: ChoosingNamespace = functions.namespace(functions.leading(a, b, condition))
-    return xp.where(condition, a, b)
-
-
 WRITTEN = FORMS | {
     "where": "where({}, {}, {})",
     "and": "({0} and {1} if isinstance({0}, bool) else {0} & {1})",
@@ -40,7 +31,7 @@ SCOPE: dict[str, object] = {
     **{name: functions.function(name) for name in form.FUNCTIONS},
     "atan2": functions.atan2,
     "hypot": functions.hypot,
-    "where": _where,
+    "where": functions.where,
     "inf": math.inf,
     "nan": math.nan,
 }

@@ -1,11 +1,7 @@
 """Numbers that record what is computed with them, as straight-line scalar code.
 
-A scene, a flow or a step map that is run on recorded numbers leaves the list of its operations behind:
-each becomes one assignment, equal operations become one (common subexpressions), numbers known at
-recording time are folded by Python itself, and what does not change in a loop is computed before it.
-`RecordedNumbers` is the namespace that goes with them, in place of `math` or `jax.numpy`.
-
-The value of a recorded number is not known.  What asks for it, as ``if x > 0`` does, raises
+Equal operations become one, numbers known at recording time are folded by Python itself, and what does not change in a
+loop is computed before it.  The value of a recorded number is not known: what asks for it, as ``if x > 0`` does, raises
 `CannotRecord`; ``xp.where(x > 0, a, b)`` chooses by value.
 """
 
