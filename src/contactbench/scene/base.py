@@ -190,6 +190,10 @@ class System(ABC):
                 flat.append(each)
         return flat
 
+    def unrolled(self) -> Any:
+        """Return the scene component by component, for solvers that know no arrays: itself, but of many sites."""
+        return self
+
     # -- numbers -------------------------------------------------------------------------------
     @abstractmethod
     def numbers(self) -> list[float]:
@@ -499,10 +503,6 @@ class Scene(System):
             both = f"{ends[0].numbers()} and {ends[1].numbers()}"
             raise BadInput(f"numbers: {both} make two problems of scene {self.name!r}: one call for each")
         return self.with_numbers(numbers)._decide(ends[0])
-
-    def unrolled(self) -> Scene:
-        """Return the scene component by component, for solvers that know no arrays: itself, but of many sites."""
-        return self
 
     def _decide(self, like: Self | None = None) -> Self:
         """Return the scene with what its numbers decide anew, or as another one has it."""
