@@ -57,7 +57,7 @@ def whole(name: str, value: Any, most: int, least: int = 1) -> int:
     return int(number)
 
 
-def array(name: str, value: Any, wanted: str) -> np.ndarray:
+def real_array(name: str, value: Any, wanted: str) -> np.ndarray:
     """`value` as an array of floats, itself if it is one, or `BadInput` (for complex numbers and dates, too)."""
     try:
         given = np.asarray(value)

@@ -16,6 +16,10 @@ from contactbench.scene import Scene, rotation_matrix
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
+
+    from contactbench.methods.prepared import Prepared
+    from contactbench.truth.reference import Reference
 
 
 class Status(StrEnum):
@@ -114,7 +118,7 @@ class Differential(NamedTuple):
         if not self.taken:
             raise BadInput(f"no derivative of the numerical map: {self.source}")
         if len(self.estimates) == 1:
-            return self.estimates[0]
+            return np.asarray(self.estimates[0])
         gaps = np.abs(np.diff(self.estimates, axis=0)).max(axis=(1, 2))
         return np.stack([self.estimates[best, :, :, j] for j, best in enumerate(closest(gaps))], axis=-1)
 
@@ -151,7 +155,7 @@ class Solution:
         What it cost.
     step_chosen, step
         Of a method with fixed steps, the step that was asked for, or chosen from rtol, and the longest one taken,
-        shorter where no whole number of steps leads from one saved time, the end included, to the next.
+        shorter where no whole number of steps leads from one saved time, the end included, to the next; nan of others.
     control, value
         What was set, "step", "rtol" or "exact", and its value.
     run
@@ -171,16 +175,12 @@ class Solution:
     message: str = ""
     counts: Counts = field(default_factory=Counts)
     end_time: float = float("nan")
-    #: the `Prepared` that made it, which can be differentiated
-    run: Any = None
-    #: what was set, "step" or "rtol", and its value
+    run: Prepared | None = None
     control: str = EXACT
     value: float = 0.0
-    #: of fixed steps: the step asked for or chosen from rtol, and the longest taken; nan for other methods
     step_chosen: float = float("nan")
     step: float = float("nan")
-    #: the `Reference` at its times, where it is known already; else the laws ask for it
-    truth: Any = None
+    truth: Reference | None = None
 
     @staticmethod
     def of(ending: dict[str, Any], y: np.ndarray, y0: np.ndarray) -> Solution:
@@ -224,7 +224,7 @@ class Solution:
             rows["end"] = ", ".join(f"{name} = {y:.6g}" for name, y in last)
         return html_table(rows, self.scene.name)
 
-    def plot(self) -> Any:
+    def plot(self) -> Figure:
         """Draw the run and return the matplotlib figure: the motion over time, its phase portrait, the energies.
 
         H0, and where the scene has a contact Hamiltonian with a known decay H beside its law H(0) e^{−∫Γ'}.

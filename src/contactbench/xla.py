@@ -1,10 +1,8 @@
-"""JAX, imported and configured for this package when something first uses it; `import contactbench` does neither.
+"""JAX, imported and configured when something first uses it: ``from contactbench.xla import jax, jnp, lax``.
 
-Import from here instead of from jax: ``from contactbench.xla import jax, jnp, lax``.  The first attribute asked for
-makes three settings, for the whole process: double precision; results are waited for at once; single trajectories
-run on one thread, and there is a CPU device for every core this process may use, over which ensembles are sharded.
-Choices already made (``XLA_FLAGS``, ``jax_num_cpu_devices``) stand, and where JAX is running already it keeps its
-devices.
+The settings hold for the whole process: double precision; results are waited for at once; single trajectories run on
+one thread, and there is a CPU device for every core this process may use.  Choices already made (``XLA_FLAGS``,
+``jax_num_cpu_devices``) stand, and where JAX is running already it keeps its devices.
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ import pytest
 import contactbench as cb
 from cases import mine
 from contactbench.ensembles import chunks
-from contactbench.ensembles.chunks import AHEAD, ATTEMPTS, FEW_LANES, LANES, equal_share, lanes_of, on_cores
+from contactbench.ensembles.chunks import AHEAD, ATTEMPTS, equal_share, on_cores
 from contactbench.ensembles.members import ENERGY
-from contactbench.methods.loops import loop_of
+from contactbench.methods.loops import FEW_LANES, LANES, loop_of
 
 MANY, CHUNK = 10_000, 500
 SCENE = cb.SCENES["particle"]
@@ -73,6 +73,7 @@ def test_a_process_pool_that_lost_a_worker_is_refused():
             solved(executor=executor, chunk=CHUNK)
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_dask_cluster_dies_midway(alone):
     from distributed import Client, LocalCluster
 
@@ -144,7 +145,7 @@ def test_a_few_chunks_are_begun_ahead_and_no_more(monkeypatch):
     """Memory stays bounded where only the statistics are kept, however slowly they are asked for."""
     begun, integrate = [], chunks.side_by_side
     monkeypatch.setattr(chunks, "side_by_side", lambda *args: begun.append(1) or integrate(*args))
-    results = on_cores(*prepared(), [ENERGY], states(100 * LANES), 2, LANES)
+    results = on_cores(*prepared(), [ENERGY], states(100 * LANES), 2, LANES, {})
     for done in range(3):
         next(results)
         assert done < len(begun) <= done + 1 + 2 * AHEAD
@@ -156,9 +157,9 @@ def test_a_few_chunks_are_begun_ahead_and_no_more(monkeypatch):
 def test_the_number_of_cores_changes_nothing(workers):
     y0 = states(1001)
     run, loop = prepared()
-    parts = list(on_cores(run, loop, [ENERGY], y0, workers, 300))
+    parts = list(on_cores(run, loop, [ENERGY], y0, workers, 300, {}))
     y, measures, end = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
-    (alone,) = on_cores(run, loop, [ENERGY], y0, 1, 2000)
+    (alone,) = on_cores(run, loop, [ENERGY], y0, 1, 2000, {})
     for ours, theirs in zip((y, measures, end), alone, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
@@ -171,7 +172,7 @@ def test_a_long_loop_has_few_lanes():
     loops = [
         loop_of(cb.METHODS[method], scene.recorded(), ("s",)) for scene in (cubic, cb.SCENES["particle"])
     ]
-    assert list(map(lanes_of, loops)) == [FEW_LANES, LANES]
+    assert [loop.lanes for loop in loops] == [FEW_LANES, LANES]
     run = cb.prepare(cubic, method, step=0.1)
     found = cb.ensemble(cubic, method, {"q": (starts,)}, step=0.1)
     np.testing.assert_allclose(found.final.q[0], [run(q=(q,)).q[-1, 0] for q in starts], rtol=1e-13)

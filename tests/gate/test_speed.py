@@ -161,7 +161,7 @@ def copy(tmp_path_factory):
 def judge(copy, cells, base=None, pin=""):
     """The red rows of the tree beside its own commit, or another tree."""
     with revisions.checkout(copy, "HEAD") as tree:
-        moved = speed.judge_speed(copy, base or tree, cells, pin=pin).moved
+        moved = speed.compare_speed(copy, base or tree, cells, pin=pin).moved
     return moved[moved["red"]]
 
 
@@ -236,7 +236,7 @@ def test_a_delay_of_every_public_call_is_found(quick, copy, monkeypatch):
 
 def test_a_clone_without_the_pinned_revision_is_inconclusive(copy, monkeypatch):
     monkeypatch.setattr(speed, "time_pairs", lambda *_: ({("base", 0): PASS}, {}))
-    assert speed.judge_speed(copy, copy, [CELL]).status == 0
-    found = speed.judge_speed(copy, copy, [CELL], pin="f" * 40)
+    assert speed.compare_speed(copy, copy, [CELL]).status == 0
+    found = speed.compare_speed(copy, copy, [CELL], pin="f" * 40)
     assert found.status == 2
     assert "pinned revision ffffffffffff is not in this clone" in found.incomplete[0]

@@ -3,7 +3,6 @@
 from functools import cache
 
 import diffrax
-import mpmath
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
@@ -62,15 +61,6 @@ def test_gradients_are_those_of_the_numerical_map():
     assert float(jax.grad(last)(0.1)) == pytest.approx(float(expected), rel=1e-8)
     forward = jax.jacfwd(lambda gamma: last(gamma, diffrax.ForwardMode()))(0.1)
     assert float(forward) == pytest.approx(float(jax.grad(last)(0.1)), rel=1e-12)
-
-
-def test_vmap_over_a_parameter():
-    rates = jnp.array([0.0, 0.1, 0.5])
-    many = jax.vmap(lambda g: solve("particle", "contact-strang", args={"gamma": g}).ys[0][-1])(rates)
-    for gamma, found in zip(rates.tolist(), many, strict=True):
-        scene = cb.SCENES["particle"].with_(gamma=gamma)
-        alone = cb.solve(scene, "contact-strang", step=0.1, save_at=[2.0]).q[-1]
-        np.testing.assert_allclose(found, alone, rtol=0, atol=1e-14)
 
 
 def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum():
@@ -152,19 +142,6 @@ def test_a_run_taken_back_has_the_derivative_of_the_numerical_map(scene, rate, m
     expected = values(derivative(scene, method, diffrax.ForwardMode(), mode="jacfwd", **rate))
     found = values(derivative(scene, method, cb.diffrax.ReversibleAdjoint(), **rate))
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-14 * np.abs(expected).max())
-
-
-def test_a_run_taken_back_has_the_derivative_of_the_closed_form():
-    scene, context = cb.SCENES["oscillator"], mpmath.MPContext()
-    context.dps = 50
-    rest = scene.numbers()[1:]  # after γ
-
-    def last(gamma):
-        return scene.exact(scene.with_numbers([gamma, *rest]), context.mpf(4), context).q[0]
-
-    exact = context.diff(last, context.mpf("0.1"))
-    found = values(derivative("oscillator", "contact-rkn6", cb.diffrax.ReversibleAdjoint(), gamma=0.1))
-    assert found[0] == pytest.approx(float(exact), rel=1e-10)
 
 
 def test_its_memory_does_not_grow_with_the_steps():

@@ -128,7 +128,7 @@ def end_by(run, count):
     scene, y = run.request.scene, run.start[None]
     out = np.full(y.size + run.loop.loop.seen, np.nan)
     late = run.loop.loop.call(
-        scene, run.loop.loop.arrays(scene, run.loop.numbers, run.h, run.n), y, out, count
+        scene, run.loop.loop.arrays(scene, np.array(scene.numbers()), run.h, run.n), y, out, count
     )
     return out[: y.size], late
 

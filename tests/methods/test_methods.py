@@ -9,7 +9,7 @@ import contactbench as cb
 from cases import few_slow, mine
 from contactbench.methods import jax_engine
 from contactbench.methods.base import tolerance
-from contactbench.methods.fixed_step_run import steps_in
+from contactbench.methods.prescribed import steps_in
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 from contactbench.xla import jax

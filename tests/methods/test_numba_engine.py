@@ -136,24 +136,6 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
             np.testing.assert_allclose(solution.y, written, rtol=0, atol=round_off * np.abs(written).max())
 
 
-@pairs(FIXED, ALL_SCENES)
-@pytest.mark.quick(scene="particle")
-@pytest.mark.quick(scene="rigid_body", method="contact-bm4")
-def test_the_tangent_loop_carries_the_derivative(method, scene):
-    """Against differences of the compiled loop itself, of fourth order."""
-    run = cb.prepare(scene, method.name, step=0.1, save_at=[0.5, 1.0])
-    assert run.request.engine == "numba"
-    derivative, y0 = run.sensitivity(run.start), run.start
-    start = scene.unpack(tuple(y0.tolist()), scene.carry())
-    step = 1e-5
-    for j, tangent in enumerate(scene.tangents(start)):
-        v = step * np.array(scene.pack(tangent))
-        near, far = (run.integrate(y0 + k * v).y - run.integrate(y0 - k * v).y for k in (1, 2))
-        size = max(1.0, np.abs(derivative).max())
-        difference = (8 * near - far) / (12 * step)  # round-off 1e-16/1e-5 times the condition of the run
-        np.testing.assert_allclose(derivative[:, :, j], difference, rtol=0, atol=2e-8 * size)
-
-
 def test_one_program_serves_all_compositions_parameters_and_steps():
     def loop(method, scene=PARTICLE):
         return loop_of(cb.METHODS[method], scene, ("s",))

@@ -7,7 +7,7 @@ import pytest
 
 from cases import REPOSITORY
 from contactbench.cli import main
-from contactbench.gate import judge
+from contactbench.gate import trees
 from contactbench.report.write import README_PART
 from contactbench.results.store import merge
 from contactbench.results.tables import CONVERGENCE, LAWS_TABLE
@@ -56,11 +56,11 @@ def test_what_was_just_written_agrees(results, capsys):
 def test_the_gate_sees_a_number_of_the_readme_that_the_tables_do_not_give(results):
     root = results.parent
     (root / "src").symlink_to(REPOSITORY / "src")
-    assert judge.check_report(root, results) == []
+    assert trees.check_report(root, results) == []
     text = (root / "README.md").read_text()
     assert "2 of 2" in text
     (root / "README.md").write_text(text.replace("2 of 2", "3 of 2"))
-    (found,) = judge.check_report(root, results)
+    (found,) = trees.check_report(root, results)
     assert "README.md: not what the tables say" in found["after"]
 
 

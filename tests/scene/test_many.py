@@ -12,7 +12,7 @@ import contactbench as cb
 from cases import refusal
 from chains import SMALL, bodies, chain, masses
 from contactbench.cli import main
-from contactbench.methods import base
+from contactbench.methods import prescribed
 from contactbench.testing import check_method, check_scene
 
 FPUT = cb.SCENES["fput"]
@@ -157,7 +157,7 @@ def test_a_function_of_the_index_is_pickled_where_it_can_be():
 
 @pytest.mark.parametrize("setting", [{"step": 1e-3}, {"rtol": 1e-6}])
 def test_saved_times_take_no_gigabytes(setting, monkeypatch):
-    monkeypatch.setattr(base, "MOST_SAVED", 16 * 50)
+    monkeypatch.setattr(prescribed, "MOST_SAVED", 16 * 50)
     method = "rk4" if "step" in setting else "scipy-dop853"
     run = cb.prepare(chain(8), method, **setting)
     assert 25 <= len(run.request.save_at) <= 51
@@ -168,7 +168,6 @@ def test_saved_times_take_no_gigabytes(setting, monkeypatch):
 @pytest.mark.parametrize("scene", [SMALL["free masses"], SMALL["bodies 2D"]])
 @pytest.mark.parametrize("method", ["contact-strang", "scipy-dop853"])
 @pytest.mark.quick(method="contact-strang", scene="chain")
-@pytest.mark.quick(method="scipy-dop853", scene="bodies")
 def test_methods_keep_their_rules_on_it(method, scene):
     check_method(cb.METHODS[method], engines=cb.METHODS[method].engines[:1], scenes=[scene.with_(t_end=4.0)])
 

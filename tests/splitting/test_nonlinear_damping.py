@@ -112,19 +112,6 @@ def test_blow_up_in_finite_time_ends_as_diverged_with_the_time(engine, scene, me
     assert solution.s[0] == pytest.approx(grown or solution.s[0], rel=1e-9)
 
 
-@pytest.mark.parametrize("kappa", [0.8, -0.8])
-@pytest.mark.parametrize("s", [-40.0, -2.0, 0.0, 2.0, 40.0])
-def test_at_rest_the_merged_drift_is_the_damping(s, kappa):
-    """T = 0: before and beyond s = −2/κφ, where either leaves through infinity."""
-    scene = SCENE.with_(kappa=kappa, gamma=0.3, p=(0.0,) * len(SCENE.p), s=s)
-    ends = []
-    for name in ("damp", "drift_damp"):
-        flow, x = scene.flows[name], scene.initial(("s",))
-        ends.append(scene.pack(flow.apply(scene, x, flow.constants(scene, 0.5, math), math)))
-    np.testing.assert_allclose(*np.abs(ends), rtol=1e-14)
-    assert np.isfinite(ends).all() == (abs(s) < 40 or s * kappa > 0)
-
-
 # -- a damping of one's own: Γ and Γ' are enough, a closed form of s' = −Γ(s) makes it faster -------------
 QUADRATURE = CUBIC.with_(name="quadrature", damping_flow=None)
 both = pytest.mark.parametrize("scene", [CUBIC, QUADRATURE], ids=lambda s: s.name)

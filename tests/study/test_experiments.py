@@ -14,14 +14,22 @@ from contactbench.claims.curves import FIGURES
 from contactbench.measure.clock import Part, Visit
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.store import read
-from contactbench.results.tables import DEFINITIONS, DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
+from contactbench.results.tables import (
+    DEFINITIONS,
+    DIMENSION,
+    ENERGY,
+    ENSEMBLE_TABLE,
+    EXPONENT,
+    LONG_TIME,
+    SUM,
+)
 from contactbench.scenes import scenes_of
 from contactbench.study import long_time
 from contactbench.study.choice import DEAR, SMOKE
 from contactbench.study.claims import LONG
 from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
 from contactbench.study.ensemble import prepared_row, truth
-from contactbench.study.experiment import PROFILES, experiments
+from contactbench.study.experiment import PROFILES, Timing, experiments
 from contactbench.study.search import step_at, tolerance_at
 from contactbench.study.settings import ENDS, steps
 from contactbench.study.timetable import SAMPLE, Entry, Timetable
@@ -84,7 +92,7 @@ def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
 def test_another_process_prepares_and_times_what_it_is_told():
     cell = ("arithmetic", "particle", "limit-c", "c", "contact-strang plain", "step", 0.1, 64, 1)
     with Timetable({}, 8) as table:
-        call = table.remote([], [], prepared_row, cell, truth("particle").tolist())
+        call = table.remote([], [], Timing(ENSEMBLE_TABLE, prepared_row, (cell, truth("particle").tolist())))
         row = call.prepared.result()[1]
         assert row["status"] == "ok"
         assert row["solution_error"] < 0.1

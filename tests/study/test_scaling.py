@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.measure.memory import peak_memory
 from contactbench.results.tables import SCALING
 from contactbench.study import scaling
 from contactbench.study.c_loops import ring_kernel
@@ -49,7 +48,7 @@ def test_a_method_that_does_not_go_so_far_has_a_row_that_says_so():
 
 
 def test_the_peak_of_memory_is_that_of_the_call():
-    peak = peak_memory(lambda: np.ones(5_000_000).sum())
+    peak = scaling.peak_memory(lambda: np.ones(5_000_000).sum())
     if math.isnan(peak):
         pytest.skip("the system does not say")
     assert 3.9e7 < peak < 5e7  # the system counts pages in batches

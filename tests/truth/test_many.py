@@ -58,10 +58,10 @@ LIVE = {
 }
 
 
-@pytest.mark.parametrize("scene", LIVE.values(), ids=LIVE)
-def test_two_solvers_in_doubles_have_the_digits_that_they_say(scene):
+@pytest.mark.parametrize("name", few_slow(LIVE, "ring", "damped"))
+def test_two_solvers_in_doubles_have_the_digits_that_they_say(name):
     """Against 30 digits by other engines, component by component."""
-    times = np.array([0.3, 0.8, 1.5])
+    scene, times = LIVE[name], np.array([0.3, 0.8, 1.5])
     found, known = many.doubles(scene, times, ("s",), perf_counter() + 60)
     true = cb.reference(scene, times)
     assert true.digits >= 20

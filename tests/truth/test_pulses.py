@@ -11,7 +11,7 @@ import contactbench as cb
 from contactbench.numbers.functions import cos, cosh, exp, sin, tanh
 
 #: of all seeds those that are quick, one of each kind, and a jump reached by steps that sum up to a little more
-QUICK, ALL = (*range(7), 73), 240
+QUICK, ALL = (0, 1, 2, 3, 5, 6, 11, 73), 240
 
 
 def bell(x):

@@ -500,7 +500,7 @@ def time_dependent_reduction(gamma: float = 0.1) -> Evidence:
 
 @claim("C14")
 def symplectification(gamma: float = 0.1) -> Evidence:
-    """The contact flow is the projection of a homogeneous Hamiltonian flow; there J r is conserved."""
+    """Project the homogeneous Hamiltonian flow on M × R₊, on which J r is conserved, onto the contact flow."""
     scene = SCENES["central"].with_(gamma=gamma)
     t = np.linspace(0, scene.t_end, 21)
 

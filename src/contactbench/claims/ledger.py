@@ -59,7 +59,7 @@ class Measurement:
 
     @property
     def passes(self) -> bool:
-        """Whether the number keeps its bound; never if it is not finite."""
+        """Return whether the number keeps its bound; never if it is not finite."""
         sign = 1 if self.relation == "≤" else -1
         return math.isfinite(self.value) and sign * self.value <= sign * self.bound
 

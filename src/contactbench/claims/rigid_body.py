@@ -249,16 +249,16 @@ def motions_settle(seed: int = SEED, starts: int = 1200, inertia: Sequence[float
     M = rng.normal(size=(starts, 3))
     M /= np.linalg.norm(M, axis=1)[:, None]
     half, end = motions(D, M, inertia)
-    bare = np.arange(starts) % kinds >= kinds - SLOW
-    left = [distance_to_equilibria(m, d) for m, d in zip(end[~bare], D[~bare], strict=True)]
+    slow = np.arange(starts) % kinds >= kinds - SLOW
+    left = [distance_to_equilibria(m, d) for m, d in zip(end[~slow], D[~slow], strict=True)]
     free = [(m**2).sum(axis=1) for m in motions(0 * D[:60], M[:60], inertia)]
     own = abs(1 / free[1] - 1 / free[0]).max()
-    growth = (1 / (end[bare] ** 2).sum(axis=1) - 1 / (half[bare] ** 2).sum(axis=1)).min()
+    growth = (1 / (end[slow] ** 2).sum(axis=1) - 1 / (half[slow] ** 2).sum(axis=1)).min()
     rise = -np.einsum("ki,i,kij,kj->k", M, 1 / np.asarray(inertia), D, M)
     slowest = 0.05, "t^{−1/2} = 0.016, the slowest there is, times a constant of three"
     above_error = 10 * own, "ten times what rk4's own error does without damping"
     farthest = f"farthest from the set at t = 4000 of {len(left)} motions, ‖M(0)‖ = 1"
-    falls = f"growth of 1/‖M‖² from t = 2000 to 4000, least of {bare.sum()} motions"
+    falls = f"growth of 1/‖M‖² from t = 2000 to 4000, least of {slow.sum()} motions"
     yield at_most(f"{farthest}, D {', '.join(DAMPINGS[:-SLOW])}", max(left), *slowest)
     yield at_least(f"{falls}, D {' or '.join(DAMPINGS[-SLOW:])}", growth, *above_error)
     yield CORRECTED
@@ -357,7 +357,7 @@ def count_misjudged(cases: Sequence[Case], slack: float = 1e-9) -> int:
     return wrong
 
 
-def judge_criterion(cases: Sequence[Case]) -> Measurement:
+def contradicted_cases(cases: Sequence[Case]) -> Measurement:
     drawn = f"{len(cases)} random (I, D, M*), symmetric D ≥ 0 of rank 0, 1, 2 with D M* = 0"
     contradicted = f"cases of {drawn}, whose 3×3 spectrum contradicts the criterion"
     return at_most(contradicted, count_misjudged(cases), 0, "a criterion has none")
@@ -384,7 +384,7 @@ def extreme_axes(seed: int = 4, cases: int = CASES) -> Evidence:
     reversed_ = 0.0, "the motion has left M* for the other half of the axis"
     yield at_most(f"growth rate at {example}", rate, *BELOW_ZERO)
     yield CORRECTED
-    yield judge_criterion(drawn)
+    yield contradicted_cases(drawn)
     yield at_most(f"M₃/M₃* at t = {t:.0f}, started 10⁻⁶ from that M*", end[2], *reversed_)
     yield at_most("transverse momentum there", np.hypot(end[0], end[1]), *GONE)
     yield at_most("growth rate at the rotation it ends in", after, *BELOW_ZERO)
@@ -415,7 +415,7 @@ def intermediate_axis(
     beyond = "growth rate, D = diag(d, 0, d) with d² three times the border"
     yield at_least(beyond, rate(3 * coupling), *EIGENVALUES)
     yield CORRECTED
-    yield judge_criterion(random_equilibria((1,), cases, seed))
+    yield contradicted_cases(random_equilibria((1,), cases, seed))
     yield at_most(border, abs(edge / coupling - 1), *exact)
     yield at_least("growth rate at d₁ = d₃ = d₁₃ = ½, I = (1, 2, 3), |M*| = 1", saddle, *EIGENVALUES)
     yield at_most("growth rate at d₁ = 0.29, d₃ = 0.2, d₁₃ = −0.2", calm, *BELOW_ZERO)

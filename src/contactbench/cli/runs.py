@@ -181,7 +181,7 @@ def duration(text: str) -> float:
 
 
 def one_core() -> None:
-    """Before JAX makes its threads: to hand parts of a small program to another costs more than running them."""
+    """Keep the process on one core before JAX makes threads: handing over small parts costs more than running them."""
     if hasattr(os, "sched_setaffinity") and "jax" not in sys.modules:
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 

@@ -72,7 +72,7 @@ def bench(arguments: argparse.Namespace) -> int:
 
 
 def gate(arguments: argparse.Namespace) -> int:
-    from contactbench.gate import judge
+    from contactbench.gate import trees
     from contactbench.gate.compare import compare_folders
 
     # a cancelled job removes its folders on the way out
@@ -84,12 +84,12 @@ def gate(arguments: argparse.Namespace) -> int:
             raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")
         found = compare_folders(arguments.baseline, arguments.fresh)
     else:
-        status = judge.by_base(Path.cwd(), arguments.base, arguments.line, arguments.stdout)
+        status = trees.by_base(Path.cwd(), arguments.base, arguments.line, arguments.stdout)
         if status is not None:
             return status
-        parts = (arguments.only,) if arguments.only else judge.PARTS
+        parts = (arguments.only,) if arguments.only else trees.PARTS
         folders = Path.cwd(), arguments.results, arguments.fresh
-        found = judge.gate(*folders, arguments.base, parts, arguments.tables_changed, arguments.budget)
+        found = trees.gate(*folders, arguments.base, parts, arguments.tables_changed, arguments.budget)
     print(found.as_json() if arguments.json else found.as_markdown(), file=arguments.stdout)
     return found.status
 

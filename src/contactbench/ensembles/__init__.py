@@ -1,9 +1,4 @@
-"""Ensembles: many trajectories of one scene at once, with a fixed-step method.
-
-Every process cuts its trajectories into chunks, so that memory stays bounded, and divides each among its devices:
-the cores of a CPU, by the loop numba compiles, or its GPUs.  GPUs, parameters of each trajectory's own and methods
-that cannot be recorded go to JAX, tile by tile.  Processes meet once, for the statistics.
-"""
+"""Ensembles: many trajectories of one scene at once, with a fixed-step method, in chunks of bounded memory."""
 
 from __future__ import annotations
 
@@ -21,6 +16,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import METHODS, lookup, make_request
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.loops import is_fixed
 from contactbench.methods.prepared import Refused
 from contactbench.scene import BodyState, DrivenState, Scene, State
 from contactbench.solution import Counts, Status
@@ -147,6 +143,8 @@ def ensemble(
     request = make_request(scene, chosen, step, save_at=times, carry=carry)
     if isinstance(request, Refused):
         raise BadInput(request.why)
+    if not is_fixed(chosen):
+        chosen.try_step(scene, request.carry, request.step)
     run = FixedStepRun(method, request, chosen)
     if engine is not None and not (isinstance(engine, str) and engine in ENGINES):
         raise BadInput(f"engine = {excerpt(engine)}: an ensemble runs on {' or '.join(ENGINES)}")

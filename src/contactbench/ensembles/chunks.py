@@ -4,40 +4,38 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent import futures
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.ensembles.members import Watch, furthest
+from contactbench.ensembles.members import Array, Marks, Watch
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import rolled
-from contactbench.methods.loops import identity, loop_of
-from contactbench.methods.many import SHARED, FieldLoop
-from contactbench.methods.many import loop_of as many_loop
-from contactbench.methods.prepared import Request
+from contactbench.methods.loops import LANES, Loop, identity
+from contactbench.methods.many import SHARED, loop_on
+from contactbench.methods.prepared import Request, furthest
 from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Cache, key
-from contactbench.trace.compiled import compile_function
-from contactbench.trace.form import lines
+from contactbench.scene import AnyState, Cache, Scene, key
+
+if TYPE_CHECKING:
+    from jaxtyping import PyTree
+
+    from contactbench.xla import jax
 
 ENGINES = ("numba", "jax")
 #: trajectories in a task of an executor, whose number of workers is not known
 TASK = 2**14
 #: how often a chunk is given to an executor that loses it
 ATTEMPTS = 3
-#: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
-LANES = 32
-#: the same of a loop of more lines than that, which LLVM takes seconds to compile
-FEW_LANES, LONG = 4, 2000
 #: numbers that are kept of scenes of many sites at a time, for every core
 AT_ONCE = 2**22
 #: chunks begun for every core before the first of them is asked for
@@ -53,7 +51,7 @@ AXIS = "trajectories"
 Result = tuple[np.ndarray, np.ndarray, np.ndarray]
 #: values (n,) of parameters that differ from one trajectory to the next, by their place among the scene's numbers
 Own = dict[int, np.ndarray]
-_programs: Cache[Callable[..., Any]] = Cache(256)
+_programs: Cache[Callable[..., tuple[jax.Array, ...]]] = Cache(256)
 
 
 @dataclass(frozen=True)
@@ -71,10 +69,10 @@ class Task:
             chosen = METHODS[self.method]
             assert isinstance(chosen, FixedStep)
             run = FixedStepRun(self.method, self.request, chosen)
-            parts = list(self.chunks(run, y0, own, y0.shape[1], cores=1))
+            made = list(self.chunks(run, y0, own, y0.shape[1], cores=1))
         except Exception as error:
             return error
-        y, measures, end_time = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
+        y, measures, end_time = (np.concatenate(arrays, axis=-1) for arrays in zip(*made, strict=True))
         return y, measures, end_time
 
     def chunks(
@@ -89,7 +87,7 @@ class Task:
         why = why or ("parameters differ from one trajectory to the next" if own and not many else "")
         if self.engine != "jax" and not why:
             try:
-                loop = (many_loop if many else loop_of)(run.method_, run.request.scene, run.request.carry)
+                loop = loop_on(run.method_, run.request.scene, run.request.carry)
             except CannotRecord as error:
                 why = str(error)
             else:
@@ -117,45 +115,39 @@ def results(
 # -- by the loop numba compiles, a thread on every core ------------------------------------------------
 def on_cores(
     run: FixedStepRun,
-    loop: Any,
+    loop: Loop,
     names: Sequence[str],
     y0: np.ndarray,
     cores: int,
     chunk: int,
-    own: Own | None = None,
+    own: Own,
 ) -> Iterator[Result]:
     """Yield the results of chunks of one size, of which a few are begun ahead, so that no core waits for another."""
     scene: Any = run.request.scene
-    numbers, own = np.array(scene.numbers()), own or {}
-    work: Any
+    work: Callable[..., Result]
     if scene.by_sites:
         chunk = min(chunk, max(1, AT_ONCE // (len(run.n) * len(y0))))
         cores = cores if scene.sites < SHARED else 1
         work, share = partial(one_by_one, run, loop, names), equal_share(y0.shape[1], cores, chunk, 1)
     else:
-        lanes = lanes_of(loop)
-        many = compile_function(loop.program.many, lanes)
-        rows, shape = loop.rows(numbers, run.h, run.n)
-        work = partial(side_by_side, run, many, lanes, rows, shape, names)
-        share = equal_share(y0.shape[1], cores, chunk, lanes)
+        loop.many  # noqa: B018, compiled now, once
+        work, share = (
+            partial(side_by_side, run, loop, names),
+            equal_share(y0.shape[1], cores, chunk, loop.lanes),
+        )
     ahead: deque[Future[Result]] = deque()
     threads = futures.ThreadPoolExecutor(cores)
     try:
         for first in range(0, y0.shape[1], share):
             part = slice(first, first + share)
-            rest = ({place: values[part] for place, values in own.items()},) if own else ()
-            ahead.append(threads.submit(work, y0[:, part], *rest))
+            numbers = {place: values[part] for place, values in own.items()}
+            ahead.append(threads.submit(work, y0[:, part], numbers))
             if len(ahead) > AHEAD * cores:
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
     finally:  # begin no other where one has failed or the rest is not wanted
         threads.shutdown(cancel_futures=True)
-
-
-def lanes_of(loop: Any) -> int:
-    """Return how many trajectories its compiled loop integrates side by side."""
-    return LANES if sum(1 for _ in lines(loop.program.many.body)) <= LONG else FEW_LANES
 
 
 def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
@@ -165,52 +157,51 @@ def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
     return whole if whole <= chunk else share
 
 
-def side_by_side(
-    run: FixedStepRun,
-    many: Any,
-    lanes: int,
-    rows: np.ndarray,
-    shape: np.ndarray,
-    names: Sequence[str],
-    y0: np.ndarray,
-) -> Result:
+def side_by_side(run: FixedStepRun, loop: Loop, names: Sequence[str], y0: np.ndarray, _: Own) -> Result:
     """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core."""
-    r, m = run.request, y0.shape[1]
-    y = np.pad(y0, ((0, 0), (0, -m % lanes)), mode="edge")  # the last trajectory again and again
-    part, place = np.array([0, y.shape[1] // lanes]), len(shape) - len(run.n)
-    with np.errstate(all="ignore"):
-        watch = Watch(r.scene, r.carry, names, furthest(r.scene, r.carry, y0, run._end), y0)
-        marks = watch.begun
-        for which, t in zip(shape[place:], run.until.tolist(), strict=True):
-            after = np.empty((1, *y.shape))
-            many(y, rows, np.append(shape[:place], which), after, part)
-            y = after[0]
-            if math.isnan(t):
-                continue
-            x = r.scene.unpack(tuple(y[:, :m]), r.carry)
-            marks = watch.at(marks, x, y[:, :m], t)
-        return watch.result(marks, x, y[:, :m])
+    w, shape = loop.rows(np.array(run.request.scene.numbers()), run.h, run.n)
+    place = len(loop.program.shape)
+
+    def states() -> Iterator[np.ndarray]:
+        y = y0
+        for which in shape[place:]:
+            y = loop.side_by_side(y, w, np.append(shape[:place], which))[0]
+            yield y
+
+    return measured(run, run.request.scene, names, y0, states(), run.until)
 
 
-def one_by_one(
-    run: FixedStepRun, loop: FieldLoop, names: Sequence[str], y0: np.ndarray, own: Own | None = None
-) -> Result:
+def one_by_one(run: FixedStepRun, loop: Loop, names: Sequence[str], y0: np.ndarray, own: Own) -> Result:
     """Return the same of scenes of many sites, one trajectory after the other, each with parameters of its own."""
-    r = run.request
-    numbers = np.tile(r.scene.numbers(), (y0.shape[1], 1))
-    for place, values in (own or {}).items():
+    base = run.request.scene
+    numbers = np.tile(base.numbers(), (y0.shape[1], 1))
+    for place, values in own.items():
         numbers[:, place] = values
     paths = [
-        loop.paths(r.scene, row, start[None], run.h, run.n)[run.saved, 0]
+        loop.states(base.with_numbers(row), start, run.h, run.n)
         for row, start in zip(numbers, np.ascontiguousarray(y0.T), strict=True)
     ]
-    scene = r.scene.with_numbers(list(numbers.T)) if own else r.scene
+    scene = base.with_numbers(list(numbers.T)) if own else base
+    return measured(run, scene, names, y0, np.stack(paths, axis=-1), run.until)
+
+
+def measured(
+    run: FixedStepRun,
+    scene: Scene,
+    names: Sequence[str],
+    y0: np.ndarray,
+    states: Iterable[np.ndarray],
+    times: np.ndarray,
+) -> Result:
+    """Return the result from the states (d, m) after each interval, which are looked at where a time is saved."""
+    carry = run.request.carry
     with np.errstate(all="ignore"):
-        watch = Watch(scene, r.carry, names, furthest(scene, r.carry, y0, run._end), y0)
+        watch = Watch(scene, carry, names, furthest(scene, carry, y0, run._end), y0)
         marks = watch.begun
-        for y, t in zip(np.stack(paths, axis=-1), run.later, strict=True):
-            x = scene.unpack(y, r.carry)
-            marks = watch.at(marks, x, y, t)
+        for y, t in zip(states, times.tolist(), strict=True):
+            if not math.isnan(t):
+                x = scene.unpack(scene.components(y), carry)
+                marks = watch.at(marks, x, y, t)
         return watch.result(marks, x, y)
 
 
@@ -235,7 +226,7 @@ def on_devices(
 
     cut, whole = PartitionSpec(None, AXIS), PartitionSpec()
 
-    def make() -> Callable[..., Any]:
+    def make() -> Callable[..., tuple[jax.Array, ...]]:
         share = share_of(run, names, places, tile)
         taken, given = (cut, cut, cut, whole, whole), (cut, cut, PartitionSpec(AXIS))
         return jax.jit(jax.shard_map(share, mesh=mesh, in_specs=taken, out_specs=given, check_vma=False))
@@ -245,41 +236,45 @@ def on_devices(
     individual = np.array([*own.values()]).reshape(len(own), n)
     numbers = np.array(r.scene.numbers())
 
-    def begin(part: slice) -> Any:
+    def begin(part: slice) -> tuple[jax.Array, ...]:
         filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
-        values: list[Any] = list(r.scene.numbers())
+        values: list[float | np.ndarray] = list(r.scene.numbers())
         for place, each in own.items():
             values[place] = each[part]
         bound = furthest(r.scene.with_numbers(values), r.carry, y0[:, part], run._end)
         arrays = (np.pad(a, filled, mode="edge") for a in (y0[:, part], bound, individual[:, part]))
         return program(*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.until))
 
-    parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
-    ahead = begin(parts[0])
-    for part, following in zip(parts, [*parts[1:], None], strict=True):
+    slices = [slice(first, min(first + count, n)) for first in range(0, n, count)]
+    ahead = begin(slices[0])
+    for part, following in zip(slices, [*slices[1:], None], strict=True):
         out = ahead
         if following is not None:  # begun before this one is waited for: no device idles at its end
             ahead = begin(following)
         yield tuple(np.asarray(a)[..., : part.stop - part.start] for a in out)  # type: ignore[misc]
 
 
-def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], tile: int) -> Callable[..., Any]:
+def share_of(
+    run: FixedStepRun, names: Sequence[str], places: Sequence[int], tile: int
+) -> Callable[..., tuple[jax.Array, ...]]:
     """Return the function of one device: its part of a chunk, tile by tile."""
     from contactbench.xla import jax, jnp, lax
 
     base, carry, xp = run.request.scene, run.request.carry, XlaNumbers()
 
-    def packed(scene: Any, x: Any) -> Any:
+    def packed(scene: Scene, x: AnyState) -> Any:
         return jnp.stack(list(scene.pack(x))) if not scene.by_sites else scene.pack(x)
 
-    def one_tile(y0: Any, bound: Any, own: Any, numbers: Any, spans: Any) -> Any:
+    def one_tile(
+        y0: Array, bound: Array, own: Array, numbers: Array, spans: PyTree
+    ) -> tuple[Array, Array, Array]:
         values = list(numbers)
         for place, value in zip(places, own, strict=True):
             values[place] = value
         scene = base.with_numbers(values)
         watch = Watch(scene, carry, names, bound, y0, jnp)
 
-        def span(carried: Any, interval: Any) -> Any:
+        def span(carried: tuple[AnyState, Marks], interval: PyTree) -> tuple[tuple[AnyState, Marks], None]:
             (x, marks), (h, n, t) = carried, interval
             # parameters of its own give every trajectory stage constants of its own
             h = jnp.broadcast_to(h, tile) if places else h
@@ -290,7 +285,7 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
         (x, marks), _ = lax.scan(span, (watch.start, watch.begun), spans)
         return watch.result(marks, x, packed(scene, x))
 
-    def share(y0: Any, bound: Any, own: Any, numbers: Any, spans: Any) -> Any:
+    def share(y0: Array, bound: Array, own: Array, numbers: Array, spans: PyTree) -> tuple[jax.Array, ...]:
         tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, bound, own)]
         y, measures, end = lax.map(lambda a: one_tile(a[0], a[1], a[2], numbers, spans), tiles)
         return *(a.swapaxes(0, 1).reshape(a.shape[1], -1) for a in (y, measures)), end.reshape(-1)
@@ -299,10 +294,12 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
 
 
 # -- by an executor ------------------------------------------------------------------------------------
-def spread(executor: Executor, task: Any, y0: Any, own: Own, size: int) -> Iterator[tuple[int, Result]]:
+def spread(
+    executor: Executor, task: Task, y0: np.ndarray, own: Own, size: int
+) -> Iterator[tuple[int, Result]]:
     """Yield (first trajectory, result) of chunks; one that its worker lost is given again, `ATTEMPTS` times in all."""
     lost: Counter[int] = Counter()
-    pending: dict[Future[Any], int] = {}
+    pending: dict[Future[Result | Exception], int] = {}
 
     def begin(first: int) -> None:
         part = slice(first, first + size)

@@ -1,10 +1,7 @@
 """Lyapunov exponents of a numerical map, and averages along it, from an ensemble of trajectories.
 
-Tangent vectors are carried along with every trajectory, by the derivative of the very steps that are taken, and made
-orthonormal again after every interval: A_k Q_{k−1} = Q_k R_k.  The exponents are the means of log diag R_k over time:
-Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980), doi:10.1007/BF02128236; Geist, Parlitz, Lauterborn,
-Prog. Theor. Phys. 83, 875 (1990), doi:10.1143/PTP.83.875; Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995),
-doi:10.1016/0168-9274(95)00033-Q.  R is that of the modified Gram–Schmidt process, which for R is as good as any.
+Tangents follow by the derivative of the very steps that are taken, and are made orthonormal after every interval,
+A_k Q_{k−1} = Q_k R_k; the exponents are the means of log diag R_k over time.
 """
 
 from __future__ import annotations
@@ -17,24 +14,21 @@ from typing import Any
 import numpy as np
 
 from contactbench.checks import positive, whole
-from contactbench.ensembles.chunks import lanes_of
-from contactbench.ensembles.members import furthest, members, within
+from contactbench.ensembles.members import members, within
 from contactbench.errors import BadInput
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.base import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.loops import loop_of
-from contactbench.methods.many import loop_of as many_loop
-from contactbench.methods.prepared import Refused
+from contactbench.methods.many import loop_on
+from contactbench.methods.prepared import Refused, furthest
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import PeerRun
 from contactbench.peers.compiled import FACTS, KNOWN, SUCCESS
 from contactbench.peers.cyrk import Cyrk
 from contactbench.scene import Scene
-from contactbench.trace.compiled import compile_function
 
 #: ``(x, v) -> (x, v, evaluations)``: states (d, n) and tangents (m, d, n) over one interval, and what it cost, (n,)
-TangentMap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, Any]]
+TangentMap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, float | np.ndarray]]
 MOST_INTERVALS = 10**7
 #: log of how many times as much one tangent may grow as another in an interval: rounding takes e^16 ε = 2·10⁻⁹ of
 #: what grows least
@@ -167,9 +161,9 @@ def lyapunov(
     if isinstance(run, Refused):
         raise BadInput(run.why)
     if isinstance(run, FixedStepRun):
-        advance = side_by_side(run)
+        follow = side_by_side(run)
     elif isinstance(run, PeerRun) and isinstance(run.call, Cyrk):
-        advance = one_by_one(run)
+        follow = one_by_one(run)
     else:
         raise BadInput(f"method = {run.method!r}: takes methods with a given step, and those of CyRK")
     own, given = run.request.carry, initial_conditions
@@ -182,7 +176,7 @@ def lyapunov(
     rates, energy, spent = np.empty((count, len(v), n)), np.empty((count, 1, n)), np.zeros(n)
     with np.errstate(all="ignore"):
         for k in range(-settle, count):
-            x, v, evaluations = advance(x, v)
+            x, v, evaluations = follow(x, v)
             alive &= within(x, bound)
             # those that left begin again, and are not counted
             x, v = np.where(alive, x, start), np.where(alive, v, first)
@@ -220,45 +214,32 @@ def orthonormal(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def side_by_side(run: FixedStepRun) -> TangentMap:
     """Return the map by dual numbers through the compiled steps: a trajectory for every tangent of every member."""
-    r = run.request
-    sites = r.scene.by_sites
+    r, counted = run.request, run.totals.evaluations
     try:
-        loop: Any = (many_loop if sites else loop_of)(run.method_, r.scene, r.carry, tangent=True)
+        loop = loop_on(run.method_, r.scene, r.carry, tangent=True)
     except CannotRecord as error:
         raise BadInput(f"method = {run.method!r}: {error}") from error
-    numbers, counted = np.array(r.scene.numbers()), run.totals.evaluations
     evaluations = math.nan if counted is None else counted
-    if sites:
+    rows = None if r.scene.by_sites else loop.rows(np.array(r.scene.numbers()), run.h, run.n)
 
-        def one(x: np.ndarray, v: np.ndarray) -> np.ndarray:
-            return loop.paths(r.scene, numbers, np.stack([x, v]), run.h, run.n)[-1]
+    def ends(starts: np.ndarray) -> np.ndarray:
+        if rows is not None:
+            return np.asarray(loop.side_by_side(starts, *rows)[-1])
+        return np.stack([loop.states(r.scene, start, run.h, run.n)[-1] for start in starts.T], axis=-1)
 
-        def follow(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
-            ends = np.array([[one(x[:, i], u[:, i]) for i in range(x.shape[1])] for u in v])  # (m, n, 2, d)
-            return ends[0, :, 0].T, ends[:, :, 1].swapaxes(1, 2), evaluations
-
-        return follow
-    lanes = lanes_of(loop)
-    many = compile_function(loop.program.many, lanes)
-    rows, shape = loop.rows(numbers, run.h, run.n)
-
-    def advance(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
+    def follow(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float | np.ndarray]:
         m, d, n = v.shape
-        starts = np.concatenate([np.tile(x, m), np.concatenate(v, axis=1)])
-        starts = np.pad(starts, ((0, 0), (0, -m * n % lanes)), mode="edge")
-        ends = np.empty((len(run.n), *starts.shape))
-        many(starts, rows, shape, ends, np.array([0, starts.shape[1] // lanes]))
-        end = ends[-1]
-        return end[:d, :n], np.array(np.split(end[d:, : m * n], m, axis=1)), evaluations
+        end = ends(np.concatenate([np.tile(x, m), np.concatenate(v, axis=1)]))
+        return end[:d, :n], np.array(np.split(end[d:], m, axis=1)), evaluations
 
-    return advance
+    return follow
 
 
 def one_by_one(run: PeerRun) -> TangentMap:
     larger: Any = run.variational().call
     clock = larger.scene.clock
 
-    def advance(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
+    def follow(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float | np.ndarray]:
         m, d, n = v.shape
         moved = v if clock is None else np.delete(v, clock, axis=1)
         outcomes = larger.many(np.ascontiguousarray(np.concatenate([x, moved.reshape(-1, n)]).T))
@@ -267,4 +248,4 @@ def one_by_one(run: PeerRun) -> TangentMap:
         v = moved if clock is None else np.insert(moved, clock, 0.0, axis=1)
         return ends[:d], v, outcomes[:, FACTS.index("evaluations")]
 
-    return advance
+    return follow

@@ -6,17 +6,24 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from contactbench.checks import array, finite
+from contactbench.checks import finite, real_array
 from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.measure.law import conformal_deviation
 from contactbench.measure.laws import LAWS
-from contactbench.scene import BodyState, DrivenState, Scene, State, quaternion_of
-from contactbench.solution import DIVERGENCE, Status
+from contactbench.numbers.protocol import ArrayNamespace
+from contactbench.scene import AnyState, BodyState, DrivenState, Scene, State, quaternion_of
+from contactbench.solution import Status
+
+#: of NumPy, or of JAX, which are used alike
+Array = np.ndarray
+#: the largest deviation from each law, which trajectories have not diverged, and the last time each reached
+Marks = tuple[dict[str, Array], Array, Array]
 
 
 def members(
-    scene: Scene, carry: tuple[str, ...], given: Any, parameters: Mapping[str, Any]
+    scene: Scene, carry: tuple[str, ...], given: AnyState | Mapping[str, Any], parameters: Mapping[str, Any]
 ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """Return packed initial states (d, n), and by its place among the scene's numbers each parameter (n,)."""
     if isinstance(given, State | BodyState | DrivenState):
@@ -48,28 +55,28 @@ def members(
     return y0, {places.index(name): np.broadcast_to(columns[name], n) for name in parameters}
 
 
-def components(name: str, value: Any, default: Any) -> dict[str, np.ndarray]:
+def components(name: str, value: Any, default: object) -> dict[str, np.ndarray]:
     """Return the columns of an initial value by the names of its components; `default` : the scene's own."""
     if isinstance(default, np.ndarray):
-        rows = array(name, value, f"{len(default)} numbers, or {len(default)} × n of them")
+        rows = real_array(name, value, f"{len(default)} numbers, or {len(default)} × n of them")
         if rows.ndim > 2 or len(np.atleast_1d(rows)) != len(default):
             raise BadInput(f"{name} has shape {rows.shape}: must be ({len(default)},) or ({len(default)}, n)")
         return {f"{name}[{i}]": column(f"{name}[{i}]", row) for i, row in enumerate(rows)}
     if not isinstance(default, tuple):
         return {name: column(name, value)}
     try:
-        parts = tuple(value)
+        given = tuple(value)
     except TypeError:  # one number: the identity may be written as 1
-        parts = quaternion_of(value) if name == "R" else (value,)
-    if len(parts) != len(default):
+        given = quaternion_of(value) if name == "R" else (value,)
+    if len(given) != len(default):
         wanted = f"{len(default)} components, each a number or an array"
-        raise BadInput(f"{name}: must be {wanted}; got {len(parts)}")
-    return {f"{name}[{i}]": column(f"{name}[{i}]", part) for i, part in enumerate(parts)}
+        raise BadInput(f"{name}: must be {wanted}; got {len(given)}")
+    return {f"{name}[{i}]": column(f"{name}[{i}]", part) for i, part in enumerate(given)}
 
 
-def column(name: str, value: Any) -> np.ndarray:
+def column(name: str, value: object) -> np.ndarray:
     """Return a number or a one-dimensional array of finite numbers, or `BadInput`."""
-    numbers = array(name, value, "a number or an array of numbers")
+    numbers = real_array(name, value, "a number or an array of numbers")
     if numbers.ndim > 1:
         raise BadInput(f"{name}: must be a number or an array (n,), got shape {numbers.shape}")
     if not np.isfinite(numbers).all():
@@ -78,7 +85,7 @@ def column(name: str, value: Any) -> np.ndarray:
     return numbers
 
 
-def parameter(scene: Scene, name: str, value: Any) -> np.ndarray:
+def parameter(scene: Scene, name: str, value: object) -> np.ndarray:
     """Return values of a parameter, each of which the scene accepts without becoming another problem."""
     allowed = [known for known in scene.number_names() if known]
     if name not in allowed:
@@ -105,16 +112,10 @@ def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
     return [name for name, law in laws.items() if law.applies(scene) and {*law.needs_on(scene)} <= {*carry}]
 
 
-def furthest(scene: Scene, carry: tuple[str, ...], y0: np.ndarray, end: float) -> np.ndarray:
-    """Return how large the motion of each trajectory may become, (motion, m), from packed states (d, m)."""
-    with np.errstate(all="ignore"):
-        scales = scene.scales(scene.unpack(scene.components(y0), carry), end)[: scene.motion]
-        return DIVERGENCE * np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion], axis=0)))
-
-
-def within(y: Any, bound: Any, xp: Any = np) -> Any:
+def within(y: Array, bound: Array, xp: ArrayNamespace = np) -> Array:
     """Return which of the states y (d, m) are finite, and their first entries, the motion, within `bound`."""
-    return xp.isfinite(y).all(axis=0) & (xp.abs(y[: len(bound)]) <= bound).all(axis=0)
+    fine: Array = xp.isfinite(y).all(axis=0) & (xp.abs(y[: len(bound)]) <= bound).all(axis=0)
+    return fine
 
 
 class Watch:
@@ -125,7 +126,13 @@ class Watch:
     """
 
     def __init__(
-        self, scene: Scene, carry: tuple[str, ...], names: Sequence[str], bound: Any, y0: Any, xp: Any = np
+        self,
+        scene: Scene,
+        carry: tuple[str, ...],
+        names: Sequence[str],
+        bound: Array,
+        y0: Array,
+        xp: ArrayNamespace = np,
     ) -> None:
         self.scene, self.bound, self.xp = scene, bound, xp
         self.start = scene.unpack(scene.components(y0), carry)
@@ -133,28 +140,30 @@ class Watch:
         nothing = xp.zeros(y0.shape[1])
         self.begun = dict.fromkeys(self.origin, nothing), xp.ones(y0.shape[1], bool), nothing
 
-    def quantity(self, name: str, x: Any) -> Any:
+    def quantity(self, name: str, x: AnyState) -> Array:
         value = getattr(self.scene, DECAYING[name])(x)
-        parts = value if isinstance(value, tuple) else (value,)
-        return self.xp.stack(self.xp.broadcast_arrays(*parts), axis=-1)
+        vector = value if isinstance(value, tuple) else (value,)
+        stacked: Array = self.xp.stack(self.xp.broadcast_arrays(*vector), axis=-1)
+        return stacked
 
-    def deviation(self, name: str, x: Any, t: Any) -> Any:
+    def deviation(self, name: str, x: AnyState, t: float | Array) -> Array:
         terms = getattr(self.scene, f"{DECAYING[name]}_terms")(x)
         rate = self.scene.conformal_rate
-        return conformal_deviation(self.quantity(name, x), self.origin[name], t, rate, terms, self.xp)
+        found: Array = conformal_deviation(self.quantity(name, x), self.origin[name], t, rate, terms, self.xp)
+        return found
 
-    def at(self, marks: Any, x: Any, y: Any, t: Any) -> Any:
+    def at(self, marks: Marks, x: AnyState, y: Array, t: float | Array) -> Marks:
         worst, alive, end = marks
         alive = alive & within(y, self.bound, self.xp)
         worst = {name: self.xp.maximum(most, self.deviation(name, x, t)) for name, most in worst.items()}
         return worst, alive, self.xp.where(alive, t, end)
 
-    def result(self, marks: Any, x: Any, y: Any) -> Any:
+    def result(self, marks: Marks, x: AnyState, y: Array) -> tuple[Array, Array, Array]:
         """Return final states (d, m), measures (·, m) and end times (m,), nan where a trajectory diverged."""
         (worst, alive, end), xp = marks, self.xp
         energy = self.scene.energy(x) / self.scene.energy(self.start) - 1
         measures = xp.stack([energy, *worst.values()])
-        return xp.where(alive, y, xp.nan), xp.where(alive, measures, xp.nan), end
+        return xp.where(alive, y, np.nan), xp.where(alive, measures, np.nan), end
 
 
 class Statistic(NamedTuple):
@@ -176,7 +185,7 @@ def overall(names: list[str], rows: list[np.ndarray]) -> tuple[dict[str, Statist
 
     from contactbench.xla import jax
 
-    def join(rows: Any) -> np.ndarray:
+    def join(rows: ArrayLike) -> np.ndarray:
         rows, split = np.asarray(rows), 2 + len(names)
         return np.concatenate([rows[:, :split].sum(axis=0), rows[:, split:].max(axis=0)])
 

@@ -1,8 +1,4 @@
-"""What moved between two folders of tables, by the rule of each column, as one table.
-
-Which rows a fresh run must have, the rows before say themselves (column `profile`), so that one that is no longer
-made is noticed.  A new table is gated by its rules.  Times are compared by their ratios within a table.
-"""
+"""What moved between two folders of tables, by the rule of each column, as one table."""
 
 from __future__ import annotations
 
@@ -18,6 +14,7 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.measure.law import STRUCTURE
+from contactbench.report.markdown import escaped
 from contactbench.results import provenance
 from contactbench.results.schema import PROFILES, SPREAD, TABLES, Rule, Table, floor
 from contactbench.results.store import read
@@ -26,16 +23,17 @@ from contactbench.results.store import read
 IDLE_PACKAGES = ("contactbench", "pandas", "matplotlib", "pytest-benchmark")
 #: what a row of the findings has where nothing else is given; rows : of how many values it is the worst
 #: between : which two were compared
-BLANK: dict[str, Any] = dict.fromkeys(
-    ("between", "table", "scene", "method", "engine", "setting", "measure"), ""
-)
-BLANK |= {"before": "", "after": "", "result": "", "red": True, "rows": 1}
+type Row = dict[str, object]
+TEXTS = ("between", "table", "scene", "method", "engine", "setting", "measure", "before", "after", "result")
+BLANK: Row = {**dict.fromkeys(TEXTS, ""), "red": True, "rows": 1}
 INCONCLUSIVE = "inconclusive"
 
-Frames = Mapping[str, pd.DataFrame]
+#: the record of a run, as `provenance` has it
+type Run = dict[str, Any]
+type Frames = Mapping[str, pd.DataFrame]
 
 
-def rows_of(*rows: dict[str, Any]) -> pd.DataFrame:
+def rows_of(*rows: Mapping[str, object]) -> pd.DataFrame:
     return pd.DataFrame([{**BLANK, **row} for row in rows], columns=[*BLANK])
 
 
@@ -69,16 +67,12 @@ class Findings:
     def as_markdown(self) -> str:
         outcome = ("green", f"red, {self.red} found", INCONCLUSIVE)[self.status]
         rows = self.moved.sort_values("red", ascending=False, kind="stable")
-        cells = rows.drop(columns="red").astype(str).map(escape)
+        cells = rows.drop(columns="red").astype(str).map(escaped)
         cells["result"] = cells["result"].mask(rows["red"], "**" + cells["result"] + "**")
-        texts = "\n".join(f"- {escape(text)}" for text in (*self.compared, *self.incomplete, *self.notes))
+        texts = "\n".join(f"- {escaped(text)}" for text in (*self.compared, *self.incomplete, *self.notes))
         lines = [cells.columns, ["---"] * cells.shape[1], *cells.to_numpy()] if len(cells) else []
         grid = "\n".join(f"| {' | '.join(line)} |" for line in lines) or "Nothing moved."
         return f"# Regression gate: {outcome}\n\n{texts}\n\n{grid}\n"
-
-
-def escape(text: str) -> str:
-    return " ".join(text.replace("|", "\\|").replace("<", "&lt;").split())
 
 
 # -- how far a column may move: it names its rule (`schema.Rule`), `LIMITS` has what that allows -------
@@ -223,7 +217,7 @@ def locate(table: Table, rows: pd.DataFrame) -> pd.DataFrame:
     return found
 
 
-def show(value: Any) -> str:
+def show(value: object) -> str:
     return "" if pd.isna(value) else f"{value:.3g}" if isinstance(value, float | np.floating) else str(value)
 
 
@@ -281,14 +275,14 @@ def compare_fresh(before: Frames, now: Frames, runs: Runs, name: str) -> Finding
     return between("base → fresh", *moved) + Findings(compared=texts)
 
 
-def benchmark_runs(results: Path) -> list[dict[str, Any]]:
+def benchmark_runs(results: Path) -> list[Run]:
     found = [run for run in provenance.runs(results) if run["profile"] in PROFILES]
     if not found:
         raise BadInput(f"{results / 'environment.json'}: missing; the folder holds no finished benchmark run")
     return found
 
 
-def machine(run: dict[str, Any]) -> str:
+def machine(run: Run) -> str:
     """Return what of a run's record can move counts, empty where its instructions are not known."""
     if not run.get("isa"):
         return ""

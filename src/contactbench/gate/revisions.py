@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.plugins import VARIABLE
@@ -24,14 +23,18 @@ PIN = ".gate-base"
 JUDGED = "CONTACTBENCH_JUDGED_PYTHON"
 
 
-def git(root: Path, *arguments: str, text: bool = True) -> Any:
-    """Return the output of git, stripped, or its bytes; raise `BadInput` with its own last line."""
+def output(root: Path, *arguments: str) -> bytes:
+    """Return the output of git; raise `BadInput` with its own last line."""
     command = ["git", "--no-replace-objects", "-C", str(root), *arguments]
     done = subprocess.run(command, capture_output=True, env={**os.environ, "GIT_GRAFT_FILE": os.devnull})
     if done.returncode:
         message = done.stderr.decode(errors="replace").strip() or f"exit {done.returncode}"
         raise BadInput(f"git {arguments[0]} in {root}: {message.splitlines()[-1]}")
-    return done.stdout.decode(errors="replace").strip() if text else done.stdout
+    return done.stdout
+
+
+def git(root: Path, *arguments: str) -> str:
+    return output(root, *arguments).decode(errors="replace").strip()
 
 
 def find(root: Path, *arguments: str) -> str:
@@ -88,7 +91,7 @@ def pinned(root: Path, base: str) -> str:
 def checkout(root: Path, commit: str, *paths: str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="contactbench-base-") as scratch:
         tree = Path(scratch).resolve() / "base"
-        with tarfile.open(fileobj=BytesIO(git(root, "archive", commit, *paths, text=False))) as files:
+        with tarfile.open(fileobj=BytesIO(output(root, "archive", commit, *paths))) as files:
             files.extractall(tree, filter="data")
         if ours(root) and not paths and not ours(tree):
             raise BadInput(f"--base {commit[:12]}: that revision has no src/contactbench")

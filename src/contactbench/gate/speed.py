@@ -1,11 +1,7 @@
-"""Is the working tree slower than other revisions of it?  Timed in pairs.
+"""Is the working tree slower than other revisions of it?  Timed in pairs, each revision in a process of its own.
 
-Each revision has a process of its own, with its sources on PYTHONPATH, on the same core.  A round times every cell in
-shuffled order, the revisions right after one another in random order, so that whatever else the machine does meets
-all of them; the ratio of each pair is what counts, never a time.  The base is compared on every cell; on the public
-calls another revision too, one that is pinned, so that many small steps are seen.  A cell whose interval of the median
-ratio straddles `LIMIT` gets more rounds.  It is slower when the whole interval is above `LIMIT`, and is again in fresh
-processes: the layout of code and data in memory, drawn anew with every process, is worth some per cent.
+A round times every cell in shuffled order, the revisions right after one another in random order, so that whatever else
+the machine does meets all of them; the ratio of each pair is what counts, never a time.
 """
 
 from __future__ import annotations
@@ -21,6 +17,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
+from subprocess import PIPE
 from time import perf_counter
 from typing import Any
 
@@ -46,6 +43,9 @@ COMPILING, SECOND_LOOK = 0.6, 0.25
 #: the tree that is judged, and what it is compared with; a pair is one of the latter and the number of a cell
 HEAD, BASE, PINNED = "tree", "base", "pinned"
 type Pair = tuple[str, int]
+#: how a timing process is asked, and answers
+type Send = Callable[[object], None]
+type Receive = Callable[[], Any]
 
 #: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
 MAIN = ("particle", "particle_long", "rigid_body")
@@ -119,7 +119,7 @@ def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
     return (*few, *([f"no cell timed of {', '.join(left_out)}"] if left_out else []))
 
 
-def judge_speed(
+def compare_speed(
     root: Path, tree: Path, cells: Sequence[Cell], budget: float | None = None, pin: str = ""
 ) -> Findings:
     start = perf_counter()
@@ -164,6 +164,7 @@ def judge_speed(
 
 
 def decide(first: PairedRatio, again: PairedRatio | None) -> str:
+    """Return whether a cell is slower: so it is in fresh processes too, whose layout in memory is drawn anew."""
     if first.high <= LIMIT:
         return "pass"
     return "slower" if first.low > LIMIT and again is not None and again.low > LIMIT else INCONCLUSIVE
@@ -185,14 +186,11 @@ def time_pairs(
     draw = random.Random(0)
     left = None if until is None else max(1.0, COMPILING * (until - perf_counter()))
     # the head has every cell that one of the others has
-    asked = {HEAD: {i for _, i in pairs}} | {
-        side: {i for one, i in pairs if one == side} for side in trees if side != HEAD
-    }
+    asked = {side: {i for one, i in pairs if side in (one, HEAD)} for side in trees}
     refused: dict[Pair, str] = {}
     with ExitStack() as stack:
-        sides = {
-            side: stack.enter_context(timing_process(trees[side], root)) for side in asked if asked[side]
-        }
+        used = (side for side in asked if asked[side])
+        sides = {side: stack.enter_context(timing_process(trees[side], root)) for side in used}
         for side, (send, _) in sides.items():  # all compile at once
             send({"cells": {i: asdict(cells[i]) for i in sorted(asked[side])}, "seconds": left})
         for side, (_, receive) in sides.items():
@@ -225,9 +223,7 @@ def time_pairs(
 
 
 @contextmanager
-def timing_process(
-    tree: Path, root: Path | None = None
-) -> Iterator[tuple[Callable[[Any], None], Callable[[], Any]]]:
+def timing_process(tree: Path, root: Path | None = None) -> Iterator[tuple[Send, Receive]]:
     command = [sys.executable, "-P", str(Path(__file__).with_name("speed_worker.py"))]
     with (
         tempfile.TemporaryFile("w+") as errors,
@@ -236,14 +232,18 @@ def timing_process(
         # programs that one side has compiled must not spare the other the work
         names = ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR")
         variables = revisions.environment(tree, root) | dict.fromkeys(names, caches)
-        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
-        process: Any = subprocess.Popen(command, text=True, bufsize=1, env=variables, cwd=tree, **pipes)
+        process = subprocess.Popen(
+            command, text=True, bufsize=1, env=variables, cwd=tree, stdin=PIPE, stdout=PIPE, stderr=errors
+        )
+        to, out = process.stdin, process.stdout
+        assert to is not None
+        assert out is not None
 
-        def send(request: Any) -> None:
-            process.stdin.write(json.dumps(request) + "\n")
+        def send(request: object) -> None:
+            to.write(json.dumps(request) + "\n")
 
         def receive() -> Any:
-            line = process.stdout.readline()
+            line = out.readline()
             if line:
                 return json.loads(line)
             errors.seek(0)

@@ -1,20 +1,11 @@
-"""Run the integrators inside `diffrax.diffeqsolve`: differentiable, vmappable, with diffrax's adjoints and saving.
-
-import contactbench as cb
-import diffrax
-
-velocity = diffrax.ODETerm(lambda t, p, args: p)
-force = diffrax.ODETerm(lambda t, q, args: -q)
-damping = diffrax.ODETerm(lambda t, p, args: -0.1 * p)
-terms = velocity, diffrax.MultiTerm(force, damping)
-solver = cb.diffrax.Contact("contact-rkn6")
-diffrax.diffeqsolve(terms, solver, 0, 10, 0.1, (q, p), stepsize_controller=diffrax.ConstantStepSize())
-"""
+"""Run the integrators inside `diffrax.diffeqsolve`: differentiable, vmappable, with diffrax's adjoints and saving."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
+
+import numpy as np
 
 from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.methods.contact import ContactMethod
@@ -34,6 +25,7 @@ import equinox as eqx  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 from jax.flatten_util import ravel_pytree  # noqa: E402
+from jaxtyping import PyTree  # noqa: E402
 
 __all__ = ["Contact", "ReversibleAdjoint", "terms_of"]
 
@@ -45,19 +37,25 @@ LINEAR = 1e-6
 PAIR = 2
 XP = XlaNumbers()
 
+#: what diffrax takes for a real number
+Real = int | float | jax.Array | np.ndarray
+Term = diffrax.AbstractTerm[Any, Any]
+#: the velocity, and the force and the damping together
+Terms = tuple[Term, diffrax.MultiTerm[tuple[Term, Term]]]
 
-def moved(y: Any, slope: Any, factor: Any = 1.0) -> Any:
+
+def moved(y: PyTree, slope: PyTree, factor: Real = 1.0) -> PyTree:
     return jax.tree.map(lambda a, b: a + factor * b, y, slope)
 
 
-def depends_on_time(function: Callable[[Any], Any], t: Any) -> bool:
+def depends_on_time(function: Callable[[Real], PyTree], t: Real) -> bool:
     traced = jax.make_jaxpr(function)(t).jaxpr
     (time,) = traced.invars
     read = [*(x for equation in traced.eqns for x in equation.invars), *traced.outvars]
     return any(x is time for x in read)
 
 
-def parts(terms: Any) -> tuple[Any, Any, Any]:
+def three_terms(terms: Terms) -> tuple[Term, Term, Term]:
     velocity, on_momentum = terms
     return velocity, *on_momentum.terms
 
@@ -65,19 +63,19 @@ def parts(terms: Any) -> tuple[Any, Any, Any]:
 class Flows:
     """The exact subflows of three terms on y = (q, p), each over a part of a step from time t on."""
 
-    def __init__(self, terms: Any, t: Any, y: Any, args: Any) -> None:
-        self.velocity, self.force, self.damping = parts(terms)
+    def __init__(self, terms: Terms, t: Real, y: PyTree, args: PyTree) -> None:
+        self.velocity, self.force, self.damping = three_terms(terms)
         self.args, ones = args, jax.tree.map(jnp.ones_like, y[1])
         #: −1 where diffrax goes back in time: the times it gives ascend, and the control of a term has the sign
         self.sign = self.velocity.contr(t, t + 1.0)
 
-        def rates(t: Any) -> Any:
+        def rates(t: Real) -> PyTree:
             """Return the rate of damping of each momentum: what it does to a momentum of ones."""
             return jax.tree.map(lambda slope: -self.sign * slope, self.damping.vf(t, ones, args))
 
         self.rates, self.changes = rates, depends_on_time(rates, jnp.asarray(t, dtype=float))
 
-    def are_others(self, t: Any, p: Any) -> Any:
+    def are_others(self, t: Real, p: PyTree) -> jax.Array:
         """Return whether, on two momenta, the damping is not −rate p or the velocity not linear."""
         flat, tree = ravel_pytree(p)
         one, two = (tree((k + jnp.arange(1.0, flat.size + 1) ** k).astype(flat.dtype)) for k in (1, 2))
@@ -85,13 +83,14 @@ class Flows:
         damped = jax.tree.map(lambda rate, p: -self.sign * rate * p, self.rates(t), two)
         pairs = (self.damping.vf(t, two, self.args), damped), (moved(*velocities[:2]), velocities[2])
 
-        def differ(a: Any, b: Any) -> Any:
+        def differ(a: PyTree, b: PyTree) -> jax.Array:
             a, b = ravel_pytree(a)[0], ravel_pytree(b)[0]
-            return jnp.linalg.norm(a - b) > LINEAR * jnp.linalg.norm(b)
+            far: jax.Array = jnp.linalg.norm(a - b) > LINEAR * jnp.linalg.norm(b)
+            return far
 
         return differ(*pairs[0]) | differ(*pairs[1])
 
-    def spent(self, t: Any, h: Any) -> tuple[Any, Any]:
+    def spent(self, t: Real, h: Real) -> tuple[PyTree, PyTree]:
         """Return ∫γ over a part of a step and φ, the time that a damped momentum is worth, of each momentum."""
         if not self.changes:
             rates = self.rates(t)
@@ -99,27 +98,27 @@ class Flows:
             return total, jax.tree.map(lambda rate: damped_time(rate, h, XP), rates)
         leaves, structure = jax.tree.flatten(self.rates(t))
 
-        def integrals(i: int) -> tuple[Any, Any]:
+        def integrals(i: int) -> tuple[PyTree, PyTree]:
             return quadrature.integrals(lambda t: jax.tree.leaves(self.rates(t))[i], t, h, XP)
 
         each = [integrals(i) for i in range(len(leaves))]
         total, phi = (jax.tree.unflatten(structure, part) for part in zip(*each, strict=True))
         return total, phi
 
-    def kick(self, t: Any, y: Any, h: Any) -> Any:
+    def kick(self, t: Real, y: PyTree, h: Real) -> PyTree:
         q, p = y
         return q, moved(p, self.force.vf(t, q, self.args), self.sign * h)
 
-    def drift(self, t: Any, y: Any, h: Any) -> Any:
+    def drift(self, t: Real, y: PyTree, h: Real) -> PyTree:
         q, p = y
         return moved(q, self.velocity.vf(t, p, self.args), self.sign * h), p
 
-    def damp(self, t: Any, y: Any, h: Any) -> Any:
+    def damp(self, t: Real, y: PyTree, h: Real) -> PyTree:
         q, p = y
         total, _ = self.spent(t, h)
         return q, jax.tree.map(lambda p, G: p + jnp.expm1(-G) * p, p, total)
 
-    def drift_damp(self, t: Any, y: Any, h: Any) -> Any:
+    def drift_damp(self, t: Real, y: PyTree, h: Real) -> PyTree:
         """Return q + velocity(φ p) and e^{−∫γ} p: exact where the velocity is linear in p."""
         q, p = y
         total, phi = self.spent(t, h)
@@ -127,17 +126,19 @@ class Flows:
         q = moved(q, self.velocity.vf(t, worth, self.args), self.sign)
         return q, jax.tree.map(lambda p, G: p + jnp.expm1(-G) * p, p, total)
 
-    def apply(self, flow: str, t: Any, y: Any, h: Any) -> Any:
+    def apply(self, flow: str, t: Real, y: PyTree, h: Real) -> PyTree:
         return getattr(self, flow)(t, y, h)
 
-    def run(self, stages: Sequence[Stage], t: Any, y: Any, h: Any) -> tuple[Any, Any]:
+    def run(self, stages: Sequence[Stage], t: Real, y: PyTree, h: Real) -> tuple[Real, PyTree]:
         """Apply stages, in a loop where their flows alternate; return the time and the state after them."""
         if len(stages) > PAIR and len(stages) % PAIR:
             return self.run(stages[1:], *self.run(stages[:1], t, y, h), h)
         names = [name for name, _ in stages]
         alternate = len(stages) > PAIR and names == names[:PAIR] * (len(stages) // PAIR)
 
-        def round_of(carried: Any, coefficients: Any) -> Any:
+        def round_of(
+            carried: tuple[Real, PyTree], coefficients: jax.Array
+        ) -> tuple[tuple[Real, PyTree], None]:
             t, y = carried
             for name, coefficient in zip(names, coefficients, strict=False):
                 y = self.apply(name, t, y, coefficient * h)
@@ -178,10 +179,10 @@ class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
     def plan(self) -> Plan:
         return arrange(self.composition.stages, self.composition.processor)
 
-    def order(self, terms: Any) -> int:
+    def order(self, terms: Terms) -> int:
         return self.composition.order
 
-    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
+    def init(self, terms: Terms, t0: Real, t1: Real, y0: PyTree, args: PyTree) -> PyTree:
         """Return what a run goes on from: the kernel's state, and the size of a step."""
         t0, h = jnp.asarray(t0, dtype=float), jnp.asarray(t1 - t0, dtype=float)
         flows = Flows(terms, t0, y0, args)
@@ -189,8 +190,15 @@ class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
         return flows.run(self.plan.opening, t0, y0, h)[1], h
 
     def step(
-        self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
-    ) -> tuple[Any, None, dict[str, Any], Any, Any]:
+        self,
+        terms: Terms,
+        t0: Real,
+        t1: Real,
+        y0: PyTree,
+        args: PyTree,
+        solver_state: PyTree,
+        made_jump: bool | jax.Array | np.ndarray,
+    ) -> tuple[PyTree, None, dict[str, PyTree], PyTree, Any]:
         """Take a step; where its size is another than before, the run is opened anew."""
         plan, (y, before), t0, h = self.plan, solver_state, jnp.asarray(t0, dtype=float), t1 - t0
         flows = Flows(terms, t0, y0, args)
@@ -203,8 +211,8 @@ class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
             ends[name] = jax.tree.map(lambda slope: flows.sign * h * slope, self.func(terms, time, end, args))
         return y1, None, ends, (flows.run(plan.joint, t, y, h)[1], h), diffrax.RESULTS.successful
 
-    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
-        velocity, force, damping = parts(terms)
+    def func(self, terms: Terms, t0: Real, y0: PyTree, args: PyTree) -> PyTree:
+        velocity, force, damping = three_terms(terms)
         q, p = y0
         return velocity.vf(t0, p, args), moved(force.vf(t0, q, args), damping.vf(t0, p, args))
 
@@ -213,15 +221,15 @@ class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
 class Backward(Flows):
     """The subflows taken back on (y, ȳ, total), ȳ the derivative in y, total in the parameters as far as summed up."""
 
-    def __init__(self, terms: Any, t: Any, y: Any, args: Any) -> None:
+    def __init__(self, terms: Terms, t: Real, y: PyTree, args: PyTree) -> None:
         super().__init__(terms, t, y, args)
         self.parameters, self.rest = eqx.partition((args, terms), eqx.is_inexact_array)
 
-    def apply(self, flow: str, t: Any, y: Any, h: Any) -> Any:
+    def apply(self, flow: str, t: Real, y: PyTree, h: Real) -> PyTree:
         end, slope, total = y
         start, t_start = super().apply(flow, t, end, h), t + h if flow in CLOCKS else t
 
-        def forward(y: Any, parameters: Any) -> Any:
+        def forward(y: PyTree, parameters: PyTree) -> PyTree:
             args, terms = eqx.combine(parameters, self.rest)
             return Flows(terms, t_start, y, args).apply(flow, t_start, y, -h)
 
@@ -230,19 +238,21 @@ class Backward(Flows):
 
 
 @eqx.filter_custom_vjp
-def end_of(inputs: Any, ys: Any, run: Any) -> Any:
+def end_of(inputs: PyTree, ys: PyTree, run: PyTree) -> PyTree:
     """Return ys, the saved end of a run, as a function of its inputs (y0, args, terms)."""
     return ys
 
 
 @end_of.def_fwd
-def keep_end(perturbed: Any, inputs: Any, ys: Any, run: Any) -> tuple[Any, Any]:
+def keep_end(perturbed: PyTree, inputs: PyTree, ys: PyTree, run: PyTree) -> tuple[PyTree, PyTree]:
     # what is kept depends on the inputs too: a second derivative is refused by JAX, not taken without that
     return ys, end_of(inputs, ys, run)
 
 
 @end_of.def_bwd
-def take_back(ys: Any, slopes: Any, perturbed: Any, inputs: Any, _: Any, run: Any) -> tuple[Any, Any, Any]:
+def take_back(
+    ys: PyTree, slopes: PyTree, perturbed: PyTree, inputs: PyTree, _: PyTree, run: PyTree
+) -> PyTree:
     (y0, args, terms), (solver, tolerance, t0, t1, dt0) = inputs, run
     n = jnp.maximum(jnp.round((t1 - t0) / dt0).astype(int), 1)
     h, plan = (t1 - t0) / n, solver.plan
@@ -252,10 +262,10 @@ def take_back(ys: Any, slopes: Any, perturbed: Any, inputs: Any, _: Any, run: An
     )
     flows = Backward(terms, t1, y1, args)
 
-    def back(stages: Sequence[Stage], t: Any, y: Any) -> tuple[Any, Any]:
+    def back(stages: Sequence[Stage], t: Real, y: PyTree) -> tuple[Real, PyTree]:
         return flows.run(stages[::-1], t, y, -h)
 
-    def before(k: Any, y: Any) -> tuple[Any, Any]:
+    def before(k: Real, y: PyTree) -> tuple[Real, PyTree]:
         return back(plan.inner, t1 - (k + time_of(plan.closing)) * h, y)
 
     _, y = back(plan.closing, t1, (y1, slope, jax.tree.map(jnp.zeros_like, flows.parameters)))
@@ -294,7 +304,9 @@ class ReversibleAdjoint(diffrax.AbstractAdjoint):
 
     tolerance: float = 1e-6
 
-    def loop(self, *, args: Any, terms: Any, init_state: Any, **options: Any) -> Any:
+    def loop(
+        self, *, args: PyTree, terms: Terms, init_state: PyTree, **options: Any
+    ) -> tuple[PyTree, dict[str, PyTree]]:
         solver, (t0, t1, dt0) = options["solver"], (options[name] for name in ("t0", "t1", "dt0"))
         constant = isinstance(options["stepsize_controller"], diffrax.ConstantStepSize)
         end_alone = eqx.tree_equal(options["saveat"], diffrax.SaveAt(t1=True))
@@ -356,7 +368,7 @@ def Contact(method: str) -> ContactSolver:
     return ContactSolver(chosen.composition)
 
 
-def terms_of(scene: Scene | str) -> tuple[Any, Any]:
+def terms_of(scene: Scene | str) -> Terms:
     """Return the terms of a scene; ``args`` are its parameters by name, or None for its own.
 
     Parameters
@@ -394,7 +406,7 @@ def terms_of(scene: Scene | str) -> tuple[Any, Any]:
     names, own = scene.number_names(), scene.numbers()
     known = {*names} - {"", "kappa"}  # that of a damping which is not linear
 
-    def twin(args: Any) -> Any:
+    def twin(args: PyTree) -> PyTree:
         given = {} if args is None else args
         if not isinstance(given, dict):
             raise BadInput(f"args = {excerpt(args)}: must be parameters by name, as {{'gamma': 0.3}}")
@@ -403,17 +415,16 @@ def terms_of(scene: Scene | str) -> tuple[Any, Any]:
                 raise unknown_name("parameter", name, sorted(known))
         return scene.with_numbers([given.get(name, x) for name, x in zip(names, own, strict=True)])
 
-    def state(t: Any, q: Any, p: Any) -> Any:
+    def state(t: Real, q: PyTree, p: PyTree) -> Any:
         return scene.unpack(scene.with_clock([*q, *p], t), ())
 
-    def velocity(t: Any, p: Any, args: Any) -> Any:
+    def velocity(t: Real, p: PyTree, args: PyTree) -> PyTree:
         return jnp.stack(twin(args).velocity(tuple(p)))
 
-    def force(t: Any, q: Any, args: Any) -> Any:
+    def force(t: Real, q: PyTree, args: PyTree) -> PyTree:
         return -jnp.stack(twin(args).gradient_at(state(t, q, q)))
 
-    def damping(t: Any, p: Any, args: Any) -> Any:
+    def damping(t: Real, p: PyTree, args: PyTree) -> PyTree:
         return -twin(args).damping_at(state(t, p, p)) * p
 
-    terms = map(diffrax.ODETerm, (force, damping))
-    return diffrax.ODETerm(velocity), diffrax.MultiTerm(*terms)
+    return diffrax.ODETerm(velocity), diffrax.MultiTerm(diffrax.ODETerm(force), diffrax.ODETerm(damping))

@@ -1,11 +1,4 @@
-"""Run the integrators inside `scipy.integrate.solve_ivp`, with its events and dense output.
-
-import contactbench as cb
-from scipy.integrate import solve_ivp
-
-contact = cb.scipy.Contact("contact-rkn6", "particle")
-sol = solve_ivp(contact.rhs, (0, 20), contact.start, method=contact, max_step=0.1, dense_output=True)
-"""
+"""Run the integrators inside `scipy.integrate.solve_ivp`, with its events and dense output."""
 
 from __future__ import annotations
 
@@ -14,19 +7,20 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.integrate import DenseOutput, OdeSolver
 from scipy.integrate._ivp.common import warn_extraneous
 
 from contactbench.checks import positive
 from contactbench.errors import BadInput, excerpt
-from contactbench.methods.fixed_step_run import steps_in
-from contactbench.methods.loops import Loop, identity
+from contactbench.methods.loops import Count, Loop, identity
 from contactbench.methods.one_step import OneStep, step_map
-from contactbench.methods.prepared import NO_NUMBER
-from contactbench.numbers.control import repeat
+from contactbench.methods.prepared import NO_NUMBER, furthest
+from contactbench.methods.prescribed import steps_in
+from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.dual import Dual, slope
-from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Cache, Scene, key, verify
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.scene import Cache, Scene, Vector, key, verify
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.compiled import COMPILES
 from contactbench.trace.program import record
@@ -47,17 +41,17 @@ _loops: Cache[Loop] = Cache(256)
 class Run:
     """An uninterrupted run of steps of size h; `kept` is what it goes on from, packed."""
 
-    def __init__(self, step: OneStep, h: float, start: np.ndarray) -> None:
+    def __init__(self, one: OneStep, h: float, start: np.ndarray) -> None:
         try:
-            if not COMPILES or step.many or len(step.start) > LARGEST:
+            if not COMPILES or one.many or len(one.start) > LARGEST:
                 raise CannotRecord
-            pieces = [compiled(step, h, which) for which in range(4)]
+            pieces = [compiled(one, h, which) for which in range(4)]
         except CannotRecord:
-            pieces = [plain(step, h, which) for which in range(4)]
+            pieces = [plain(one, h, which) for which in range(4)]
         opening, self.begin, self.lead_on, self.close = pieces
         self.kept = opening(start)
 
-    def advance(self) -> np.ndarray:
+    def step(self) -> np.ndarray:
         begun = self.begin(self.kept)
         self.kept = self.lead_on(begun)
         return self.close(begun)
@@ -71,14 +65,16 @@ def compiled(step: OneStep, h: float, which: int) -> Callable[[np.ndarray], np.n
         return lambda y: y
     d = len(step.start)
 
-    def advance(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+    def some(
+        numbers: Sequence[Arithmetic], h: Arithmetic, n: Count, y: Vector, xp: Namespace, repeat: Repeat
+    ) -> list[Arithmetic]:
         twin, x = scene.with_numbers(numbers), scene.unpack(y, carry)
         if which not in LOOPED:
             return scene.pack(piece(twin, x, h, xp, repeat))
         return scene.pack(repeat(n, lambda x: piece(twin, x, h, xp, repeat), x))
 
     def make() -> Loop:
-        return Loop(record(advance, len(scene.numbers()), d, d, DIVERGENCE), 0.0)
+        return Loop(record(some, len(scene.numbers()), d, d, DIVERGENCE), 0.0)
 
     loop = _loops.get(key(identity(method, scene, carry), which), make)
     run, rows = loop.run, loop.rows(np.array(scene.numbers()), np.array([h]), np.array([1]))
@@ -111,7 +107,7 @@ class Hermite(DenseOutput):
 
     def __init__(self, t_old: float, t: float, ends: Sequence[Sequence[np.ndarray]]) -> None:
         super().__init__(t_old, t)
-        self.coefficients: tuple[Any, ...]
+        self.coefficients: tuple[np.ndarray, ...]
         (y, d, *e), (y1, d1, *e1) = ends
         if not e:
             self.coefficients = y, d, 3 * (y1 - y) - 2 * d - d1, 2 * (y - y1) + d + d1
@@ -141,13 +137,13 @@ class ContactSolver(OdeSolver):
 
     def __init__(
         self,
-        fun: Callable[[float, np.ndarray], Any],
+        fun: Callable[[float, np.ndarray], ArrayLike],
         t0: float,
-        y0: Any,
+        y0: ArrayLike,
         t_bound: float,
         max_step: float = math.inf,
         vectorized: bool = False,
-        **extraneous: Any,
+        **extraneous: object,
     ) -> None:
         name = self.step_map.method.name
         if max_step == math.inf:
@@ -163,9 +159,7 @@ class ContactSolver(OdeSolver):
         self.max_step = span / self.steps
         self.motion = self.step_map.scene.motion
         start = self.packed(t0, self.y)
-        state = self.step_map.scene.unpack(self.step_map.scene.entries(start), self.step_map.carry)
-        scales = self.step_map.scene.scales(state, span)[: self.motion]
-        self.bound = DIVERGENCE * np.fmax(scales, max(1.0, float(np.linalg.norm(self.y[: self.motion]))))
+        self.bound = furthest(self.step_map.scene, self.step_map.carry, start, span)
         self.cost = self.step_map.method.per_step(self.step_map.scene, self.step_map.carry)
         if span:
             self.run = Run(self.step_map, self.direction * self.max_step, start)
@@ -192,7 +186,7 @@ class ContactSolver(OdeSolver):
 
     def _step_impl(self) -> tuple[bool, str | None]:
         try:
-            reached = self.run.advance()
+            reached = self.run.step()
         except NO_NUMBER:  # Python's way to say inf or nan
             reached = np.full(len(self.step_map.start), math.nan)
         self.taken += 1
@@ -215,7 +209,8 @@ class ContactSolver(OdeSolver):
 
     def step(self) -> str | None:
         self._y_old = self.y
-        return super().step()
+        message: str | None = super().step()
+        return message
 
     def _end(self, t: float, y: np.ndarray) -> list[np.ndarray]:
         """Return y, y' and, where dual numbers pass through the scene, y''."""
@@ -284,7 +279,7 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
         raise BadInput(f"scene {step.scene.name!r}: {why}")
     made, carried, many = step.scene, step.carry, step.many
 
-    def rhs(t: float, y: Any) -> np.ndarray:
+    def rhs(t: float, y: ArrayLike) -> np.ndarray:
         """Return the scene's slope at time t and state y, the state less the time."""
         entries = np.asarray(y, dtype=float) if many else np.asarray(y, dtype=float).tolist()
         return np.array(made.slopes(float(t), entries, carried), dtype=float)

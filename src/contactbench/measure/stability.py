@@ -68,7 +68,7 @@ def step_matrix(method: FixedStep, gamma: float, omega: float, h: float | np.nda
     scene, steps = oscillator(gamma, omega), np.asarray(h, dtype=float)
     q, p = (np.multiply.outer(unit, np.ones_like(steps)) for unit in np.eye(2))  # both unit vectors at once
     with np.errstate(all="ignore"):  # e^{γ|a|h} of a negative substep may overflow: unstable, then
-        x = method.advance(scene, State((q,), (p,)), steps, 1, ELEMENTWISE)
+        x = method.advance(scene, State((q,), (p,)), steps, 1, ELEMENTWISE)  # type: ignore[arg-type]
     entries = [np.broadcast_to(row, q.shape) for row in (*x.q, *x.p)]
     return np.moveaxis(np.array(entries), (0, 1), (-2, -1))
 
@@ -121,7 +121,7 @@ def stability(method: FixedStep, gamma: float, omega: float) -> Stability:
             trace = matrix[..., 0, 0] + matrix[..., 1, 1]
             det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
             # that of a conformal contact map is its factor, without cancellation
-            factor = method.conformal_factor(oscillator(gamma, omega), h, ELEMENTWISE)
+            factor = method.conformal_factor(oscillator(gamma, omega), h, ELEMENTWISE)  # type: ignore[arg-type]
             det = det if factor is None else factor
             return np.array([trace / (1 + det), det])
 

@@ -149,10 +149,10 @@ class Average(NamedTuple):
 def blocks(series: np.ndarray) -> np.ndarray:
     """Return block means (B, m) of a series (k, m, n): n runs, each cut where that makes fewer than `BLOCKS`."""
     k, m, n = series.shape
-    parts = min(k, -(-BLOCKS // n))
-    length = k // parts
-    cut = series[k - parts * length :].reshape(parts, length, m, n).mean(axis=1)
-    return np.moveaxis(cut, 2, 0).reshape(n * parts, m)
+    pieces = min(k, -(-BLOCKS // n))
+    length = k // pieces
+    cut = series[k - pieces * length :].reshape(pieces, length, m, n).mean(axis=1)
+    return np.moveaxis(cut, 2, 0).reshape(n * pieces, m)
 
 
 def jackknife(means: np.ndarray, function: Callable[[np.ndarray], np.ndarray] = lambda mean: mean) -> Average:

@@ -1,8 +1,4 @@
-"""The contract of a method, and the way from a question to a prepared solver.
-
-`METHODS` holds everything that is compared.  What a method must be, and what experiments, laws and tables rely
-on, are the numbered rules of `Method`; `contactbench.testing.check_method` tests every one of them.
-"""
+"""The contract of a method, and the way from a question to a prepared solver."""
 
 from __future__ import annotations
 
@@ -10,18 +6,18 @@ import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
 
 from contactbench.blame import blame
-from contactbench.checks import array, positive, text, whole
+from contactbench.checks import positive, text, whole
 from contactbench.errors import BadInput, excerpt
-from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_start
-from contactbench.methods.prescribed import end_times, steps_of, steps_until
+from contactbench.methods.prescribed import SHORTEST_RUN, default_times, saved_times, steps_of, steps_until
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Mechanical, Scene, verify
+from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
 from contactbench.scene.definition import verify_at
 from contactbench.solution import EXACT, Solution
@@ -48,14 +44,6 @@ DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
 #: the largest budget: a year at ten steps in a microsecond is less
 MOST_STEPS = 10**14
-#: saved times when the caller names none: every k-th step with at most this many for fixed steps,
-#: this many equal intervals for adaptive methods
-DEFAULT_SAVES = 1000
-ADAPTIVE_SAVES = 200
-#: numbers in all saved states at most, where the caller names no times: 128 MB
-MOST_SAVED = 2**24
-#: parts of a shorter run are no longer normal numbers
-SHORTEST_RUN = 1e-290
 
 
 class Method(ABC):
@@ -71,7 +59,9 @@ class Method(ABC):
      3. ``prepare(request)`` does all that depends on scene, setting and saved times alone (recording, compiling,
         allocating); where that fails for one engine it raises `CannotRecord`, and the next one is tried.  The
         result is called any number of times, with other initial data if wanted; no call leaves a trace: equal
-        data, equal bits.
+        data, equal bits.  Of steps that are given a `FixedStepRun` divides the time and a `StepLoop` takes them: from
+        a packed state, sizes h[k] and numbers n[k] to the states after n[k] steps of size h[k], (k, d), and the
+        evaluations made, None where `counts` knows them beforehand.
      4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.
      5. ``bare(y0)`` is the solver's own call, by its fastest way: the last state of the run to within the
         roundings of another way to the same time.  It is what is timed.
@@ -140,9 +130,6 @@ class Method(ABC):
         """Return why the scene is out of reach, or None."""
         return None
 
-    def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:  # noqa: B027
-        """Raise `BadInput` for a user's step map that is none; other methods have no step to be tried."""
-
     @abstractmethod
     def prepare(self, request: Request) -> Prepared:
         """Return a run for the request, compiled."""
@@ -176,9 +163,11 @@ def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
 
 # -- from a question to a prepared solver -------------------------------------------------------------------
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
-    chosen = METHODS[method] if isinstance(method, str) or not isinstance(method, Method) else method
-    text("method name", chosen.name)
-    return scene_of(scene), chosen
+    """Return a scene and a method, each itself or by name."""
+    if isinstance(method, str) or not isinstance(method, Method):
+        return scene_of(scene), METHODS[method]
+    text("method name", method.name)
+    return scene_of(scene), method
 
 
 def prepare(
@@ -248,16 +237,18 @@ def prepare(
     request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
     if isinstance(request, Refused):
         return request
-    engines = engines_of(chosen) if engine is None else (engine,)
+    refused: list[Refused] = []
     try:
-        run = first = prepare_on_engine(chosen, request)
-        for other in engines[1:]:
+        for each in engines_of(chosen) if engine is None else (engine,):
+            run = prepare_on_engine(
+                chosen, request if each == request.engine else replace(request, engine=each)
+            )
             if not isinstance(run, Refused):
                 return run
-            run = prepare_on_engine(chosen, replace(request, engine=other))
+            refused.append(run)
     except BaseException as error:
         raise blame(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
-    return first if isinstance(run, Refused) else run
+    return refused[0]
 
 
 def prepare_on_engine(method: Method, request: Request) -> Prepared:
@@ -273,13 +264,13 @@ def prepare_on_engine(method: Method, request: Request) -> Prepared:
 def make_request(
     scene: Scene,
     chosen: Method,
-    step: Any,
-    rtol: Any = None,
-    atol: Any = None,
-    save_at: Any = None,
-    carry: Any = None,
-    engine: Any = None,
-    max_steps: Any = None,
+    step: object,
+    rtol: object = None,
+    atol: object = None,
+    save_at: object = None,
+    carry: Sequence[str] | None = None,
+    engine: str | None = None,
+    max_steps: int | None = None,
 ) -> Request | Refused:
     """Return the checked request for the first engine; `Refused` where the method refuses the scene."""
     if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
@@ -300,99 +291,65 @@ def make_request(
     request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget, steps)
     if (why := chosen.refuses(scene) or too_large(chosen, request)) is not None:
         return Refused(chosen.name, request, why)
-    if scene.has_users_functions:
-        verify(scene)
     require_start(scene, request.carry)
     if chosen.adaptive and atol is None and (chosen.takes_atol or chosen.own_time):
-        request = request.to_scale(scene.initial(request.carry), chosen.takes_atol)
-    chosen.try_step(scene, request.carry, step)
+        request = request.to_scale(chosen.takes_atol)
     return request
 
 
 def too_large(chosen: Method, request: Request) -> str | None:
     """Return why a scene has too many components to be compiled one by one, or None."""
     scene, most = request.scene, chosen.largest
-    if not isinstance(scene, Mechanical) or request.engine in CALLBACKS or len(scene.q) <= most:
+    if scene.by_sites or request.engine in CALLBACKS or scene.motion <= 2 * most:
         return None
-    size = f"the {len(scene.q)} components of scene {scene.name!r}, more than {most}"
+    size = f"the {scene.motion // 2} components of scene {scene.name!r}, more than {most}"
     plain = "take engine='python', or " if "python" in chosen.engines else ""
     other = f"{plain}write it as a cb.Lattice or cb.Particles, of any size, for methods such as contact-rkn6"
     return f"{chosen.name} would compile {size}, one by one: {other}"
 
 
 def setting_of(
-    method: Method, step: Any, rtol: Any, atol: Any
+    method: Method, step: object, rtol: object, atol: object
 ) -> tuple[float | np.ndarray | None, float | None, float | None]:
     """Return step, or an array of them, rtol and atol, all checked."""
     name = method.name
+    given = {key: v for key, v in (("step", step), ("rtol", rtol), ("atol", atol)) if v is not None}
+    told = (f"{key} = {excerpt(value)}" for key, value in given.items())  # in this order
     if method.exact:
-        if not step is rtol is atol is None:
-            given = f"step = {excerpt(step)}, rtol = {excerpt(rtol)}, atol = {excerpt(atol)}"
-            raise BadInput(f"{given}: {name} is exact and takes neither step nor tolerance")
+        if given:
+            raise BadInput(f"{', '.join(told)}: {name} is exact and takes neither step nor tolerance")
         return None, None, None
     if method.adaptive:
         if step is not None:
-            raise BadInput(f"step = {excerpt(step)}: {name} chooses its own steps; give rtol")
-        if atol is not None and not method.takes_atol:
-            raise BadInput(f"atol = {excerpt(atol)}: {name} takes rtol alone")
+            raise BadInput(f"{next(told)}: {name} chooses its own steps; give rtol")
         if rtol is None:
             raise BadInput(f"rtol is missing: {name} is adaptive; give rtol")
-        rtol = tolerance(method, rtol)
-        if not method.takes_atol:
-            return None, rtol, None
-        return None, rtol, None if atol is None else positive("atol", atol)
-    if step is not None and rtol is not None:
-        raise BadInput(
-            f"step = {excerpt(step)} and rtol = {excerpt(rtol)}: {name} takes one of them, a fixed step or "
-            "a tolerance to choose it from"
-        )
+        if atol is not None and not method.takes_atol:
+            raise BadInput(f"atol = {excerpt(atol)}: {name} takes rtol alone")
+        return None, tolerance(method, rtol), None if atol is None else positive("atol", atol)
     if atol is not None:
         raise BadInput(f"atol = {excerpt(atol)}: {name} has a fixed step and takes no atol")
-    if step is rtol is None:
+    if len(given) == 2:
+        what = "takes one of them, a fixed step or a tolerance to choose it from"
+        raise BadInput(f"{' and '.join(told)}: {name} {what}")
+    if not given:
         raise BadInput(f"step is missing: {name} has a fixed step; give step, or rtol to have it chosen")
-    if step is None and not method.one_step:
-        why = f"rtol = {excerpt(rtol)}: the error of {name} is no clean power of its step; give step"
-        raise BadInput(why)
     if step is None:
+        if not method.one_step:
+            raise BadInput(f"{next(told)}: the error of {name} is no clean power of its step; give step")
         return None, tolerance(method, rtol), None
     plain = isinstance(step, float | int | str | bytes) or not np.iterable(step)
     return positive("step", step) if plain else steps_of(step), None, None
 
 
-def tolerance(method: Method, rtol: Any) -> float:
-    rtol = positive("rtol", rtol)
-    low, high = method.rtol_range
-    if not low <= rtol <= high:
-        raise BadInput(f"rtol = {rtol!r}: {method.name} takes {low:g} to {high:g}")
-    return rtol
+def tolerance(method: Method, rtol: object) -> float:
+    value, (low, high) = positive("rtol", rtol), method.rtol_range
+    if not low <= value <= high:
+        raise BadInput(f"rtol = {value!r}: {method.name} takes {low:g} to {high:g}")
+    return value
 
 
-def default_times(scene: Scene, step: float | np.ndarray | None, budget: int) -> np.ndarray:
-    most = max(1, MOST_SAVED // scene.motion)
-    if step is None:
-        return np.linspace(0.0, scene.t_end, min(ADAPTIVE_SAVES, most) + 1)
-    n = len(step) if isinstance(step, np.ndarray) else int(steps_in(scene.t_end, scene.t_end, step))
-    if n > budget:  # will end as `budget`; no grid of that size is needed
-        return np.array([scene.t_end])
-    stride = -(-n // min(DEFAULT_SAVES, most))
-    marks = np.arange(0, n + stride, stride)
-    marks[-1] = n
-    if isinstance(step, np.ndarray):
-        return np.concatenate([[0.0], end_times(step)[marks[1:-1] - 1], [scene.t_end]])
-    return marks * (scene.t_end / n)
-
-
-def saved_times(save_at: Any) -> np.ndarray:
-    times = np.array(array("save_at", save_at, "increasing times"), ndmin=1)  # a copy
-    if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
-        raise BadInput(f"save_at = {excerpt(save_at)}: must be finite times, at least one")
-    if times[0] < 0 or np.any(np.diff(times) <= 0):
-        raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
-    if len(times) == 1 and times[0] == 0:
-        raise BadInput("save_at: at least one time must be > 0")
-    return times
-
-
+@cache
 def engines_of(method: Method) -> tuple[str, ...]:
     """Return a method's engines in the order to try them: Python first where numba is told not to compile."""
     return method.engines if COMPILES else tuple(sorted(method.engines, key=lambda e: e not in CALLBACKS))
@@ -430,14 +387,18 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     ('ok', 10, (1, 1))
     """
     for name in options.keys() - OPTIONS:
-        scene, why = scene_of(scene), f"choose from {', '.join(sorted(OPTIONS))}"
-        if name in {"events", "dense_output", "t_eval"}:
-            how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
-            why = f"it saves states at save_at; events and dense output are SciPy's, in {how}"
-        elif name in {f.name for f in fields(scene)} | getattr(scene, "parameters", {}).keys():
-            why = f"it is the scene's: scene.with_({name}=…)"
-        raise BadInput(f"{name}: solve takes none: {why}")
+        raise BadInput(f"{name}: solve takes none: {instead(name, scene_of(scene))}")
     solution = prepare(scene, method, **options)()
     if solution.scene.has_users_functions and solution.ok:
         verify_at(solution.scene, solution.y)
     return solution
+
+
+def instead(option: str, scene: Scene) -> str:
+    """Return what to write for an option that `solve` does not take."""
+    if option in {"events", "dense_output", "t_eval"}:
+        how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
+        return f"it saves states at save_at; events and dense output are SciPy's, in {how}"
+    if option in {f.name for f in fields(scene)} | getattr(scene, "parameters", {}).keys():
+        return f"it is the scene's: scene.with_({option}=…)"
+    return f"choose from {', '.join(sorted(OPTIONS))}"

@@ -10,8 +10,10 @@ from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep, Piece
+from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Scene
+from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.scene import AnyState, Scene
 from contactbench.splitting.composition import (
     Composition,
     advance,
@@ -38,27 +40,32 @@ class ContactMethod(FixedStep):
     def refuses(self, scene: Scene) -> str | None:
         return refusal(self.composition, scene)
 
-    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
-        return advance(self.composition, scene, x, h, n, xp, repeat)
+    def advance(
+        self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> AnyState:
+        after: AnyState = advance(self.composition, scene, x, h, n, xp, repeat)
+        return after
 
     def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
         if by_the_clock(self.composition, scene):  # the clock is no part of the state
             return super().pieces(scene, whole)
-        parts = pieces(self.composition, scene, whole)
-        return tuple(partial(run_stages, stages) if stages else None for stages in parts)
+        made = pieces(self.composition, scene, whole)
+        return tuple(partial(run_stages, stages) if stages else None for stages in made)
 
-    def log_factor(self, scene: Scene, x: Any, h: float, n: int) -> float | None:
+    def log_factor(self, scene: Scene, x: AnyState, h: float, n: int) -> float | None:
         if not scene.rate_changes:  # the coefficients of every composition add up to one
             return super().log_factor(scene, x, h, n)
-        return log_factor(self.composition, scene, x, h, n, math)
+        total: float = log_factor(self.composition, scene, x, h, n, math)
+        return total
 
-    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
+    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Arithmetic | None:
         if not (scene.canonical and scene.has_hamiltonian_law and has_modified_hamiltonian(self.composition)):
             return None
-        return modified_hamiltonian(scene, self.composition, x, h)
+        value: Arithmetic = modified_hamiltonian(scene, self.composition, x, h)
+        return value
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        key = self, scene.kind, "R" in scene.carry(carry)
+        key = self, scene.kind, "R" in (scene.optional if carry is None else carry)
         if key not in _costs:
             kind = self.kind_on(scene)
             kinds = (kind, *(["attitude"] if kind == "rotation" and key[-1] else []))

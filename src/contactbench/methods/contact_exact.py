@@ -1,13 +1,7 @@
-"""The isotropically damped rigid body in closed form: one evaluation for any time, no steps.
-
-Every saved state comes from the initial one by the flow `free_damp`, so that errors do not add up.  There is
-neither step nor tolerance to be set: the result has the digits that round-off of the phase leaves.  An
-evaluation counts as the rotations it costs, few where the attitude is not carried (see `MOMENTUM_COST`).
-"""
+"""The isotropically damped rigid body in closed form: every saved state from the initial one, no steps."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,25 +9,27 @@ import numpy as np
 
 from contactbench.methods.base import CALLBACKS, METHODS, Method
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Plain, Recorded, StepLoop
+from contactbench.methods.loops import Count, Plain, Recorded, StepLoop
 from contactbench.methods.prepared import Outcome, Prepared, Request
 from contactbench.numbers.control import Repeat, XlaNumbers
-from contactbench.scene import Scene
+from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.scene import BodyState, Scene
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
 from contactbench.solution import Counts, Status
 from contactbench.xla import jax, jnp
 
 
-def evolve(scene: Any, x: Any, t: Any, xp: Any) -> Any:
+def evolve(scene: Scene, x: BodyState, t: Arithmetic, xp: Namespace) -> BodyState:
     flow = scene.flows["free_damp"]
-    return flow.apply(scene, x, flow.constants(scene, t, xp), xp)
+    after: BodyState = flow.apply(scene, x, flow.constants(scene, t, xp), xp)
+    return after
 
 
 @dataclass
 class ExactRun(Prepared):
     """A step from the initial state to every saved time; together : the loop takes them side by side."""
 
-    loop: StepLoop
+    loop: StepLoop[Any]
     together: bool
 
     sensitivity_source = "forward-mode AD through the closed form"
@@ -41,14 +37,15 @@ class ExactRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         one = np.ones(len(self.later), dtype=np.int64)
-        parts = [slice(None)] if self.together else [slice(k, k + 1) for k in range(len(self.later))]
-        self.steps = [(self.later[part], one[part]) for part in parts]
+        apart = [slice(None)] if self.together else [slice(k, k + 1) for k in range(len(self.later))]
+        self.steps = [(self.later[part], one[part]) for part in apart]
         self.ready = [self.loop.ready(*step) for step in self.steps]
         self.bare = self.loop.last(self.ready[-1])  # type: ignore
         self.compile_s = self.loop.seconds
 
     def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return -self.request.scene.conformal_rate * self.request.save_at
+        rate: float = self.request.scene.conformal_rate
+        return -rate * self.request.save_at
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         needed = len(self.later)
@@ -99,26 +96,17 @@ class ExactMethod(Method):
         """Saved times are as many as steps."""
         return FREE_COST if engine in CALLBACKS else None
 
-    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat | None = None) -> Any:
+    def advance(
+        self, scene: Any, x: Any, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat | None = None
+    ) -> Any:
         """The state after the time nh, for engines that write loops of steps."""
         return evolve(scene, x, n * h, xp)
 
-    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        return n * FREE_COST
-
-    def per_step(self, scene: Scene, carry: Sequence[str] | None = None) -> int:
-        return FREE_COST
-
-    def kind_on(self, scene: Scene) -> str:
-        return "rotation"
-
     def prepare(self, request: Request) -> Prepared:
-        loops = {"numba": Recorded, "jax": AtOnce, "python": Plain}
-        options = (
-            {"recorded": False} if request.engine == "python" else {}
-        )  # its series end where nothing changes
-        loop = loops[request.engine](self, request, **options)
-        return ExactRun(self.name, request, loop, request.engine == "jax")
+        if request.engine == "python":  # its series end where nothing changes: they are not recorded
+            return ExactRun(self.name, request, Plain(self, request, recorded=False), together=False)
+        loop = AtOnce(self, request) if request.engine == "jax" else Recorded(self, request)
+        return ExactRun(self.name, request, loop, together=request.engine == "jax")
 
 
 METHODS.add(ExactMethod())

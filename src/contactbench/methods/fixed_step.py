@@ -15,21 +15,22 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
+from contactbench.methods.loops import Count, Plain, Recorded, StepLoop, is_fixed
 from contactbench.methods.many import SITE_LOOPS
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
+from contactbench.numbers.protocol import Arithmetic, Namespace
 from contactbench.registry import NAME
-from contactbench.scene import Scene
+from contactbench.scene import AnyState, Scene
 from contactbench.scene.base import TRIED
 
 Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
-Piece = Callable[[Any, Any, Any, Any, Repeat], Any]  # (scene, x, h, xp, repeat) -> x
+Piece = Callable[[Scene, AnyState, Arithmetic, Namespace, Repeat], AnyState]  # (scene, x, h, xp, repeat) -> x
 Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
 
 #: who takes the steps; an engine gets its loop here
-LOOPS: dict[str, type[StepLoop]] = {"numba": Recorded, "jax": Traced, "python": Plain}
+LOOPS: dict[str, type[StepLoop[Any]]] = {"numba": Recorded, "jax": Traced, "python": Plain}
 
 
 @dataclass(frozen=True)
@@ -61,15 +62,20 @@ class FixedStep(Method):
     )
 
     def prepare(self, request: Request) -> Prepared:
+        if not is_fixed(self):  # what this package brings has tests of its own
+            self.try_step(request.scene, request.carry, request.step)
         loops = SITE_LOOPS if request.scene.by_sites else LOOPS
         loop = loops[request.engine](self, request)
         if request.step is not None:
             return FixedStepRun(self.name, request, self, loop)
         return ChosenStep(self.name, request, self, loop)
 
-    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+    def advance(
+        self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> Any:
         """n ≥ 1 steps of size h."""
-        return repeat(n, lambda x: self.step(scene, x, h, xp), x)
+        after: AnyState = repeat(n, lambda x: self.step(scene, x, h, xp), x)
+        return after
 
     def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
         """Return what an uninterrupted run is made of, one step after the other; None for nothing.
@@ -79,22 +85,25 @@ class FixedStep(Method):
         """
         return None, lambda scene, x, h, xp, repeat: self.advance(scene, x, h, 1, xp, repeat), None, None
 
-    def conformal_factor(self, scene: Scene, h: Any, xp: Any = math) -> Any | None:
+    def conformal_factor(self, scene: Scene, h: Arithmetic, xp: Namespace = math) -> Arithmetic | None:
         """Return the constant c of Φ_h*η = c η, e^{−γh} for a `contact` method; None where none is claimed."""
         if self.refuses(scene) is not None or scene.conformal_rate is None:
             return None
+        factor: Arithmetic | None = None
         if self.factor is not None:
-            return self.factor(scene, h, xp)
-        return xp.exp(-scene.conformal_rate * h) if self.contact else None
+            factor = self.factor(scene, h, xp)
+        elif self.contact:
+            factor = xp.exp(-scene.conformal_rate * h)
+        return factor
 
-    def log_factor(self, scene: Scene, x: Any, h: float, n: int) -> float | None:
+    def log_factor(self, scene: Scene, x: AnyState, h: float, n: int) -> float | None:
         """Log of the conformal factor of n steps of size h from x; None: no contact maps; nan: a negative one."""
         factor = self.conformal_factor(scene, h)
         if factor is None:
             return None
         return n * math.log(factor) if factor > 0 else math.nan
 
-    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
+    def modified_hamiltonian(self, scene: Scene, x: AnyState, h: float) -> Arithmetic | None:
         """H̃ at x of which steps of size h are the flow, up to a power of h; None where none is known."""
         return None
 
@@ -114,8 +123,6 @@ class FixedStep(Method):
 
     def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:
         """Raise `BadInput` unless a user's step map takes a state of the scene to a state of the same fields."""
-        if is_fixed(self):  # what this package brings has tests of its own
-            return
         x, h, what = scene.initial(carry), TRIED * scene.t_end, f"method {self.name!r}"
         with their_code(what):
             try:
@@ -130,7 +137,7 @@ class FixedStep(Method):
                 raise BadInput(f"{what}: its step map returns {name} = {excerpt(new)}: {must}")
 
 
-def alike(old: Any, new: Any) -> bool:
+def alike(old: object, new: object) -> bool:
     if old is None or new is None:
         return old is new
     if isinstance(old, tuple):
@@ -144,8 +151,8 @@ def alike(old: Any, new: Any) -> bool:
 MOST = 10**4
 
 
-def _one_of(allowed: tuple[str, ...]) -> Callable[[str, Any], None]:
-    def check(name: str, value: Any) -> None:
+def _one_of(allowed: tuple[str, ...]) -> Callable[[str, object], None]:
+    def check(name: str, value: object) -> None:
         if not isinstance(value, str) or value not in allowed:
             raise BadInput(f"{name} = {excerpt(value)}: must be one of {', '.join(allowed)}")
 
@@ -153,7 +160,7 @@ def _one_of(allowed: tuple[str, ...]) -> Callable[[str, Any], None]:
 
 
 #: what a step map may declare, and the check of each
-CLAIMS: dict[str, Callable[[str, Any], Any]] = {
+CLAIMS: dict[str, Callable[[str, Any], object]] = {
     "kind": _one_of(("rhs", "gradient", "rotation")),
     "family": _one_of(FAMILIES),
     "contact": switch,

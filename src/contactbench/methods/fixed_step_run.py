@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactbench.methods.loops import StepLoop, is_fixed, total
 from contactbench.methods.prepared import Outcome, Prepared
-from contactbench.methods.prescribed import EQUAL, GRID_ULPS, plateaus
+from contactbench.methods.prescribed import EQUAL, UNCOUNTED, plateaus, steps_in
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.scene import AnyState
 from contactbench.solution import Counts, Solution, Status
 
-#: more steps than any budget allows are counted as this many
-UNCOUNTED = 2**50
-
-
-@np.errstate(over="ignore")
-def steps_in(span: Any, until: Any, step: float) -> Any:
-    """The fewest equal steps ≤ `step` that cover each span, but for round-off of the time `until` at which it ends."""
-    ratio = (span * (1 - 1e-12) - GRID_ULPS * np.spacing(until)) / step
-    return np.minimum(np.maximum(np.ceil(ratio), 1), UNCOUNTED).astype(np.int64)
+if TYPE_CHECKING:
+    from contactbench.methods.fixed_step import FixedStep
 
 
 @dataclass
@@ -38,8 +34,8 @@ class FixedStepRun(Prepared):
         What takes the steps; without one the run only divides time.
     """
 
-    method_: Any
-    loop: StepLoop | None = None
+    method_: FixedStep
+    loop: StepLoop[Any] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -50,34 +46,37 @@ class FixedStepRun(Prepared):
         self.marks = self.ends.copy()
         self.marks[1:] -= self.ends[:-1]
         self.first_step = self.method_.counts(r.scene, 1, r.carry)
-        self.each_step = self.method_.per_step(r.scene, r.carry)
+        self.each_step = self.method_.counts(r.scene, 2, r.carry) - self.first_step
         self.kind = self.method_.kind_on(r.scene)
         self.divide(r.step or math.nan)  # a fixed-step request always has one
         if self.loop is not None:
             self.sensitivity_source, self.compile_s = self.loop.derivative, self.loop.seconds
-            if not is_fixed(self.method_):
-                self.loop.record_tangent()
+            if not is_fixed(self.method_):  # a user's map may be another when its derivative is asked for
+                with suppress(CannotRecord):
+                    self.loop.tangents  # noqa: B018, recorded now
             self.shorten(self.loop)
 
-    def shorten(self, loop: StepLoop) -> None:
+    def shorten(self, loop: StepLoop[Any]) -> None:
         """Make of the calls for these steps, where nothing else is to be done, closures of all they need."""
         self.bare = loop.last(self.ready)  # type: ignore
         simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
-        states = loop.vouched(self.ready, self.needed, self.saves_start) if simple else None
+        states = loop.watched(self.ready, self.needed, self.saves_start) if simple else None
         if states is None:
             return
-        of, date, dated = Solution.of, self._dated, self._clock is not None
+        of, date, dated, first = Solution.of, self._dated, self._clock is not None, int(self.saves_start)
         ended = self.attributes(Status.ok, "", self.totals, self._end, self.steps_taken)
 
-        def at_once(y0: np.ndarray) -> Solution | None:
-            y = states(y0)
-            return None if y is None else of(ended, date(y0, y) if dated else y, y0)
+        def at_once(y0: np.ndarray) -> Solution:
+            y, fine = states(y0)
+            if fine:
+                return of(ended, date(y0, y) if dated else y, y0)
+            return self.solved(y0, lambda y0: self.outcome(y0, y[first:], self.totals))
 
-        self.at_once = at_once  # type: ignore
+        self.at_once = at_once
 
     def divide(self, step: float) -> None:
         #: which intervals of equal steps end at saved times: all of them, but of prescribed steps
-        self.saved: Any = slice(None)
+        self.saved: slice | np.ndarray = slice(None)
         if self.request.steps is not None:
             self.h, self.n, self.saved = plateaus(self.request.steps, self.ends)
         else:
@@ -85,7 +84,7 @@ class FixedStepRun(Prepared):
             self.h = self.marks / self.n
         if self.breaks:
             self.bridge()
-        self.steps_taken = step, float(self.h.max())
+        self.steps_taken = step, float(np.maximum.reduce(self.h))
         self.totals, self.needed = self.cost(self.n), total(self.n)
         if self.loop is not None:
             self.ready = self.loop.ready(self.h, self.n)
@@ -124,12 +123,10 @@ class FixedStepRun(Prepared):
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Return packed states after each interval of n[k] steps of size h[k], (k, d)."""
-        assert self.loop is not None
         return self.loop.take(y0, self.loop.ready(h, n))[0]
 
     def take(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
         """Take the steps of this division: packed states after each of its intervals, and the counts."""
-        assert self.loop is not None
         y, made = self.loop.take(y0, self.ready)
         return y, self.totals._replace(evaluations=made) if self.method_.iterates else self.totals
 
@@ -140,9 +137,9 @@ class FixedStepRun(Prepared):
             message = f"{needed} steps needed, max_steps = {r.max_steps}"
             return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.budget, message)
         y, counts = self.take(y0)
-        return self.judge(y0, y[self.saved], counts)
+        return self.outcome(y0, y[self.saved], counts)
 
-    def judge(self, y0: np.ndarray, y: np.ndarray, counts: Counts) -> Outcome:
+    def outcome(self, y0: np.ndarray, y: np.ndarray, counts: Counts) -> Outcome:
         out = self.finish(y0, self.from_start(y0, y), counts)
         return out if out.status is not Status.diverged else self._locate(y0, out)
 
@@ -178,7 +175,6 @@ class FixedStepRun(Prepared):
 
     # -- the map ---------------------------------------------------------------------------------------
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        assert self.loop is not None
         tangents = self.tangents(y0)
         columns = [self.loop.tangent(y0, v, self.h, self.n)[self.saved] for v in tangents]
         return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
@@ -199,7 +195,7 @@ class FixedStepRun(Prepared):
             return None
         return np.append([0.0] if self.saves_start else [], np.cumsum(known)[self.saved])
 
-    def modified_hamiltonian(self, x: Any) -> Any | None:
+    def modified_hamiltonian(self, x: AnyState) -> Any | None:
         """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
         if np.ptp(self.h) > EQUAL * self.h[0]:
             return None

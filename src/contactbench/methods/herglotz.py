@@ -1,14 +1,8 @@
 """Contact variational integrators: discrete Herglotz principles, as one-step maps (q, p, s) → (q, p, s).
 
-A discrete Lagrangian gives the action of one step, s₁ = s₀ + h L(q₀, q₁, s₀, s₁).  Its differential,
-with the discrete Legendre transforms p₀ = −h D₁L / (1 + h ∂L/∂s₀) and p₁ = h D₂L / (1 − h ∂L/∂s₁),
-reads ds₁ − p₁·dq₁ = σ (ds₀ − p₀·dq₀): every step is a conformal contact map with factor
-σ = (1 + h ∂L/∂s₀) / (1 − h ∂L/∂s₁).  That p at the end of one step is p at the start of the next is the
-discrete contact Euler–Lagrange (Herglotz) equation, for L without s₁
-D₁L(q_k, q_{k+1}, s_k) + (1 + h ∂L/∂s_k) D₂L(q_{k−1}, q_k, s_{k−1}) = 0.
-
-Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767, arXiv:1902.00436;
-the paper, §5.1, eq. (79).
+From s₁ = s₀ + h L(q₀, q₁, s₀, s₁) and the discrete Legendre transforms p₀ = −h D₁L / (1 + h ∂L/∂s₀) and
+p₁ = h D₂L / (1 − h ∂L/∂s₁) follows ds₁ − p₁·dq₁ = σ (ds₀ − p₀·dq₀), σ = (1 + h ∂L/∂s₀) / (1 − h ∂L/∂s₁).
+Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767; the paper, §5.1, eq. (79).
 """
 
 from __future__ import annotations
@@ -21,15 +15,17 @@ from typing import Any
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Mechanical, Scene, State, mechanical
+from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.scene import Mechanical, Scene, State, Vector, mechanical
 
 
 @dataclass(frozen=True)
 class Herglotz(FixedStep):
     """Mechanical scenes with Γ = γ s, one gradient a step; sigma : its conformal factor from h, γ before and after."""
 
-    sigma: Callable[[Any, Any, Any], Any] = field(kw_only=True)
+    sigma: Callable[[Arithmetic, Arithmetic, Arithmetic], Arithmetic] = field(kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "factor", lambda scene, h, xp: self.sigma(h, scene.gamma, scene.gamma))
@@ -47,30 +43,35 @@ class Herglotz(FixedStep):
         return unfit(self, scene, fits, "a configuration q in Rⁿ and damping Γ = γ s")
 
 
-def explicit_kick(scene: Mechanical, x: State, h: Any, force: Any, potential: Any) -> State:
+def explicit_kick(
+    scene: Mechanical, x: State, h: Arithmetic, force: Vector, potential: Arithmetic | None
+) -> State:
     """p → (1 − γh) p − h ∇V, s → (1 − γh) s − h V: potential and damping by one step forward."""
     keep = 1 - scene.damping_at(x) * h
     p = tuple(keep * p - h * g for p, g in zip(x.p, force, strict=True))
     return x._replace(p=p, s=None if x.s is None else keep * x.s - h * potential)
 
 
-def implicit_kick(scene: Mechanical, x: State, h: Any, force: Any, potential: Any) -> State:
+def implicit_kick(
+    scene: Mechanical, x: State, h: Arithmetic, force: Vector, potential: Arithmetic | None
+) -> State:
     """p → (p − h ∇V)/(1 + γh), s → (s − h V)/(1 + γh): the adjoint, one step backward."""
     grown = 1 + scene.damping_at(x) * h
     p = tuple((p - h * g) / grown for p, g in zip(x.p, force, strict=True))
     return x._replace(p=p, s=None if x.s is None else (x.s - h * potential) / grown)
 
 
-def pull(scene: Mechanical, x: State) -> tuple[Any, Any]:
+def pull(scene: Mechanical, x: State) -> tuple[Vector, Arithmetic | None]:
     return scene.gradient_at(x), None if x.s is None else scene.potential_at(x)
 
 
-def drift(scene: Mechanical, x: Any, h: Any, xp: Any) -> Any:
+def drift(scene: Mechanical, x: Any, h: Arithmetic, xp: Namespace) -> State:
     x = mechanical.drift(scene, x, h, xp)
-    return x if scene.clock is None else x._replace(t=x.t + h)
+    after: State = x if scene.clock is None else x._replace(t=x.t + h)
+    return after
 
 
-def herglotz1(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+def herglotz1(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> State:
     """s_{k+1} = s_k + h L(q_k, q_{k+1}, s_k), L = ½m‖(q_{k+1} − q_k)/h‖² − V(q_k) − γ s_k.
 
     V is taken at the left end, as s is.  D₂L = m(q_{k+1} − q_k)/h² and 1 + h ∂L/∂s = 1 − γh, hence
@@ -79,7 +80,7 @@ def herglotz1(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
     return drift(scene, explicit_kick(scene, x, h, *pull(scene, x)), h, xp)
 
 
-def herglotz2(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+def herglotz2(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> State:
     """L = ½m‖(q_{k+1} − q_k)/h‖² − ½(V(q_k) + V(q_{k+1})) − ½γ(s_k + s_{k+1}), solved for s_{k+1}.
 
     m(q₁ − q₀)/h = (1 − ½γh) p₀ − ½h ∇V(q₀) and p₁ = (m(q₁ − q₀)/h − ½h ∇V(q₁))/(1 + ½γh): explicit.
@@ -88,17 +89,19 @@ def herglotz2(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
     return implicit_kick(scene, x, h / 2, *pull(scene, x))
 
 
-def factor1(h: Any, before: Any, after: Any) -> Any:
+def factor1(h: Arithmetic, before: Arithmetic, after: Arithmetic) -> Arithmetic:
     return 1 - before * h
 
 
-def factor2(h: Any, before: Any, after: Any) -> Any:
+def factor2(h: Arithmetic, before: Arithmetic, after: Arithmetic) -> Arithmetic:
     return (1 - before * h / 2) / (1 + after * h / 2)
 
 
 @dataclass(frozen=True)
 class SecondHerglotz(Herglotz):
-    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+    def advance(
+        self, scene: Any, x: Any, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> Any:
         half = h / 2
 
         def joined(x: State) -> State:
@@ -116,6 +119,6 @@ class SecondHerglotz(Herglotz):
 
 _first = "discrete Herglotz recursion s + h L(q, q⁺, s); the paper, §5.1, eq. (79)"
 _second = "Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767"
-_both: Any = {"kind": "gradient", "family": "variational"}
+_both: dict[str, Any] = {"kind": "gradient", "family": "variational"}
 METHODS.add(Herglotz("herglotz1", 1, herglotz1, about=_first, sigma=factor1, **_both))
 METHODS.add(SecondHerglotz("herglotz2", 2, herglotz2, about=_second, symmetric=True, sigma=factor2, **_both))

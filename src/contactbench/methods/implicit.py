@@ -1,22 +1,23 @@
 """Implicit steps, solved by fixed-point iteration to round-off, every evaluation counted.
 
-The iteration ends when the increments are zero or no longer decrease (Hairer, Lubich, Wanner, Geometric Numerical
-Integration, §VIII.6.2), which leaves an error of the size of one rounding: what a method conserves it then conserves to
-round-off.  A step that is too long for the iteration to converge has no result.
+It ends when the increments are zero or no longer decrease (Hairer, Lubich, Wanner, Geometric Numerical Integration,
+§VIII.6.2); a step that is too long for it to converge has no result.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.scene import Mechanical, Scene, State, dot, shifted
+from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.scene import AnyState, Mechanical, Scene, State, Vector, dot, shifted
 
 #: iterations that may differ by more than the one before
 FIRST = 3
@@ -26,20 +27,22 @@ MOST, CONVERGED = 200, 1e-10
 TYPICAL = 8
 
 
-def fixed_point(
-    update: Callable[[Any], Any], k: Any, xp: Any, part: Callable[[Any], Any] = lambda k: k
-) -> tuple[Any, Any, Any]:
+def fixed_point[K](
+    update: Callable[[K], K], k: K, xp: Namespace, part: Callable[[K], object] = lambda k: k
+) -> tuple[K, Any, Arithmetic]:
     """Return k with update(k) = k, whether it was found, and after how many updates; part : of k, what settles."""
-    nothing = 0 * leaves(k)[0]
+    nothing: Arithmetic = 0 * leaves(k)[0]
 
-    def size(parts: Any) -> Any:
-        return sum(map(abs, parts))
+    def size(components: Iterable[Arithmetic]) -> Arithmetic:
+        return sum(map(abs, components), nothing)
 
-    def going(carried: Any) -> Any:
+    def going(carried: tuple[K, Arithmetic, Arithmetic, Arithmetic]) -> Any:
         _, turns, gap, before = carried
         return (gap > 0) & ((gap < before) | (turns < FIRST)) & (turns < MOST)
 
-    def turn(carried: Any) -> Any:
+    def turn(
+        carried: tuple[K, Arithmetic, Arithmetic, Arithmetic],
+    ) -> tuple[K, Arithmetic, Arithmetic, Arithmetic]:
         k, turns, gap, _ = carried
         new = update(k)
         increments = (a - b for a, b in zip(leaves(part(new)), leaves(part(k)), strict=True))
@@ -52,39 +55,51 @@ def fixed_point(
 
 @dataclass(frozen=True)
 class Implicit(FixedStep):
-    """A method whose step returns x and iterations; each : evaluations of an iteration, one more comes first."""
+    """A method whose step returns x and iterations.
+
+    each : evaluations of an iteration, one more comes first.  forces_of_q : whether it takes no others.
+    """
 
     each: int = field(kw_only=True)
+    forces_of_q: bool = False
     engines: tuple[str, ...] = ("numba", "python")
     iterates = True
 
-    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+    def refuses(self, scene: Scene) -> str | None:
+        fits = not self.forces_of_q or (scene.canonical and scene.clock is None)
+        return unfit(self, scene, fits, "forces that depend on q alone")
+
+    def advance(
+        self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> AnyState:
         return self.advance_counted(scene, x, h, n, xp, repeat)[0]
 
     def advance_counted(
-        self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat
-    ) -> tuple[Any, Any]:
+        self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> tuple[AnyState, Arithmetic]:
         """Return the state after n steps and the evaluations they took."""
 
-        def another(carried: Any) -> Any:
+        def another(carried: tuple[AnyState, Arithmetic]) -> tuple[AnyState, Arithmetic]:
             x, spent = carried
             x, turns = self.step(scene, x, h, xp)
             return x, spent + (self.each * turns + 1)
 
-        return repeat(n, another, (x, 0 * leaves(x)[0]))
+        after: tuple[AnyState, Arithmetic] = repeat(n, another, (x, 0 * leaves(x)[0]))
+        return after
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
         """Return what n steps typically cost."""
         return n * (TYPICAL * self.each + 1)
 
 
-def found(x: Any, converged: Any, xp: Any) -> Any:
+def found[X: AnyState](x: X, converged: object, xp: Namespace) -> X:
     """Return x, without numbers where the iteration did not converge."""
-    return rebuild(x, [choose(converged, part, math.nan, xp) for part in leaves(x)])
+    after: X = rebuild(x, [choose(converged, part, math.nan, xp) for part in leaves(x)])
+    return after
 
 
 # -- Gauss's collocation ---------------------------------------------------------------------------------
-def gauss_tableau(stages: int, xp: Any) -> tuple[list[list[Any]], list[Any]]:
+def gauss_tableau(stages: int, xp: Namespace) -> tuple[list[list[Arithmetic]], list[Arithmetic]]:
     """Return A and b: Hairer, Lubich, Wanner, §II.1.3, table 1.1."""
     root = xp.sqrt(3 if stages == 2 else 15)
     one = root / root
@@ -98,54 +113,41 @@ def gauss_tableau(stages: int, xp: Any) -> tuple[list[list[Any]], list[Any]]:
     return A, [one * 5 / 18, one * 4 / 9, one * 5 / 18]
 
 
-@dataclass(frozen=True)
-class Gauss(Implicit):
-    """Gauss's collocation, of order twice its stages; an iteration takes momenta first, which converges faster."""
+def gauss(stages: int) -> Callable[[Any, State, Arithmetic, Namespace], tuple[State, Arithmetic]]:
+    """Return a step of Gauss's collocation; an iteration takes momenta first, which converges faster."""
 
-    def refuses(self, scene: Scene) -> str | None:
-        return unfit(self, scene, True, "")
-
-
-def gauss(stages: int) -> Callable[[Any, Any, Any, Any], Any]:
-    def step(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+    def step(scene: Any, x: State, h: Arithmetic, xp: Namespace) -> tuple[State, Arithmetic]:
         A, b = gauss_tableau(stages, xp)
 
-        def moved(weights: Sequence[Any], slopes: Any) -> Any:
+        def moved(weights: Sequence[Arithmetic], slopes: Sequence[State]) -> State:
             y = x
             for weight, slope in zip(weights, slopes, strict=True):
                 y = shifted(y, weight * h, slope)
             return y
 
-        def update(slopes: Any) -> Any:
+        def update(slopes: Sequence[State]) -> Sequence[State]:
             if scene.canonical:
                 momenta = [moved(row, slopes).p for row in A]
                 pairs = zip(slopes, momenta, strict=True)
                 slopes = [k._replace(q=tuple(scene.velocity(p))) for k, p in pairs]
             return tuple(scene.rhs(moved(row, slopes)) for row in A)
 
-        slopes, converged, turns = fixed_point(update, (scene.rhs(x),) * stages, xp)
+        first: Sequence[State] = (scene.rhs(x),) * stages
+        slopes, converged, turns = fixed_point(update, first, xp)
         return found(moved(b, slopes), converged, xp), turns
 
     return step
 
 
 # -- a discrete gradient -------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class DiscreteGradient(Implicit):
-    """Damping for h/2, a step that keeps H0 = T + V, and damping for h/2: H0 never rises where Γ' ≥ 0."""
-
-    def refuses(self, scene: Scene) -> str | None:
-        fits = scene.canonical and scene.clock is None
-        return unfit(self, scene, fits, "forces that depend on q alone")
-
-
 #: where the motion turns: of a way² smaller than this part of q², what lacks in V is rounding, being of order way³
 TURNING = 1e-10
 
 
-def discrete_gradient(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
-    """p₁ = p − h ∇̄V, q₁ = q + h (p + p₁)/2m with the midpoint discrete gradient ∇̄V·(q₁ − q) = V(q₁) − V(q).
+def discrete_gradient(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> tuple[State, Arithmetic]:
+    """Damping for h/2, a step that keeps H0, and damping for h/2: H0 never rises where Γ' ≥ 0.
 
+    p₁ = p − h ∇̄V, q₁ = q + h (p + p₁)/2m with the midpoint discrete gradient ∇̄V·(q₁ − q) = V(q₁) − V(q):
     Gonzalez, J. Nonlinear Sci. 6, 449 (1996), doi:10.1007/BF02440162, eq. (3.5).
     """
     damp = scene.flows["damp"]
@@ -153,13 +155,13 @@ def discrete_gradient(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
     x = damp.apply(scene, x, constants, xp)
     before = scene.V(x.q)
 
-    def momentum(force: Any, span: Any) -> Any:
+    def momentum(force: Vector, span: Arithmetic) -> Vector:
         return tuple(p - span * f for p, f in zip(x.p, force, strict=True))
 
-    def end(force: Any) -> Any:
+    def end(force: Vector) -> Vector:
         return tuple(q + h * v for q, v in zip(x.q, scene.velocity(momentum(force, h / 2)), strict=True))
 
-    def update(k: Any) -> Any:
+    def update(k: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
         after, _ = k
         way = tuple(b - a for a, b in zip(x.q, after, strict=True))
         gradient = scene.dV(tuple(a + d / 2 for a, d in zip(x.q, way, strict=True)))
@@ -181,12 +183,8 @@ def discrete_gradient(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
 
 _source = "Hairer, Lubich, Wanner, Geometric Numerical Integration, §II.1.3, by fixed-point iteration"
 for _stages in (2, 3):
-    METHODS.add(
-        Gauss(f"gauss{2 * _stages}", 2 * _stages, gauss(_stages), about=_source, each=_stages, symmetric=True)
-    )
+    _name, _order = f"gauss{2 * _stages}", 2 * _stages
+    METHODS.add(Implicit(_name, _order, gauss(_stages), about=_source, each=_stages, symmetric=True))
 _source = "discrete gradient of Gonzalez, doi:10.1007/BF02440162, between halves of exact damping"
-METHODS.add(
-    DiscreteGradient(
-        "discrete-gradient", 2, discrete_gradient, kind="gradient", about=_source, each=1, symmetric=True
-    )
-)
+_both: dict[str, Any] = {"kind": "gradient", "forces_of_q": True, "symmetric": True}
+METHODS.add(Implicit("discrete-gradient", 2, discrete_gradient, about=_source, each=1, **_both))

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.methods.loops import StepLoop, identity
+from contactbench.methods.loops import Count, StepLoop, Steps, identity
 from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.control import Repeat, XlaNumbers
-from contactbench.scene import Cache, key
+from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.trace.recording import reason_of
 from contactbench.xla import jax, jnp, lax
 
-_programs: Cache[tuple[Any, float]] = Cache(1024)
+if TYPE_CHECKING:
+    from jax.sharding import Sharding
+    from jax.stages import Compiled
+
+#: packed states after each interval, from the first one and all other numbers of a run
+States = Callable[["jax.Array", "jax.Array"], "jax.Array"]
+_programs: Cache[tuple[Compiled, float]] = Cache(1024)
 
 
 class Xla:
@@ -33,20 +39,20 @@ class Xla:
         self,
         request: Request,
         identity: Hashable | None,
-        key: tuple[Any, ...],
+        key: tuple[Hashable, ...],
         capacities: tuple[int, ...] = (1, 64, 1024),
-        everywhere: Any = None,
+        everywhere: Sharding | None = None,
     ) -> None:
         self.request, self.identity, self.key = request, identity, key
         self.capacities, self.everywhere = capacities, everywhere
         self.seconds = 0.0
 
-    def together(self, *vectors: Any) -> np.ndarray:
+    def together(self, *vectors: Sequence[float] | np.ndarray) -> np.ndarray:
         """Several arguments as one: what a short call costs is the number of its arguments."""
         self.borders = np.cumsum([len(vector) for vector in vectors])[:-1].tolist()
         return np.concatenate(vectors, dtype=float)
 
-    def apart(self, fixed: Any) -> list[Any]:
+    def apart(self, fixed: jax.Array) -> list[Any]:
         return [fixed[i:j] for i, j in pairwise([0, *self.borders, len(fixed)])]
 
     def room(self, saves: int) -> int:
@@ -59,29 +65,31 @@ class Xla:
         times = self.request.save_at
         return np.pad(times, (0, self.room(len(times)) - len(times)), mode="edge")
 
-    def place(self, fixed: np.ndarray) -> Any:
+    def place(self, fixed: np.ndarray) -> jax.Array:
         """Return arguments on the device: converting them at every call would cost as much as a short run."""
-        return jax.device_put(fixed, self.everywhere)
+        placed: jax.Array = jax.device_put(fixed, self.everywhere)
+        return placed
 
     @cached_property
-    def start_on_device(self) -> Any:
+    def start_on_device(self) -> jax.Array:
         return self.place(self.request.start)
 
-    def compile(self, function: Callable[[Any, Any], Any], fixed: Any, capacity: int) -> None:
+    def compile(self, function: States, fixed: jax.Array, capacity: int) -> None:
         self.fixed, self.capacity = fixed, capacity
         self.program, self.seconds = self.compiled("run", function, self.start_on_device, fixed)
 
-    def call(self, y0: np.ndarray, fixed: Any = None) -> np.ndarray:
+    def call(self, y0: np.ndarray, fixed: jax.Array | None = None) -> np.ndarray:
         """Return what the program does from an initial state; the scene's own is moved to the device once."""
-        start = self.start_on_device
-        if y0 is not self.request.start:
-            start = y0 if self.everywhere is None else self.place(y0)
+        own = y0 is self.request.start
+        start = self.start_on_device if own else y0 if self.everywhere is None else self.place(y0)
         return np.asarray(self.program(start, self.fixed if fixed is None else fixed))
 
-    def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+    def compiled(
+        self, purpose: str, function: Callable[..., jax.Array], *arguments: Any
+    ) -> tuple[Compiled, float]:
         """The program for a purpose, and the seconds it took to make; `CannotRecord` where it branches on values."""
 
-        def make() -> tuple[Any, float]:
+        def make() -> tuple[Compiled, float]:
             elapsed = stopwatch()
             try:
                 return jax.jit(function).lower(*arguments).compile(), elapsed()
@@ -91,20 +99,20 @@ class Xla:
         rest = purpose, self.request.carry, *self.key, self.capacity
         return _programs.get(key(self.identity, *rest), make)
 
-    def derivative(
-        self, states: Callable[[Any, Any], Any], y0: np.ndarray, v: np.ndarray, fixed: Any
-    ) -> np.ndarray:
+    def derivative(self, states: States, y0: np.ndarray, v: np.ndarray, fixed: jax.Array) -> np.ndarray:
         """Return the derivative of the states along v."""
 
-        def push(y0: Any, v: Any, fixed: Any) -> Any:
-            return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
+        def push(y0: jax.Array, v: jax.Array, fixed: jax.Array) -> jax.Array:
+            slope: jax.Array = jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
+            return slope
 
         program, _ = self.compiled("sensitivity, steps", push, y0, v, fixed)
         return np.asarray(program(y0, v, fixed))
 
 
-def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-    return lax.fori_loop(0, n, lambda _, x: body(x), x)
+def compiled_loop[X](n: Count, body: Callable[[X], X], x: X) -> X:
+    after: X = lax.fori_loop(0, n, lambda _, x: body(x), x)
+    return after
 
 
 #: loops over stages too, the shortest code.  Against steps written out, measured on `particle`: compiled in a third to
@@ -113,53 +121,50 @@ def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
 rolled = Repeat(compiled_loop, over_stages=True)
 
 
-class Traced(StepLoop):
+class Traced(StepLoop["tuple[int, jax.Array]"]):
     """By a program of JAX, which has room for a fixed number of intervals."""
 
     derivative = "forward-mode AD through the numerical map"
     #: how arguments lie on several devices
-    everywhere: Any = None
+    everywhere: Sharding | None = None
 
-    def __init__(self, method: Any, request: Request) -> None:
+    def __init__(self, method: Steps, request: Request) -> None:
         super().__init__(method, request)
         self.xla = Xla(
             request, identity(method, self.scene, self.carry), self.key(), everywhere=self.everywhere
         )
 
-    def key(self) -> tuple[Any, ...]:
+    def key(self) -> tuple[Hashable, ...]:
         return ()
 
-    @property
-    def seconds(self) -> float:  # type: ignore[override]
-        return self.xla.seconds
+    tangents = None  # type: ignore[assignment]  # the program is differentiated
 
-    def record_tangent(self) -> None:
-        """Nothing: the program is differentiated."""
-
-    def ready(self, h: np.ndarray, n: np.ndarray) -> tuple[int, Any]:
+    def ready(self, h: np.ndarray, n: np.ndarray) -> tuple[int, jax.Array]:
         if not hasattr(self.xla, "program"):
             room = self.xla.room(len(n))
             self.xla.compile(self.states, self.spans(h, n, room), room)
+            self.seconds = self.xla.seconds
         return len(n), self.spans(h, n, self.xla.capacity)
 
-    def spans(self, h: np.ndarray, n: np.ndarray, room: int) -> Any:
+    def spans(self, h: np.ndarray, n: np.ndarray, room: int) -> jax.Array:
         padded = np.zeros((2, room))
         padded[:, : len(n)] = h, n
-        return self.xla.place(self.xla.together(self.numbers, *padded))
+        return self.xla.place(self.xla.together(self.scene.numbers(), *padded))
 
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+    def take(self, y0: np.ndarray, ready: tuple[int, jax.Array]) -> tuple[np.ndarray, int | None]:
         k, fixed = ready
         return self.xla.call(y0, fixed)[:k], None
 
-    def start_of(self, scene: Any, y0: Any) -> Any:
-        return scene.unpack(scene.entries(y0), self.carry)
+    def start_of(self, scene: Scene, y0: jax.Array) -> AnyState:
+        start: AnyState = scene.unpack(scene.entries(y0), self.carry)
+        return start
 
-    def states(self, y0: Any, fixed: Any) -> Any:
+    def states(self, y0: jax.Array, fixed: jax.Array) -> jax.Array:
         """Saved states (k, d), traceable."""
         numbers, h, n = self.xla.apart(fixed)
         scene, xp = self.scene.with_numbers(list(numbers)), XlaNumbers()
 
-        def interval(x: Any, span: Any) -> Any:
+        def interval(x: AnyState, span: tuple[jax.Array, jax.Array]) -> tuple[AnyState, jax.Array]:
             h, n = span
             x = self.method.advance(scene, x, h, n, xp, rolled)
             return x, jnp.stack(scene.pack(x))

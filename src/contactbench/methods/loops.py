@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from contactbench.blame import is_ours
 from contactbench.methods.prepared import NO_NUMBER, Request, stopwatch
+from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Cache, Scene, key
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.compiled import compile_function
-from contactbench.trace.form import execute, lines
+from contactbench.trace.form import Function, execute, lines
 from contactbench.trace.program import Program, Watch, record
 
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
@@ -30,21 +31,46 @@ FEW = 2**13
 LONG, LOOK = 3e7, 0.1
 #: divisions into steps whose rows a loop keeps, where they are few
 KEPT = 32
+#: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
+LANES = 32
+#: the same of a loop of more lines than that, which LLVM takes seconds to compile
+FEW_LANES, LONG_PROGRAM = 4, 2000
+
+#: all states of a run from the first one, and whether nothing can be wrong with them
+Watched = Callable[[np.ndarray], tuple[np.ndarray, bool]]
+#: intervals of n steps of size h: as they are; and as arrays, with the arguments of the loop unless they are too many
+Spans = list[tuple[float, int]]
+Rows = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]
+#: how many steps: a loop of an engine of its own counts in numbers of its own
+Count = int | Arithmetic
 
 
 def total(n: np.ndarray) -> int:
     """Σ n[k], which may be more than an int64 holds: then about."""
-    return int(n.sum(dtype=float))
+    return int(np.add.reduce(n, dtype=float))
 
 
-class StepLoop(ABC):
+class Steps(Hashable, Protocol):
+    """What a loop asks of a method, which is usually a `FixedStep`."""
+
+    iterates: ClassVar[bool]
+
+    def advance(
+        self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = ...
+    ) -> AnyState:
+        """Return the state after n ≥ 1 steps of size h."""
+
+
+class StepLoop[Ready](ABC):
     """Take the steps of a method on a scene, by one engine.
 
     1. ``ready(h, n)`` is all that depends on the steps alone, intervals of n[k] of size h[k].
     2. ``take(y0, ready)`` returns the packed states after each interval, (k, d), and the evaluations made, None where
        they are known beforehand.  No call leaves a trace.
     3. ``last(ready)`` is the function that gives the last of these states alone, by the fastest way there is.
-    4. ``tangent(y0, v, h, n)`` is the derivative of the states along v.
+    4. ``watched(ready, steps, starts)`` is the function that gives all states, after the first one if it `starts`, and
+       whether nothing can be wrong with them; None where the loop does not see that, or the steps take long.
+    5. ``tangent(y0, v, h, n)`` is the derivative of the states along v.
 
     Parameters
     ----------
@@ -56,54 +82,56 @@ class StepLoop(ABC):
 
     #: how `tangent` differentiates
     derivative = "forward-mode AD through the same steps, compiled"
-
-    def __init__(self, method: Any, request: Request) -> None:
-        self.method, self.scene, self.carry = method, request.scene, request.carry
-        self.numbers = np.array(request.scene.numbers())
-
     #: spent on recording and compiling
-    seconds: Any = 0.0
+    seconds = 0.0
+
+    def __init__(self, method: Steps, request: Request) -> None:
+        self.method, self.scene, self.carry = method, request.scene, request.carry
+        self.counted = method.iterates
 
     @abstractmethod
-    def ready(self, h: np.ndarray, n: np.ndarray) -> Any:
+    def ready(self, h: np.ndarray, n: np.ndarray) -> Ready:
         """Return what depends on the steps alone."""
 
     @abstractmethod
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+    def take(self, y0: np.ndarray, ready: Ready) -> tuple[np.ndarray, int | None]:
         """Return the states after each interval and the evaluations made."""
 
-    def last(self, ready: Any) -> Callable[[np.ndarray], np.ndarray]:
+    def last(self, ready: Ready) -> Callable[[np.ndarray], np.ndarray]:
         """Return the function from the first state to the last."""
         return lambda y0: self.take(y0, ready)[0][-1]
 
-    def vouched(
-        self, ready: Any, steps: int, starts: bool
-    ) -> Callable[[np.ndarray], np.ndarray | None] | None:
-        """Return the function that gives all states, after the first one if it `starts`, or None for what is wrong.
-
-        None where the loop does not see all that can be wrong, or the steps take long.
-        """
+    def watched(self, ready: Ready, steps: int, starts: bool) -> Watched | None:
+        """Return the function that gives all states, and whether nothing can be wrong with them."""
         return None
-
-    def divides_often(self) -> None:  # noqa: B027
-        """Prepare what makes `ready` fast."""
-
-    def record_tangent(self) -> None:
-        """Record what differentiates now: a user's map may be another when its derivative is asked for."""
-        with suppress(CannotRecord):
-            self.tangents  # noqa: B018
 
     @cached_property
     def tangents(self) -> Loop:
         return loop_of(self.method, self.scene, self.carry, tangent=True)
 
     def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return self.tangents.states(self.numbers, np.concatenate([y0, v]), h, n)[:, len(y0) :]
+        return self.tangents.states(self.scene, np.concatenate([y0, v]), h, n)[:, len(y0) :]
+
+
+def interruptible(work: Callable[[], object], stop: Callable[[], None], long: bool) -> None:
+    """Call `work`; where that takes long in a thread of its own, which ends by `stop` with what comes over this one."""
+    if not long or threading.current_thread() is not threading.main_thread():
+        work()
+        return
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    try:
+        while worker.is_alive():
+            worker.join(LOOK)
+    except BaseException:  # Ctrl-C, a time limit
+        stop()
+        worker.join()
+        raise
 
 
 # -- the loop over steps, recorded from a method on a scene ------------------------------------------
 def program_of(
-    method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
+    method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
 ) -> Program:
     """Return the recorded loop of a method on a scene; raises `CannotRecord` where one of them branches on values.
 
@@ -111,30 +139,36 @@ def program_of(
     """
     d = len(scene.labels(carry))
 
-    def advance(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+    def interval(
+        numbers: Sequence[Arithmetic],
+        h: Arithmetic,
+        n: Count,
+        y: Sequence[Arithmetic],
+        xp: Namespace,
+        repeat: Repeat,
+    ) -> list[Arithmetic]:
         if tangent:
-            y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)
+            y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)  # type: ignore[arg-type]
         start, twin = scene.unpack(y[:d], carry), scene.with_numbers(numbers)
         if counted:
-            x, spent = method.advance_counted(twin, start, h, n, xp, repeat)
+            x, spent = method.advance_counted(twin, start, h, n, xp, repeat)  # type: ignore[attr-defined]
             return [*scene.pack(x), y[d] + spent]
         end = scene.pack(method.advance(twin, start, h, n, xp, repeat))
         return [*map(value, end), *map(slope, end)] if tangent else end
 
-    def twin_at(numbers: Any, y: Any) -> tuple[Any, Any]:
+    def slope_at(numbers: Sequence[Arithmetic], y: Sequence[Arithmetic]) -> list[Arithmetic]:
         twin = scene.with_numbers(numbers)
-        return twin, twin.unpack(y[:d], carry)
+        return twin.pack(twin.rhs(twin.unpack(y[:d], carry)))
 
-    def slope_at(numbers: Any, y: Any) -> list[Any]:
-        twin, x = twin_at(numbers, y)
-        return twin.pack(twin.rhs(x))
-
-    def energy_at(numbers: Any, y: Any) -> tuple[Any, Any]:
-        twin, x = twin_at(numbers, y)
+    def energy_at(numbers: Sequence[Arithmetic], y: Sequence[Arithmetic]) -> tuple[Arithmetic, Arithmetic]:
+        twin = scene.with_numbers(numbers)
+        x = twin.unpack(y[:d], carry)
         return twin.energy(x), twin.energy_terms(x)
 
     watch = None if tangent else Watch(slope_at, energy_at if scene.bounds_energy else None)
-    return record(advance, len(scene.numbers()), d * (1 + tangent) + counted, scene.motion, DIVERGENCE, watch)
+    return record(
+        interval, len(scene.numbers()), d * (1 + tangent) + counted, scene.motion, DIVERGENCE, watch
+    )
 
 
 @cache
@@ -143,7 +177,7 @@ def is_fixed(method: Any) -> bool:
     return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
 
 
-def identity(method: Any, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
+def identity(method: Steps, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
     """What a compiled loop depends on besides the numbers, by recording a user's map; None where nobody can tell."""
     if (own := scene.identity) is None:
         return None
@@ -164,23 +198,33 @@ class Loop:
         self.seconds = seconds
         self._rows: Cache[tuple[np.ndarray, np.ndarray]] = Cache(KEPT)
 
-    @cached_property
-    def run(self) -> Any:
+    def compiled(self, function: Function, **options: Any) -> Callable[..., int]:
         elapsed = stopwatch()
-        run = compile_function(self.program.run)
+        made: Callable[..., int] = compile_function(function, **options)
         self.seconds += elapsed()
-        return run
+        return made
 
     @cached_property
-    def setup(self) -> Any:
-        elapsed = stopwatch()
-        setup = compile_function(self.program.setup, fused=False)
-        self.seconds += elapsed()
-        return setup
+    def run(self) -> Callable[..., int]:
+        return self.compiled(self.program.run)
 
     @cached_property
-    def setup_in_python(self) -> Any:
-        return execute(self.program.setup)
+    def setup(self) -> Callable[..., int]:
+        return self.compiled(self.program.setup, fused=False)
+
+    @cached_property
+    def setup_in_python(self) -> Callable[..., None]:
+        made: Callable[..., None] = execute(self.program.setup)
+        return made
+
+    @cached_property
+    def lanes(self) -> int:
+        """Return how many trajectories `many` integrates side by side."""
+        return LANES if sum(1 for _ in lines(self.program.many.body)) <= LONG_PROGRAM else FEW_LANES
+
+    @cached_property
+    def many(self) -> Callable[..., int]:
+        return self.compiled(self.program.many, lanes=self.lanes)
 
     @cached_property
     def size(self) -> int:
@@ -189,22 +233,13 @@ class Loop:
     def is_long(self, steps: int) -> bool:
         return steps * self.size > LONG
 
-    def execute(self, y0: np.ndarray, w: np.ndarray, shape: np.ndarray, after: np.ndarray, steps: int) -> int:
-        """Call `run`; where that takes long in a thread of its own, which ends with what comes over this one."""
-        if threading.current_thread() is not threading.main_thread() or not self.is_long(steps):
-            return int(self.run(y0, w, shape, after))
-        found: list[int] = []
+    def execute(
+        self, y0: np.ndarray, w: np.ndarray, shape: np.ndarray, after: np.ndarray, steps: int
+    ) -> None:
+        """Call `run`, which ends early where another thread sets the first entry of `shape`."""
         shape = shape.copy()
-        worker = threading.Thread(target=lambda: found.append(self.run(y0, w, shape, after)), daemon=True)
-        worker.start()
-        try:
-            while worker.is_alive():
-                worker.join(LOOK)
-        except BaseException:  # Ctrl-C, a time limit
-            shape[0] = 1
-            worker.join()
-            raise
-        return found[0]
+        stop = lambda: shape.__setitem__(0, 1)  # noqa: E731
+        interruptible(lambda: self.run(y0, w, shape, after), stop, self.is_long(steps))
 
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
@@ -230,8 +265,9 @@ class Loop:
         self.setup(numbers, spans, program.data, program.shape, w)
         return w
 
-    def states(self, numbers: np.ndarray, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        y = np.empty((len(n), len(y0)))
+    def states(self, scene: Scene, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Return packed states after each interval, (k, d)."""
+        y, numbers = np.empty((len(n), len(y0))), np.array(scene.numbers())
         together = max(1, AHEAD // self.program.width)
         for first in range(0, len(n), together):
             part = slice(first, first + together)
@@ -240,12 +276,22 @@ class Loop:
             y0 = y[part][-1]
         return y
 
+    def side_by_side(self, y0: np.ndarray, w: np.ndarray, shape: np.ndarray) -> np.ndarray:
+        """Return the states after each interval, (k, d, m), of m trajectories of one scene."""
+        m = y0.shape[1]
+        if m % self.lanes:  # the last trajectory again and again
+            y0 = np.pad(y0, ((0, 0), (0, -m % self.lanes)), mode="edge")
+        y0 = np.ascontiguousarray(y0)
+        after = np.empty((len(shape) - len(self.program.shape), *y0.shape))
+        self.many(y0, w, shape, after, np.array([0, y0.shape[1] // self.lanes]))
+        return after[..., :m]
+
 
 _loops: Cache[Loop] = Cache(1024)
 
 
 def loop_of(
-    method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
+    method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
 ) -> Loop:
     """Return the recorded loop of a method on a scene; one for all scenes of one identity.  Raises `CannotRecord`."""
 
@@ -258,42 +304,38 @@ def loop_of(
 
 
 # -- by numba ----------------------------------------------------------------------------------------
-class Recorded(StepLoop):
+class Recorded(StepLoop[Rows]):
     """By the recorded loop, compiled."""
 
     derivative = "forward-mode AD through the numerical map"
 
-    def __init__(self, method: Any, request: Request) -> None:
+    def __init__(self, method: Steps, request: Request) -> None:
         super().__init__(method, request)
-        self.counted = method.iterates
+        self.numbers = np.array(self.scene.numbers())
         self.loop = loop_of(method, self.scene, self.carry, counted=self.counted)
         self.loop.run  # noqa: B018, compiled now
+        if request.step is None:  # chosen at every call: the time is divided often
+            self.loop.setup  # noqa: B018
 
-    @property
-    def seconds(self) -> float:  # type: ignore[override]
-        return self.loop.seconds
-
-    def divides_often(self) -> None:
-        self.loop.setup  # noqa: B018, compiled now
-
-    def ready(self, h: np.ndarray, n: np.ndarray) -> Any:
-        """Return the arguments of the loop, or the steps where there are too many to be kept."""
+    def ready(self, h: np.ndarray, n: np.ndarray) -> Rows:
+        """Return the steps, and the arguments of the loop where they are not too many to be kept."""
         few = len(n) * self.loop.program.width <= AHEAD
-        return (h, n, self.loop.rows(self.numbers, h, n) if few else None)
+        rows = self.loop.rows(self.numbers, h, n) if few else None
+        self.seconds = self.loop.seconds
+        return h, n, rows
 
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
+    def take(self, y0: np.ndarray, ready: Rows) -> tuple[np.ndarray, int | None]:
         h, n, rows = ready
         start = np.append(y0, 0.0) if self.counted else y0
         if rows is None:
-            y = self.loop.states(self.numbers, start, h, n)
+            y = self.loop.states(self.scene, start, h, n)
         else:
-            after = np.empty(len(n) * len(start))
+            y = np.empty((len(n), len(start)))
             w, shape = rows
-            self.loop.execute(start, w, shape, after, total(n))
-            y = after.reshape(len(n), -1)
+            self.loop.execute(start, w, shape, y.reshape(-1), total(n))
         return spent(y) if self.counted else (y, None)
 
-    def last(self, ready: Any) -> Callable[[np.ndarray], np.ndarray]:
+    def last(self, ready: Rows) -> Callable[[np.ndarray], np.ndarray]:
         _, n, rows = ready
         if rows is None or self.counted:
             return super().last(ready)
@@ -308,23 +350,22 @@ class Recorded(StepLoop):
 
         return last
 
-    def vouched(
-        self, ready: Any, steps: int, starts: bool
-    ) -> Callable[[np.ndarray], np.ndarray | None] | None:
+    def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
         _, n, rows = ready
         if rows is None or self.counted or not self.loop.program.watched or self.loop.is_long(steps):
             return None
         run, empty, saves = self.loop.run, np.empty, len(n) + starts
         w, shape = rows
 
-        def vouched(y0: np.ndarray) -> np.ndarray | None:
+        def watched(y0: np.ndarray) -> tuple[np.ndarray, bool]:
             d = len(y0)
             after = y = empty(saves * d)
             if starts:
                 y[:d], after = y0, y[d:]
-            return None if run(y0, w, shape, after) >= 0 else y.reshape(saves, d)
+            fine = run(y0, w, shape, after) < 0
+            return y.reshape(saves, d), fine
 
-        return vouched
+        return watched
 
 
 def spent(y: np.ndarray) -> tuple[np.ndarray, int | None]:
@@ -334,15 +375,17 @@ def spent(y: np.ndarray) -> tuple[np.ndarray, int | None]:
 
 
 # -- by Python ---------------------------------------------------------------------------------------
-class Plain(StepLoop):
-    """Plain Python floats: the loop numba compiles, or where it cannot be recorded the step map, ten times as slow."""
+class Plain(StepLoop[Spans]):
+    """Plain Python floats: the loop numba compiles, or where it cannot be recorded the step map, ten times as slow.
+
+    Of many sites the step map on NumPy's arrays.
+    """
 
     program: Program | None = None
 
-    def __init__(self, method: Any, request: Request, recorded: bool = True) -> None:
+    def __init__(self, method: Steps, request: Request, recorded: bool = True) -> None:
         super().__init__(method, request)
-        self.counted = method.iterates
-        if not recorded:
+        if not recorded or self.scene.by_sites:
             return
         elapsed = stopwatch()
         with suppress(CannotRecord):
@@ -350,24 +393,25 @@ class Plain(StepLoop):
             self.setup, self.run = execute(program.setup), execute(program.run)
             self.program, self.seconds = program, elapsed()
 
-    def ready(self, h: np.ndarray, n: np.ndarray) -> list[tuple[float, int]]:
+    def ready(self, h: np.ndarray, n: np.ndarray) -> Spans:
         return list(zip(h.tolist(), n.tolist(), strict=True))
 
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
-        start = [*y0.tolist(), 0.0] if self.counted else y0.tolist()
+    def take(self, y0: np.ndarray, ready: Spans) -> tuple[np.ndarray, int | None]:
         y = None
         if self.program is not None:
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
-                y = np.array(self.run_program(self.program, start, ready))
+                y = np.array(self.run_program(self.program, y0.tolist(), ready))
         if y is None:
-            y = np.array(self.as_written(start, ready), dtype=float)
+            y = np.full((len(ready), len(y0) + self.counted), math.nan)
+            with suppress(*NO_NUMBER), np.errstate(all="ignore"):
+                for k, after in enumerate(self.states(y0, ready)):
+                    y[k] = after
         return spent(y) if self.counted else (y, None)
 
-    def run_program(
-        self, program: Program, y: list[float], spans: list[tuple[float, int]]
-    ) -> list[list[float]]:
+    def run_program(self, program: Program, y: list[float], spans: Spans) -> list[list[float]]:
         numbers, data, shape = self.scene.numbers(), program.data.tolist(), program.shape.tolist()
         rows, w, last = [], [[0.0] * program.width], None
+        y = [*y, 0.0] if self.counted else y
         for span in spans:
             if span != last:
                 self.setup(numbers, [span], data, shape, w)
@@ -377,25 +421,21 @@ class Plain(StepLoop):
             rows.append(y := after)
         return rows
 
-    def as_written(self, y: list[float], spans: list[tuple[float, int]]) -> list[list[float]]:
-        rows: list[list[float]] = []
-        with suppress(*NO_NUMBER):
-            rows.extend(self.states(y, spans))
-        return rows + [[math.nan] * len(y)] * (len(spans) - len(rows))
-
-    def states(self, y: list[float], spans: list[tuple[float, int]]) -> Iterator[list[float]]:
-        d = len(y) - self.counted
-        x, made = self.scene.unpack(y[:d], self.carry), y[d:]
+    def states(self, y0: np.ndarray, spans: Spans) -> Iterator[Sequence[float]]:
+        x = self.scene.unpack(self.scene.entries(y0), self.carry)
+        if not self.counted:
+            yield from map(self.scene.pack, trajectory(self.method, self.scene, x, spans, math))
+            return
+        made = 0
         for h, n in spans:
-            if self.counted:
-                x, more = self.method.advance_counted(self.scene, x, h, n, math)
-                made = [made[0] + more]
-            else:
-                x = self.method.advance(self.scene, x, h, n, math)
-            yield [*self.scene.pack(x), *made]
+            x, more = self.method.advance_counted(self.scene, x, h, n, math)  # type: ignore[attr-defined]
+            made += more
+            yield [*self.scene.pack(x), made]
 
 
-def trajectory(method: Any, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
+def trajectory(
+    method: Steps, scene: Scene, x: AnyState, spans: Iterable[tuple[Arithmetic, Count]], xp: Namespace
+) -> Iterator[Any]:
     """Return the states after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
     for h, n in spans:
         x = method.advance(scene, x, h, n, xp)

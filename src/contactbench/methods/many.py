@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import ctypes
-import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from functools import cache, cached_property
-from threading import Thread, current_thread, main_thread
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Loop, StepLoop, is_fixed
-from contactbench.methods.prepared import NO_NUMBER, Request, stopwatch
+from contactbench.methods.loops import (
+    Loop,
+    Plain,
+    StepLoop,
+    Steps,
+    Watched,
+    interruptible,
+    is_fixed,
+    loop_of,
+)
+from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Cache, State, key
+from contactbench.numbers.protocol import Arithmetic, CannotRecord
+from contactbench.scene import Cache, Scene, State, key
 from contactbench.scene.many import Many
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.fields import FieldProgram, record_fields
@@ -38,10 +45,16 @@ from contactbench.trace.sweeps import (
 )
 from contactbench.xla import jax, lax
 
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from jax.sharding import Mesh, NamedSharding
+    from numpy.typing import ArrayLike
+
 #: sites from which on all cores share a sweep
 SHARED = 50_000
-#: steps times sites that take about a hundredth of a second or more, and seconds between two looks at signals
-LONG, LOOK = 1e7, 0.1
+#: steps times sites that take about a hundredth of a second or more
+LONG = 1e7
 #: bytes that are kept from one run to the next
 SPARE = 2**26
 #: numbers that a loop sees of a state: ‖q‖² + ‖p‖², H0, and the size of the terms of H0
@@ -62,8 +75,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
             f, s, xp = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else [], DualNumbers(xp)
         twin = scene.with_numbers(numbers)._replaced(**dict(zip(names, constants, strict=True)))
 
-        def see(k: int, x: Any) -> list[Any]:
-            def look(_: Any) -> list[Any]:
+        def see(k: int, x: State) -> list[Arithmetic]:
+            def look(_: object) -> list[Arithmetic]:
                 return [twin.product(x.q, x.q) + twin.product(x.p, x.p), twin.energy(x), twin.energy_terms(x)]
 
             return repeat(xp.tape.looks[k], look, [0.0] * SEEN) if watch else []
@@ -71,8 +84,8 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
         start = State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None)
         before = see(0, start)
         x = advance(twin, start, h, n, xp, repeat)
-        parts = [*x.q, *x.p], [x.s] if with_s else []
-        end = [number(c) for part in parts for number in (value, slope)[:blocks] for c in part]
+        components = [*x.q, *x.p], [x.s] if with_s else []
+        end = [number(c) for part in components for number in (value, slope)[:blocks] for c in part]
         return [*end, *before, *see(1, x)]
 
     seen = 2 * SEEN * watch
@@ -80,7 +93,7 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
 
 
 @cache
-def others(count: int) -> Any:
+def others(count: int) -> Executor:
     """Threads beside this one."""
     from concurrent.futures import ThreadPoolExecutor
 
@@ -136,7 +149,7 @@ class FieldLoop(Loop):
         self.seconds = elapsed()
 
     @cached_property
-    def compiled(self) -> Any:
+    def sweeps(self) -> Any:
         elapsed, program = stopwatch(), self.program
         made = compile_sweeps(program.run, self.boundary, program.sums, program.width, self.packing)
         self.seconds += elapsed()
@@ -145,7 +158,7 @@ class FieldLoop(Loop):
     @cached_property
     def run(self) -> Any:
         pointer = ctypes.c_void_p
-        return ctypes.CFUNCTYPE(None, pointer, ctypes.c_double, pointer, pointer)(self.compiled.address)
+        return ctypes.CFUNCTYPE(None, pointer, ctypes.c_double, pointer, pointer)(self.sweeps.address)
 
     def data(self, scene: Many, arrays: dict[str, np.ndarray], rank: int = 0, threads: int = 1) -> np.ndarray:
         """The argument `data` of the compiled function: the addresses of its arrays, which are to be kept alive."""
@@ -155,15 +168,14 @@ class FieldLoop(Loop):
         return data
 
     def arrays(
-        self, scene: Many, numbers: np.ndarray, h: Any = (0.0,), n: Any = (1,)
+        self, scene: Many, numbers: np.ndarray, h: ArrayLike = (0.0,), n: ArrayLike = (1,)
     ) -> dict[str, np.ndarray]:
         """The arrays that the compiled function works on, by name; fields has the constants after the state."""
         program, sites, constants = self.program, scene.sites, scene.constants.values()
         w, shape = self.rows(numbers, np.asarray(h, dtype=float), np.asarray(n))
-        fields: Any = None
-        with suppress(IndexError):
+        try:
             fields = self.spare.get(sites, []).pop()
-        if fields is None:
+        except IndexError:
             fields = np.zeros((program.rows, stride_of(sites)))
         first = 2 * self.packing.dimensions * self.packing.blocks
         for row, constant in zip(fields[first:, : sites + 2 * PAD], constants, strict=False):
@@ -190,23 +202,12 @@ class FieldLoop(Loop):
         arrays = arrays | {"sync": np.zeros(LINE * threads, dtype=np.int64)}
         data = [self.data(scene, arrays, rank, threads) for rank in range(threads)]
 
-        def work(each: np.ndarray, *_: Any) -> None:
+        def work(each: np.ndarray, *_: object) -> None:
             self.run(out.ctypes.data, 0.0, y.ctypes.data, each.ctypes.data)
 
         for each in data[1:]:
             others(threads - 1).submit(work, each, arrays)
-        if not long or current_thread() is not main_thread():
-            work(data[0])
-        else:  # this one looks at signals
-            leader = Thread(target=work, args=(data[0],), daemon=True)
-            leader.start()
-            try:
-                while leader.is_alive():
-                    leader.join(LOOK)
-            except BaseException:  # Ctrl-C, a time limit
-                arrays["sync"][STOP] = 1
-                leader.join()
-                raise
+        interruptible(lambda: work(data[0]), lambda: arrays["sync"].__setitem__(STOP, 1), long)
         return bool((arrays["sync"][LINE::LINE] == OUT).any())
 
     def threads(self, scene: Many, numbers: np.ndarray, y: np.ndarray, h: float) -> int:
@@ -226,14 +227,13 @@ class FieldLoop(Loop):
         shared = self.shares.get((scene.sites, most), False) and monotonic() > REST.until
         return most if shared else 1
 
-    def paths(self, scene: Any, numbers: np.ndarray, y: np.ndarray, h: Any, n: Any) -> np.ndarray:
-        """Packed states after each interval, (k, blocks, size), of a state and maybe its tangent, (blocks, size)."""
-        return self.steps(scene, numbers, y, h, n, False)[:, : y.size].reshape(len(n), *y.shape)
+    def states(self, scene: Any, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Return packed states after each interval, (k, d), each maybe with its tangent after it."""
+        return self.steps(scene, y0, h, n, False)[:, : y0.size]
 
-    def steps(
-        self, scene: Any, numbers: np.ndarray, y: np.ndarray, h: Any, n: Any, watch: bool
-    ) -> np.ndarray:
-        """The same, flat, followed by what was seen of the first start and of every end."""
+    def steps(self, scene: Any, y: np.ndarray, h: np.ndarray, n: np.ndarray, watch: bool) -> np.ndarray:
+        """Return the states, each followed by what was seen of the first start and of every end."""
+        numbers = np.array(scene.numbers())
         arrays, out = self.arrays(scene, numbers, h, n), np.empty((len(n), y.size + self.seen))
         which = arrays["shape"][len(self.program.shape) : -2].copy()
         y = np.ascontiguousarray(y, dtype=float)
@@ -256,7 +256,12 @@ class FieldLoop(Loop):
 _loops: Cache[FieldLoop] = Cache(256)
 
 
-def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
+def loop_on(method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
+    """Return the compiled loop of a method on a scene of any kind; raises `CannotRecord`."""
+    return (field_loop if scene.by_sites else loop_of)(method, scene, carry, tangent)
+
+
+def field_loop(method: Steps, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
     """The loop of a method; `CannotRecord`, also where numba is told not to compile."""
     packing = Packing(scene.dimensions, "s" in carry, 1 + tangent)
     known = (method, scene.equations) if is_fixed(method) and scene.identity is not None else None
@@ -276,82 +281,55 @@ def slopes_of(scene: Many, carry: tuple[str, ...]) -> FieldLoop:
     return _loops.get(known, lambda: FieldLoop(lambda scene, x, *_: scene.rhs(x), scene, packing))
 
 
-class Sweeps(StepLoop):
+class Arrays(Plain):
+    """By the step map on NumPy's arrays."""
+
+    @cached_property
+    def tangents(self) -> FieldLoop:  # type: ignore[override]
+        return field_loop(self.method, self.scene, self.carry, tangent=True)
+
+
+class Sweeps(StepLoop[tuple[np.ndarray, np.ndarray]]):
     """By sweeps over the sites, compiled by LLVM."""
 
     derivative = "forward-mode AD through the numerical map"
 
-    def __init__(self, method: Any, request: Request) -> None:
+    def __init__(self, method: Steps, request: Request) -> None:
         super().__init__(method, request)
-        self.loop = loop_of(method, self.scene, self.carry)
-        self.loop.compiled  # noqa: B018, now
+        self.loop = field_loop(method, self.scene, self.carry)
+        self.loop.sweeps  # noqa: B018, compiled now
+        self.seconds = self.loop.seconds
 
-    @property
-    def seconds(self) -> float:  # type: ignore[override]
-        return self.loop.seconds
-
-    @cached_property
-    def tangents(self) -> FieldLoop:  # type: ignore[override]
-        return loop_of(self.method, self.scene, self.carry, tangent=True)
+    tangents = Arrays.tangents
 
     def ready(self, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return h, n
 
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
-        return self.loop.paths(self.scene, self.numbers, y0[None], *ready)[:, 0], None
+    def take(self, y0: np.ndarray, ready: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, int | None]:
+        return self.loop.states(self.scene, y0, *ready), None
 
-    def vouched(
-        self, ready: Any, steps: int, starts: bool
-    ) -> Callable[[np.ndarray], np.ndarray | None] | None:
+    def watched(self, ready: tuple[np.ndarray, np.ndarray], steps: int, starts: bool) -> Watched | None:
         """As in `StepLoop`: looking at the states once more takes as long as a few steps."""
-        loop, bounds = self.loop, self.scene.bounds_energy
+        loop, bounds, (h, n) = self.loop, self.scene.bounds_energy, ready
         if not loop.seen:
             return None
 
-        def vouched(y0: np.ndarray) -> np.ndarray | None:
-            h, n = ready
-            found = loop.steps(self.scene, self.numbers, y0, h, n, True)
+        def watched(y0: np.ndarray) -> tuple[np.ndarray, bool]:
+            found = loop.steps(self.scene, y0, h, n, True)
             y, start, end = np.split(found, [len(y0), len(y0) + SEEN], axis=1)
             with np.errstate(over="ignore"):
                 small, rises = end[:, 0] <= DIVERGENCE**2, end[-1, 1] > start[0, 1] + start[0, 2]
-            if not small.all() or not np.isfinite(end[:, 1]).all() or (rises and bounds):
-                return None
-            return np.concatenate([y0[None], y]) if starts else y
+            fine = bool(small.all() and np.isfinite(end[:, 1]).all() and not (rises and bounds))
+            return np.concatenate([y0[None], y]) if starts else y, fine
 
-        return vouched
-
-    def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return self.tangents.paths(self.scene, self.numbers, np.stack([y0, v]), h, n)[:, 1]
-
-
-class Arrays(Sweeps):
-    """By the step map on NumPy's arrays."""
-
-    derivative = StepLoop.derivative
-    seconds = 0.0  # type: ignore[assignment]
-
-    def __init__(self, method: Any, request: Request) -> None:
-        StepLoop.__init__(self, method, request)
-
-    def vouched(self, ready: Any, steps: int, starts: bool) -> None:
-        return None
-
-    def take(self, y0: np.ndarray, ready: Any) -> tuple[np.ndarray, int | None]:
-        h, n = ready
-        out = np.full((len(n), len(y0)), math.nan)
-        x = self.scene.unpack(y0, self.carry)
-        with suppress(*NO_NUMBER), np.errstate(all="ignore"):
-            for k, (step, count) in enumerate(zip(h.tolist(), n.tolist(), strict=True)):
-                x = self.method.advance(self.scene, x, step, count, math)
-                out[k] = self.scene.pack(x)
-        return out, None
+        return watched
 
 
 class Meshes(Traced):
     """By JAX; many sites are divided evenly among all devices, on one CPU where threads would do so."""
 
     @cached_property
-    def mesh(self) -> Any:
+    def mesh(self) -> Mesh | None:
         from jax.sharding import Mesh
 
         devices, sites = jax.devices(), self.scene.sites  # type: ignore[attr-defined]
@@ -359,28 +337,29 @@ class Meshes(Traced):
         alone = jax.process_count() == 1 and devices[0].platform == "cpu" and threads_for(sites) == 1
         return Mesh(np.array(devices), ("sites",)) if even and not alone else None
 
-    def along(self, *axes: str) -> Any:
+    def along(self, *axes: str) -> NamedSharding | None:
         from jax.sharding import NamedSharding, PartitionSpec
 
-        return self.mesh and NamedSharding(self.mesh, PartitionSpec(*axes))
+        return None if self.mesh is None else NamedSharding(self.mesh, PartitionSpec(*axes))
 
     @cached_property
-    def everywhere(self) -> Any:  # type: ignore[override]
+    def everywhere(self) -> NamedSharding | None:  # type: ignore[override]
         return self.along()
 
-    def key(self) -> tuple[Any, ...]:
+    def key(self) -> tuple[Hashable, ...]:
         return (self.mesh,)
 
-    def start_of(self, scene: Any, y0: Any) -> Any:
-        x, divided = super().start_of(scene, y0), self.along("sites")
+    def start_of(self, scene: Scene, y0: jax.Array) -> Any:
+        x: Any = super().start_of(scene, y0)
+        divided = self.along("sites")
         if self.mesh is None:
             return x
         q, p = (tuple(lax.with_sharding_constraint(c, divided) for c in part) for part in (x.q, x.p))
         return x._replace(q=q, p=p)
 
-    def states(self, y0: Any, fixed: Any) -> Any:
+    def states(self, y0: jax.Array, fixed: jax.Array) -> jax.Array:
         y = super().states(y0, fixed)
         return y if self.mesh is None else lax.with_sharding_constraint(y, self.everywhere)
 
 
-SITE_LOOPS: dict[str, type[StepLoop]] = {"numba": Sweeps, "jax": Meshes, "python": Arrays}
+SITE_LOOPS: dict[str, type[StepLoop[Any]]] = {"numba": Sweeps, "jax": Meshes, "python": Arrays}

@@ -1,18 +1,11 @@
-"""Linear multistep methods for second-order equations: one gradient a step.
+"""Linear multistep methods in z = e^{γt/2} q, z'' = γ²z/4 − e^{γt/2} ∇V(q)/m: one gradient a step.
 
-In z = e^{γt/2} q a linearly damped motion has no damping term, z'' = γ²z/4 − e^{γt/2} ∇V(q)/m (docs/mathematics), and
+    z_{n+1} + α₁ z_n + … + α_k z_{n+1−k} = h² (β₁ z''_n + … + β_K z''_{n+1−K}),
 
-    z_{n+1} + α₁ z_n + … + α_k z_{n+1−k} = h² (β₁ z''_n + … + β_K z''_{n+1−K})
-
-is explicit.  The α are the method; the β follow from them: the formula is exact on polynomials of the highest degree.
-With symmetric α it is time-symmetric, so that the energy of z has no drift: Quinlan, Tremaine, Astron. J. 100,
-1694 (1990), doi:10.1086/115629.  With z_{n+1} − 2z_n + z_{n−1} alone it is Störmer's method: Hairer, Nørsett, Wanner,
-Solving Ordinary Differential Equations I, §III.10, eq. (10.8).  What is added up are the increments z_n − z_{n−1}.
-
-Every interval between saved times starts afresh: the K points before its beginning are found going back, by Strang
-steps of h, h/2, h/3, … that are extrapolated (Hairer, Nørsett, Wanner I, §II.9), and counted.  The momentum at its end
-comes from z_n − z_{n−1} and the forces, the action from s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V), which
-holds along every motion, by an Adams formula; both of an order above that of the method.
+the β exact on polynomials of the highest degree; with symmetric α the energy of z has no drift.  Quinlan, Tremaine,
+Astron. J. 100, 1694 (1990), doi:10.1086/115629; z_{n+1} − 2z_n + z_{n−1} is Störmer's: Hairer, Nørsett, Wanner, Solving
+Ordinary Differential Equations I, §III.10.  Every interval starts afresh: its K points before are found going back, by
+extrapolated Strang steps (§II.9 there); the action is s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V).
 """
 
 from __future__ import annotations
@@ -22,12 +15,14 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import accumulate
 from math import prod
-from typing import Any
+from typing import Any, NoReturn
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Scene, State, dot, scaled
+from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.scene import Scene, State, Vector, dot, scaled
 from contactbench.splitting import composition
 from contactbench.splitting.composition import number
 from contactbench.splitting.tables import STRANG
@@ -89,10 +84,12 @@ class Multistep(FixedStep):
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
         """Return n, one for the momentum, and those of the points before the start."""
-        each = sum(parts + 1 for parts in range(1, self.order // 2 + 1)) + 1
+        each = sum(divisions + 1 for divisions in range(1, self.order // 2 + 1)) + 1
         return self.forces * each + n + 1
 
-    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+    def advance(
+        self, scene: Any, x: Any, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> Any:
         K, gamma, over_m = self.forces, scene.gamma, scene.inverse_mass
         beta, velocity = ([number(c, xp) for c in row] for row in (self.beta, self.velocity))
         alpha = list(accumulate((1, *self.alpha)))[1:-1]  # of the increments z_n − z_{n−1}
@@ -101,7 +98,7 @@ class Multistep(FixedStep):
         fading = -xp.expm1(-gamma * h)
         one, nothing = xp.exp(0 * h), 0 * h
 
-        def force(z: Any, shrunk: Any, grown: Any) -> tuple[Any, Any]:
+        def force(z: Vector, shrunk: Arithmetic, grown: Arithmetic) -> tuple[Vector, Arithmetic]:
             """Return z'' and ψ = ½ q·∇V − V."""
             q = scaled(shrunk, z)
             gradient = scene.dV(q)
@@ -115,17 +112,12 @@ class Multistep(FixedStep):
             at = self.back(scene, at, h, xp, repeat)
             shrunk, grown = shrunk + gain * shrunk, grown - loss * grown
             older = scaled(grown, at.q)
-            increment = tuple(a - b for a, b in zip(z, older, strict=True))
             rate, psi = force(older, shrunk, grown)
-            return (
-                at,
-                older,
-                shrunk,
-                grown,
-                (*increments[1:], increment),
-                (*rates[1:], rate),
-                (*psis[1:], psi),
+            newest = tuple(a - b for a, b in zip(z, older, strict=True)), rate, psi
+            histories = (
+                (*past[1:], new) for past, new in zip((increments, rates, psis), newest, strict=True)
             )
+            return at, older, shrunk, grown, *histories
 
         def step(carried: Any) -> Any:
             z, increments, rates, psis, total, shrunk, grown = carried
@@ -159,11 +151,11 @@ class Multistep(FixedStep):
         s = shrunk * shrunk * (x.s - dot(x.q, x.p) / 2 - h * first)
         return State(q, p, s + dot(q, p) / 2 + h * (total + combine(ends, psis)))
 
-    def back(self, scene: Any, x: Any, h: Any, xp: Any, repeat: Repeat) -> Any:
+    def back(self, scene: Scene, x: State, h: Arithmetic, xp: Namespace, repeat: Repeat) -> State:
         """Return x one step before, extrapolated from Strang's method to the order of this one."""
-        parts = range(1, self.order // 2 + 1)
-        shares = [prod(Fraction(m * m, m * m - k * k) for k in parts if k != m) for m in parts]
-        found = [composition.advance(STRANG, scene, x, -h / m, m, xp, repeat) for m in parts]
+        divisions = range(1, self.order // 2 + 1)
+        shares = [prod(Fraction(m * m, m * m - k * k) for k in divisions if k != m) for m in divisions]
+        found = [composition.advance(STRANG, scene, x, -h / m, m, xp, repeat) for m in divisions]
         by_share = [number(Fraction(c), xp) for c in shares]
         return State(
             *(
@@ -176,17 +168,17 @@ class Multistep(FixedStep):
         )
 
 
-def single_step(*_: Any) -> Any:
+def single_step(*_: object) -> NoReturn:
     raise NotImplementedError("a multistep method has no map of a single step")
 
 
-def combine(coefficients: Sequence[Any], values: Sequence[Any]) -> Any:
+def combine(coefficients: Sequence[Arithmetic | int], values: Sequence[Arithmetic]) -> Any:
     """Return Σ c v; whole coefficients may be 0, and the last values may have none."""
     pairs = zip(coefficients, values, strict=False)
     return sum(c * v for c, v in pairs if not (isinstance(c, int) and c == 0))
 
 
-_kinds: Any = {"kind": "gradient", "step": single_step}
+_kinds: dict[str, Any] = {"kind": "gradient", "step": single_step}
 _source = "Quinlan, Tremaine, Astron. J. 100, 1694 (1990), doi:10.1086/115629"
 for _order, _half in ((8, (1, -2, 2, -1, 0)), (12, (1, -2, 2, -1, 0, 0, 0))):
     _alpha, _name = (*_half, *_half[-2::-1])[1:], f"quinlan-tremaine{_order}"

@@ -16,10 +16,14 @@ from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.base import lookup
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import XlaNumbers
-from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.scene import Scene, Vector
 from contactbench.trace.form import Function, Unpack, Update, execute
 from contactbench.trace.formula import argument_names, formula
+
+#: a packed state; of many sites an array
+Packed = Vector | np.ndarray
+Numbers = Sequence[Arithmetic]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,15 +71,19 @@ class OneStep:
         return self.scene.number_names()
 
     @property
-    def start(self) -> Any:
+    def start(self) -> Packed:
         """Return the scene's initial state, packed."""
-        y = self.scene.pack(self.scene.initial(self.carry))
+        y: Any = self.scene.pack(self.scene.initial(self.carry))
         return y if self.many else tuple(map(float, y))
 
     def __call__(
-        self, y: Sequence[Any], h: Any, numbers: Sequence[Any] | None = None, **parameters: Any
-    ) -> Any:
-        given = list(self.scene.numbers() if numbers is None else numbers)
+        self,
+        y: Any,
+        h: Arithmetic,
+        numbers: Numbers | None = None,
+        **parameters: Arithmetic,
+    ) -> Packed:
+        given: list[Any] = list(self.scene.numbers() if numbers is None else numbers)
         for name, value in parameters.items():
             if name not in self.names:
                 raise unknown_name(f"parameter of scene {self.scene.name!r}", name, filter(None, self.names))
@@ -86,15 +94,15 @@ class OneStep:
         y = y if self.many else tuple(y)
         xp = namespace(*((y,) if self.many else y), h, *given)
         if numbers is None and not parameters:
-            return self.advance(y, h, self.scene, xp)
+            return self.step(y, h, self.scene, xp)
         if shape := np.broadcast_shapes(*map(np.shape, given)):  # each entry has stage constants of its own
             h = xp.broadcast_to(h, shape)
         if xp is math or xp is np:
             scene = self.scene.with_numbers(given) if np.all(self.fits(given)) else self.rebuilt(given)
-            return self.advance(y, h, scene, xp)
+            return self.step(y, h, scene, xp)
         return self.traced(y, h, given, xp)
 
-    def fits(self, numbers: Sequence[Any]) -> Any:
+    def fits(self, numbers: Numbers) -> Any:
         """Return whether numbers are those of the scene's structure, entry by entry."""
         known = [*numbers, 0.0]
         orders = self.scene.orders()
@@ -102,7 +110,7 @@ class OneStep:
             and_, [known[i] < known[j] if strict else known[i] <= known[j] for i, j, strict in orders], True
         )
 
-    def rebuilt(self, numbers: Sequence[Any]) -> Scene:
+    def rebuilt(self, numbers: Numbers) -> Scene:
         """Return the scene of another structure that numbers make; `BadInput` where the method has no step on it."""
         scene = self.scene.decided_by(numbers)
         why = self.method.refuses(scene)
@@ -113,24 +121,28 @@ class OneStep:
             raise BadInput(f"{told}: makes scene {scene.name!r} another problem: {why}")
         return scene
 
-    def traced(self, y: Any, h: Any, numbers: Sequence[Any], xp: Any) -> Any:
+    def traced(self, y: Packed, h: Arithmetic, numbers: Numbers, xp: Any) -> Packed:
         """Step with numbers that may not be looked at; nan, derivatives too, where there is no step of that kind."""
         scene: Any = self.scene.with_numbers(numbers)
         place = self.names.index("kappa") if "kappa" in scene.coefficients else None
         if place is None or numbers[place] is self.scene.numbers()[place]:
             fits = self.fits(numbers)
-            return self.advance(y, h, scene, xp, 0.0 if fits is True else xp.where(fits, 0.0, math.nan))
+            return self.step(y, h, scene, xp, 0.0 if fits is True else xp.where(fits, 0.0, math.nan))
         general = scene._replaced(kappa_sign=None)
         if "s" in self.carry and self.method.refuses(general) is None:
-            return self.advance(y, h, general, xp)
+            return self.step(y, h, general, xp)
         kappa = xp.asarray(numbers[place])
-        return self.advance(y, h, scene, xp, xp.where(kappa == 0, xp.sqrt(kappa * kappa), math.nan))
+        return self.step(y, h, scene, xp, xp.where(kappa == 0, xp.sqrt(kappa * kappa), math.nan))
 
-    def advance(self, y: Any, h: Any, scene: Scene, xp: Any, lack: Any = None) -> Any:
-        end = scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp))
-        if self.many:
-            return end if lack is None else end + lack
-        return tuple(end) if lack is None else tuple(c + lack for c in end)
+    def step(
+        self, y: Packed, h: Arithmetic, scene: Scene, xp: Namespace, lack: Arithmetic | None = None
+    ) -> Packed:
+        end: Any = scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp))
+        end = end if self.many else tuple(end)
+        if lack is not None:
+            end = end + lack if self.many else tuple(c + lack for c in end)
+        after: Packed = end
+        return after
 
     @property
     def _numba_type_(self) -> Any:
@@ -148,39 +160,33 @@ class OneStep:
 
         d = len(self.labels)
 
-        def whole(y: Any, h: Any, numbers: Any, xp: Any) -> Any:
-            return self.advance(y, h, self.scene.with_numbers(numbers), xp)
+        def whole(y: Vector, h: Arithmetic, numbers: Numbers, xp: Namespace) -> Packed:
+            return self.step(y, h, self.scene.with_numbers(numbers), xp)
 
         recorded = formula(whole, (d, 0, len(self.names), "xp"), ())
         names = argument_names(recorded.arguments, ())
         arguments = (Unpack(names[:d], "y"), Update((names[d],), ("h",)), Unpack(names[d + 1 :], "numbers"))
         own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
         step = Function("step", ("y", "h", own), (*arguments, *recorded.body), recorded.results)
-        advance = numba.njit(execute(step), error_model="numpy")
+        plain = numba.njit(execute(step), error_model="numpy")
         default, orders = tuple(map(float, self.scene.numbers())), tuple(self.scene.orders())
         if not orders:
-            return advance
-        zero, why = (
-            len(default),
-            f"numbers: make scene {self.scene.name!r} another problem: step_map of that one",
-        )
+            return plain
+        why = f"numbers: make scene {self.scene.name!r} another problem: step_map of that one"
 
         @numba.njit
         def guarded(y, h, numbers=default):  # type: ignore[no-untyped-def]
+            known = (*numbers, 0.0)
             for i, j, strict in orders:
-                low, high = 0.0, 0.0
-                if i < zero:
-                    low = numbers[i]
-                if j < zero:
-                    high = numbers[j]
+                low, high = known[i], known[j]
                 if not (low < high or (low == high and not strict)):
                     raise BadInput(why)
-            return advance(y, h, numbers)
+            return plain(y, h, numbers)
 
         return guarded
 
 
-def namespace(*values: Any) -> Any:
+def namespace(*values: object) -> Any:
     jax = sys.modules.get("jax")
     if jax is not None and any(isinstance(value, jax.Array) for value in values):
         return XlaNumbers()

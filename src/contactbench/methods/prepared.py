@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,7 +18,7 @@ from contactbench.checks import finite, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.registry import Registry
-from contactbench.scene import Cache, Scene, key, norm
+from contactbench.scene import AnyState, Cache, Scene, key, norm, verify
 from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
 
 #: name → method, each a `base.Method`
@@ -33,7 +33,7 @@ class Request:
     """A validated question to a method: what to solve, how finely, and what to save.
 
     steps : those that are prescribed, of which `step` is the longest; None: equal ones between saved times.
-    atol : one number, or one for every component but the time.  scales : what rtol was multiplied by, see `scales_of`;
+    atol : one number, or one for every component but the time.  scales : what rtol was multiplied by, see `to_scale`;
     None where atol was given.
     """
 
@@ -48,9 +48,18 @@ class Request:
     steps: np.ndarray | None = None
     scales: Any = None
 
-    def to_scale(self, start: Any, takes_atol: bool) -> Request:
-        """Return the request with the scales of the motion from a state, and the atol that follows from them."""
-        scales = scales_of(self.scene, start, float(self.save_at[-1]))
+    def to_scale(self, takes_atol: bool, **data: Any) -> Request:
+        """Return the request with the scales of the motion from its start, or other data, and the atol of these.
+
+        Coordinates have one, and momenta, the largest of theirs: with one for every component the momenta of light
+        bodies would be held to digits that nobody asks for, at a fifth more evaluations (planets).
+        """
+        assert self.rtol is not None
+        start = self.scene.initial(self.carry, **data)
+        each = self.scene.scales(start, float(self.save_at[-1]))
+        for part in np.split(each[: self.scene.motion], 2 if self.scene.canonical else 1):
+            part[:] = part.max()
+        scales = 1.0 if (each == 1).all() else each
         return replace(self, scales=scales, atol=self.rtol * scales if takes_atol else None)
 
     @cached_property
@@ -59,18 +68,16 @@ class Request:
         return np.array(self.scene.pack(self.scene.initial(self.carry)), dtype=float)
 
     @property
-    def control(self) -> str:
-        return "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
-
-    @property
-    def value(self) -> float:
-        return self.step or self.rtol or 0.0
+    def asked(self) -> tuple[str, float]:
+        """Return what is set, "step", "rtol" or nothing, "exact", and its value."""
+        control = "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
+        return control, self.step or self.rtol or 0.0
 
     @cached_property
     def setting(self) -> str:
         if self.steps is not None:
             return f"{len(self.steps)} steps of {self.steps.min():.6g} to {self.steps.max():.6g}"
-        return setting_key(self.control, self.value)
+        return setting_key(*self.asked)
 
 
 @dataclass(slots=True)
@@ -133,7 +140,7 @@ class Prepared(ABC):
         saved = f"{len(r.save_at)} states to t = {r.save_at[-1]:g}"
         return f"<{self.method} on {r.scene.name} ({r.engine}, {r.setting}), prepared: a call gives {saved}>"
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self) -> tuple[object, ...]:
         return prepare_again, (self.method, self.request)
 
     def __post_init__(self) -> None:
@@ -141,6 +148,8 @@ class Prepared(ABC):
         self.start = r.start
         self._motion, self._clock, self._end = r.scene.motion, r.scene.clock, float(r.save_at[-1])
         self._saves = len(r.save_at)
+        #: the whole call from a packed state, of a loop that sees by itself whether anything can be wrong
+        self.at_once: Callable[[np.ndarray], Solution] | None = None
         #: times since the start that no step straddles, and how exact they are
         self.breaks = r.scene.breaks_until(self._end)
         self.saves_start = r.save_at[0] == 0
@@ -149,13 +158,16 @@ class Prepared(ABC):
 
     def __call__(self, **data: Any) -> Solution:
         y0 = self.packed(data) if data else self.start
-        if (solution := self.at_once(y0)) is not None:
-            return solution
-        if data:
+        at_once = self.at_once
+        return at_once(y0) if at_once else self.solved(y0, self.integrate)
+
+    def solved(self, y0: np.ndarray, integrate: Callable[[np.ndarray], Outcome]) -> Solution:
+        """Return the solution from a packed state, everything looked at that can be wrong."""
+        if y0 is not self.start:
             require_slope(self.request.scene, self.request.scene.unpack(y0.tolist(), self.request.carry))
             self.require_clock(y0)
         try:
-            out = self.integrate(y0)
+            out = integrate(y0)
         except BaseException as error:
             raise blame(f"{self.method} on scene {self.request.scene.name!r}", error) from error.__cause__
         out = self.audit(y0, out)
@@ -168,14 +180,11 @@ class Prepared(ABC):
     ) -> dict[str, Any]:
         """Return all of a `Solution` but its states."""
         r, (chosen, longest) = self.request, steps
-        settings = {"control": r.control, "value": r.value, "step_chosen": chosen, "step": longest}
+        control, value = r.asked
+        settings = {"control": control, "value": value, "step_chosen": chosen, "step": longest}
         ended = {"status": status, "message": message, "counts": counts, "end_time": end}
         run = {"scene": r.scene, "method": self.method, "engine": r.engine, "carry": r.carry, "t": r.save_at}
         return {**run, "run": self, **ended, **settings}
-
-    def at_once(self, y0: np.ndarray) -> Solution | None:
-        """Return a run that is known to be `ok`; None: it is to be looked at."""
-        return None
 
     def packed(self, data: Mapping[str, Any]) -> np.ndarray:
         """Return the initial state with other initial data, packed; raises `BadInput`."""
@@ -224,7 +233,7 @@ class Prepared(ABC):
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         """Make the solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
-        return self.integrate(y0).y[-1]
+        return np.asarray(self.integrate(y0).y[-1])
 
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.concatenate([y0[None], y]) if self.saves_start else y
@@ -246,7 +255,7 @@ class Prepared(ABC):
         largest = math.hypot(*y.ravel().tolist()) if y.size <= FEW else np.abs(y).max()
         if largest <= bound:  # nan fails every comparison
             return None
-        bounds = np.fmax(bound, DIVERGENCE * self.scales(y0)[: self._motion])
+        bounds = furthest(self.request.scene, self.request.carry, y0, self._end)
         bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, : self._motion]) <= bounds).all(axis=1))
         return int(np.argmax(bad)) if bad.any() else None
 
@@ -338,7 +347,7 @@ class Prepared(ABC):
         """Saved states (k, d), maybe of a run made anew, and their derivative (k, d, m), of one and the same map."""
         return y, self.sensitivity(y0)
 
-    def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
+    def differential(self, y0: np.ndarray, out: Outcome | Solution, frozen: bool) -> Differential:
         """dΦ of the map its user gets, or with the steps frozen.
 
         To round-off where the engine can, else by differences of the solver.
@@ -355,24 +364,22 @@ class Prepared(ABC):
         """Log of the product of the conformal factors up to each saved time, (k,); None without contact maps."""
         return None
 
-    def modified_hamiltonian(self, x: Any) -> Any | None:
+    def modified_hamiltonian(self, x: AnyState) -> Any | None:
         """H̃ at x (see `splitting.modified`), None where the run is not known to be the flow of one."""
         return None
 
 
-def scales_of(scene: Any, x: Any, end: float) -> Any:
-    """Return the scale of every component but the time of a motion from x, one number where all are 1.
-
-    Coordinates and momenta have one, the largest of theirs, as the error of a run is measured: with a scale each,
-    tolerances would hold the small ones to digits that nobody asks for, at a fifth more evaluations.
-    """
-    scales = scene.scales(x, end)
-    scales[: scene.motion] = scales[: scene.motion].max()
-    return 1.0 if (scales == 1).all() else scales
+def furthest(scene: Scene, carry: tuple[str, ...], y0: np.ndarray, end: float) -> np.ndarray:
+    """Return beyond what the motion from a packed state has diverged, (motion,), or from several, (d, m)."""
+    with np.errstate(all="ignore"):
+        scales = scene.scales(scene.unpack(scene.components(y0), carry), end)[: scene.motion]
+        most = np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion], axis=0)))
+    return np.asarray(DIVERGENCE * most)
 
 
 def prepare_again(method: str, request: Request) -> Prepared:
-    return METHODS[method].prepare(request)
+    run: Prepared = METHODS[method].prepare(request)
+    return run
 
 
 class Refused(Prepared):
@@ -385,7 +392,7 @@ class Refused(Prepared):
         return Outcome(nothing, Counts(), Status.unsupported, self.why, 0.0)
 
 
-def require_slope(scene: Scene, start: Any) -> None:
+def require_slope(scene: Scene, start: AnyState) -> None:
     """Raise `BadInput` unless the slope at a state is finite: some solvers never return from a first step of nan."""
     try:
         slope = [float(component) for component in scene.pack(scene.rhs(start))]
@@ -405,7 +412,9 @@ _started: Cache[bool] = Cache(1024)
 
 
 def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
-    """Raise as `require_slope` does of the scene's own start, once for each."""
+    """Raise `BadInput` for a scene that no solver can start from, once for each."""
+    if scene.has_users_functions:
+        verify(scene)
 
     def passes() -> bool:
         require_slope(scene, scene.initial(carry))
@@ -416,7 +425,7 @@ def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
     _started.get(known, passes)
 
 
-def stopwatch() -> Any:
+def stopwatch() -> Callable[[], float]:
     start = perf_counter()
     return lambda: perf_counter() - start
 
@@ -448,22 +457,16 @@ def scale(x: Any, v: Any, units: Any) -> float:
     return 1.0
 
 
-def differences(run: Any, y0: np.ndarray, out: Any) -> Differential:
-    """dΦ at y0 by differences of `run.integrate`, run a `Prepared` and out its `Outcome` there.
+def differences(run: Prepared, y0: np.ndarray, out: Outcome | Solution) -> Differential:
+    """Return dΦ at y0, of the map its user gets, choice of steps included, by differences of `run.integrate`.
 
-    The only thing asked of an engine is that it runs from another initial state.  Where a solver chooses its
-    steps from the state, this is the derivative of the map its user gets, choice of steps included.
-
-    Initial data are moved along the scene's tangents (the attitude of a body along the rotation group) by
-    increments falling by `RATIO`, and every two neighbouring central differences D give one estimate without
-    their error of second order, R = (r² D(δ/r) − D(δ))/(r² − 1).  Truncation makes the first of them differ,
-    round-off over δ the last; and a choice of steps that jumps between the two sides makes a single one differ.
-    Where neighbours agree best is therefore the value, and twice their disagreement the error bar.  Where even the
-    last two disagree by a tenth of themselves, and by more than the roundings of the state, the map bends within
-    the smallest increment and no value is given.
-
-    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9 (extrapolation); for the balance of
-    truncation and round-off, Ridders, Adv. Eng. Software 4, 75 (1982), doi:10.1016/S0141-1195(82)80057-0.
+    Initial data are moved along the scene's tangents by increments falling by `RATIO`, and every two neighbouring
+    central differences D give one estimate without their error of second order, R = (r² D(δ/r) − D(δ))/(r² − 1):
+    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9.  Truncation makes the first of them
+    differ, round-off over δ the last, a choice of steps that jumps between the two sides a single one.  Where
+    neighbours agree best is the value, and twice their disagreement the error bar (Ridders, Adv. Eng. Software 4, 75
+    (1982), doi:10.1016/S0141-1195(82)80057-0).  Where even the last two disagree by a tenth of themselves, and by more
+    than the roundings of the state, the map bends within the smallest increment and no value is given.
     """
     scene: Scene = run.request.scene
     x = scene.unpack(tuple(y0.tolist()), run.request.carry)
@@ -481,7 +484,7 @@ def differences(run: Any, y0: np.ndarray, out: Any) -> Differential:
         return run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
 
     def quotient(v: object, amount: float) -> np.ndarray:
-        return (end(v, amount) - end(v, -amount)) / (2 * amount)
+        return np.asarray((end(v, amount) - end(v, -amount)) / (2 * amount))
 
     units = scene.unpack(scene.with_clock(run.scales(y0).tolist(), 1.0), run.request.carry)
     scales = [scale(x, v, units) for v in tangents]

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.checks import array, positive, whole
+from contactbench.checks import positive, real_array, whole
 from contactbench.errors import BadInput, excerpt
+from contactbench.scene import Scene
 
 #: how far the difference of two saved times may be off, in units of the last place of the later one: both are
 #: rounded, as a product or a sum of two, and so may be the spacing of the grid
@@ -16,6 +17,16 @@ GRID_ULPS = 4
 EQUAL = 1e-9
 #: no grid has more steps
 MOST = 10**8
+#: more steps than any budget allows are counted as this many
+UNCOUNTED = 2**50
+#: saved times when the caller names none: every k-th step with at most this many for fixed steps,
+#: this many equal intervals for adaptive methods
+DEFAULT_SAVES = 1000
+ADAPTIVE_SAVES = 200
+#: numbers in all saved states at most, where the caller names no times: 128 MB
+MOST_SAVED = 2**24
+#: parts of a shorter run are no longer normal numbers
+SHORTEST_RUN = 1e-290
 
 
 class Plateaus(NamedTuple):
@@ -69,9 +80,42 @@ def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.
     return np.repeat(np.diff(times) / plateau, plateau)
 
 
+def steps_in(span: float | np.ndarray, until: float | np.ndarray, step: float) -> np.ndarray:
+    """The fewest equal steps ≤ `step` that cover each span, but for round-off of the time `until` at which it ends."""
+    longest = np.maximum(step, span / (2 * UNCOUNTED))
+    ratio = (span * (1 - 1e-12) - GRID_ULPS * np.spacing(until)) / longest
+    return np.minimum(np.maximum(np.ceil(ratio), 1), UNCOUNTED).astype(np.int64)
+
+
+def default_times(scene: Scene, step: float | np.ndarray | None, budget: int) -> np.ndarray:
+    most = max(1, MOST_SAVED // scene.motion)
+    if step is None:
+        return np.linspace(0.0, scene.t_end, min(ADAPTIVE_SAVES, most) + 1)
+    n = len(step) if isinstance(step, np.ndarray) else int(steps_in(scene.t_end, scene.t_end, step))
+    if n > budget:  # will end as `budget`; no grid of that size is needed
+        return np.array([scene.t_end])
+    stride = -(-n // min(DEFAULT_SAVES, most))
+    marks = np.arange(0, n + stride, stride)
+    marks[-1] = n
+    if isinstance(step, np.ndarray):
+        return np.concatenate([[0.0], end_times(step)[marks[1:-1] - 1], [scene.t_end]])
+    return marks * (scene.t_end / n)
+
+
+def saved_times(save_at: object) -> np.ndarray:
+    times = np.array(real_array("save_at", save_at, "increasing times"), ndmin=1)  # a copy
+    if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
+        raise BadInput(f"save_at = {excerpt(save_at)}: must be finite times, at least one")
+    if times[0] < 0 or np.any(np.diff(times) <= 0):
+        raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
+    if len(times) == 1 and times[0] == 0:
+        raise BadInput("save_at: at least one time must be > 0")
+    return times
+
+
 def steps_of(value: Any) -> np.ndarray:
     """Return a sequence of steps as an array of its own, or raise `BadInput`."""
-    steps = np.array(array("step", value, "a number, or a sequence of them"), ndmin=1)
+    steps = np.array(real_array("step", value, "a number, or a sequence of them"), ndmin=1)
     if steps.ndim != 1 or not len(steps) or not np.all(np.isfinite(steps) & (steps > 0)):
         raise BadInput(f"step = {excerpt(value)}: must be finite steps > 0, at least one")
     return steps

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from contactbench.methods.fixed_step import fixed_step
-from contactbench.scene import Scene, shifted
+from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.scene import AnyState, Scene, shifted
 
 
 @fixed_step(
@@ -14,7 +13,7 @@ from contactbench.scene import Scene, shifted
     evaluations=4,
     about="classical Runge–Kutta; Kutta, Z. Math. Phys. 46, 435 (1901); Hairer–Nørsett–Wanner I, table 1.2",
 )
-def rk4(scene: Scene, x: Any, h: Any, xp: Any) -> Any:
+def rk4[X: AnyState](scene: Scene, x: X, h: Arithmetic, xp: Namespace) -> X:
     k1 = scene.rhs(x)
     k2 = scene.rhs(shifted(x, h / 2, k1))
     k3 = scene.rhs(shifted(x, h / 2, k2))

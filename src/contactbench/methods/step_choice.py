@@ -55,7 +55,7 @@ class ChosenStep(Prepared):
 
     #: a `FixedStep`
     method_: Any
-    loop: StepLoop
+    loop: StepLoop[Any]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -63,7 +63,6 @@ class ChosenStep(Prepared):
         times = [0.0, *(time for time, _ in self.breaks if 0 < time < self._end), self._end]
         self.first = float(np.diff(times).min()) / FIRST
         first = replace(self.request, step=self.first)
-        self.loop.divides_often()
         self.run = FixedStepRun(self.method, first, self.method_, self.loop)
         self.compile_s = self.run.compile_s
         self.alone = Lock()  # one run to divide: calls from several threads take turns
@@ -78,7 +77,7 @@ class ChosenStep(Prepared):
             evaluations = sum(pilot.evaluations for pilot in pilots)
             known = [pilot.y for pilot in pilots if pilot.steps == self.run.needed]
             if known:
-                out = self.run.judge(y0, known[0], self.run.totals)
+                out = self.run.outcome(y0, known[0], self.run.totals)
             else:
                 out = self.run.integrate(y0)
                 evaluations += out.counts.evaluations or 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -88,6 +89,14 @@ def scan[X](
     if can.branch:
         raise ArithmeticError(f"no convergence in {ENDLESS} turns")
     return x, outs
+
+
+def iterate[X](body: Callable[[X], X], x: X, turns: int, xp: Namespace) -> X:
+    """Return x after so many turns of ``x = body(x)``: a loop where one is compiled, not to be unrolled for seconds."""
+    recorded: Callable[..., X] | None = getattr(xp, "iterate", None)
+    if recorded is not None:
+        return recorded(turns, body, x)
+    return scan(lambda x: (body(x), 0.0), x, turns, lambda _: math.inf, xp)[0]
 
 
 def repeat_while[X](condition: Callable[[X], Condition], body: Callable[[X], X], x: X, xp: Namespace) -> X:

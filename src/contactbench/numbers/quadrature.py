@@ -21,7 +21,7 @@ DIGITS = 30
 HALVINGS = 12
 
 #: γ(t)
-Rate = Callable[[Arithmetic], Arithmetic]
+Rate = Callable[[Any], Arithmetic]
 #: nodes, weights, matrix
 Rule = tuple[list[Arithmetic], list[Arithmetic], list[list[Arithmetic]]]
 

@@ -164,7 +164,7 @@ class PeerRun(Prepared):
         """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
         r = self.request
         if data and r.scales is not None:
-            given = r.to_scale(r.scene.initial(r.carry, **r.scene.checked(data)), self.method_.takes_atol)
+            given = r.to_scale(self.method_.takes_atol, **r.scene.checked(data))
             if not np.array_equal(given.scales, r.scales):
                 return self.method_.prepare(given)(**data)
         return super().__call__(**data)
@@ -182,7 +182,7 @@ class PeerRun(Prepared):
         larger: Any = Variational(name=name, t_end=base.t_end, base=base, count=count)
         request = replace(r, scene=larger)
         if np.ndim(r.scales):
-            request = request.to_scale(larger.initial(r.carry), self.method_.takes_atol)
+            request = request.to_scale(self.method_.takes_atol)
         return replace(self, request=request)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -279,6 +279,7 @@ class Variational(System):
     # tangents do not move the time, and have none; they may grow as they like
     clock = property(lambda self: self.base.clock)
     motion = property(lambda self: self.base.motion)
+    canonical = property(lambda self: self.base.canonical)
 
     def initial(self, carry: Sequence[str], **data: Any) -> Bundle:
         x = self.base.initial(carry, **data)

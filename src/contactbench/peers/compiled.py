@@ -88,7 +88,7 @@ class FieldFunctions:
 
     def __init__(self, scene: Many, carry: tuple[str, ...]) -> None:
         self.scene, self.loop = scene, slopes_of(scene, carry)
-        self.rhs, self.compile_s = self.loop.compiled.address, self.loop.seconds
+        self.rhs, self.compile_s = self.loop.sweeps.address, self.loop.seconds
 
     def data(self, numbers: Sequence[float]) -> np.ndarray:
         self.arrays = self.loop.arrays(self.scene, np.array(numbers))  # they live as long as this

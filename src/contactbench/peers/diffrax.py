@@ -28,7 +28,7 @@ class Diffrax(Call):
         # one program for two saved times and for 1024: it takes up to 50 µs longer than one for 64 (measured), and
         # a program takes seconds to compile
         self.xla = xla = Xla(r, r.scene.identity, key, capacities=(1, 1024))
-        fixed = xla.together(r.scene.numbers(), [r.rtol], np.array(r.atol, ndmin=1), xla.times())
+        fixed = xla.together(r.scene.numbers(), [r.rtol or 0.0], np.array(r.atol, ndmin=1), xla.times())
         xla.compile(self._flat, xla.place(fixed), xla.room(self.saves))
         self.seconds = xla.seconds
 

@@ -54,7 +54,7 @@ def decade(value: float, end: Callable[[float], int]) -> str:
 
 
 def best_of_each(curves: Iterable[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
-    """Return the curves, of each family (and order) all but the best muted and first; MOST groups have one."""
+    """Return the curves, muted ones first: all but the best of each family (and order), at most MOST of these."""
     curves = list(curves)
     groups: dict[tuple[str, int | None], list[Curve]] = {}
     for curve in curves:

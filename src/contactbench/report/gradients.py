@@ -52,14 +52,10 @@ def costs_view(frame: pd.DataFrame) -> View:
     return view("gradient_costs", frame_of(lines, labels), show, counted=COUNTED)
 
 
-def growth_view(frame: pd.DataFrame) -> View:
-    errors = {"growth": "e^{γT}", "start_error": "error of the start"}
-    errors |= {"gradient_error": "error of the derivative"}
-    table = pick(frame, "method", gamma="γ", force="force", t_end="T", **errors)
-    show = dict.fromkeys(errors.values(), scientific)
-    return view("reversibility", table, show)
-
-
 @chapter("gradients", answers)
 def parts(frames: Frames) -> list[Part | None]:
-    return [costs_view(frames["gradients"]), growth_view(frames["reversibility"])]
+    errors = {"growth": "e^{γT}", "start_error": "error of the start"}
+    errors |= {"gradient_error": "error of the derivative"}
+    back = pick(frames["reversibility"], "method", gamma="γ", force="force", t_end="T", **errors)
+    show = dict.fromkeys(errors.values(), scientific)
+    return [costs_view(frames["gradients"]), view("reversibility", back, show)]

@@ -90,25 +90,14 @@ def mission_view(frames: Frames) -> View | None:
     return view("mission", frame_of(lines, labels))
 
 
-def documents_view(frames: Frames) -> View:
-    found = {chapter.file: chapter.question for chapter in chapters(frames) if chapter.name != NAME}
-    found["glossary.md"] = "What is each method, scene and column?"
-    rows = [(Cell(file, link=file), question) for file, question in found.items()]
-    return view("documents", frame_of(rows, ["document", "question"]))
-
-
 def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
     if not contests:
         return []
-    legend = (
-        "In brackets the best contact method, where it is not the cheapest. Bold: a contact method is the cheapest; "
-        "italic: it ties. [Scene by scene](work_precision.md); [hard scenes](stability.md)."
-    )
     tables = (
         replace(work_precision.winners_view(own, f"cheapest_{own.kind.name}"), legend="") for own in contests
     )
     lost = work_precision.losses_view({own.kind.title: own.contests for own in contests}, "lost")
-    return [Section("Who is cheapest where", (Text(legend), *tables)), lost]
+    return [Section("Who is cheapest where", (Text(PROSE[NAME]["legend"]), *tables)), lost]
 
 
 @chapter(NAME, answers)
@@ -119,7 +108,10 @@ def parts(frames: Frames) -> list[Part | None]:
         contests = work_precision.all_contests(frames).values()
         found.append(drawn and replace(drawn, caption=""))
         found += cheapest_parts([c for c in contests if len(c.contests)])
-    return [*found, documents_view(frames)]
+    questions = {chapter.file: chapter.question for chapter in chapters(frames) if chapter.name != NAME}
+    questions["glossary.md"] = "What is each method, scene and column?"
+    rows = [(Cell(file, link=file), question) for file, question in questions.items()]
+    return [*found, view("documents", frame_of(rows, ["document", "question"]))]
 
 
 def machine(runs: Sequence[Mapping[str, object]]) -> Text:

@@ -26,7 +26,7 @@ def duration(seconds: float) -> str:
 
 
 def times(ratio: float) -> str:
-    """A ratio: two decimals where they tell who is ahead, two digits above ten (×1.25, ×13, ×3100)."""
+    """Return a ratio: two decimals where they tell who is ahead, two digits above ten (×1.25, ×13, ×3100)."""
     if pd.isna(ratio):
         return DASH
     return f"×{ratio:.2f}" if ratio < 9.995 else f"×{float(f'{ratio:.2g}'):.0f}"
@@ -39,7 +39,7 @@ def count(value: float) -> str:
 
 
 def power(value: float) -> str:
-    """10⁻³ for 1e-3."""
+    """Return 10⁻³ for 1e-3."""
     return "10" + str(round(math.log10(value))).translate(SUPERSCRIPTS)
 
 
@@ -50,7 +50,7 @@ def readable(value: float) -> str:
 
 
 def names(items: list[str], most: int = 0) -> str:
-    """`a`, `b` and `c`; the first few where there are more than `most`."""
+    """Return `a`, `b` and `c`; the first few where there are more than `most`."""
     if most and len(items) > most:
         return ", ".join(items[:most]) + f" and {len(items) - most} more"
     return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))

@@ -118,12 +118,6 @@ def limit_cell(rows: pd.DataFrame) -> Cell:
     return replace(cell, text=text, mark=Mark.exception if row["windows"] else None)
 
 
-def limit_view(frame: pd.DataFrame) -> View:
-    one = frame[(frame["omega"] == 1.0) & frame["limit"].notna()].sort_values("gamma", kind="stable")
-    table = matrix(one, "method", "gamma", limit_cell, "γ = {:g}".format)
-    return view("limit", table)
-
-
 def stability_map(frame: pd.DataFrame) -> Figure | None:
     rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
     rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
@@ -142,4 +136,7 @@ def stability_map(frame: pd.DataFrame) -> Figure | None:
 
 @chapter("limits")
 def limit_parts(frames: Frames) -> list[Part | None]:
-    return [limit_view(frames["stability_limits"]), stability_map(frames["stability_limits"])]
+    frame = frames["stability_limits"]
+    one = frame[(frame["omega"] == 1.0) & frame["limit"].notna()].sort_values("gamma", kind="stable")
+    table = matrix(one, "method", "gamma", limit_cell, "γ = {:g}".format)
+    return [view("limit", table), stability_map(frame)]

@@ -83,7 +83,7 @@ class View:
 
     @property
     def labels(self) -> list[tuple[str, str]]:
-        """Group ("" for none) and label of each column."""
+        """Return group ("" for none) and label of each column."""
         return [name if isinstance(name, tuple) else ("", str(name)) for name in self.frame.columns]
 
 
@@ -121,7 +121,7 @@ def matrix(
     label: Callable[[Any], str] = str,
 ) -> pd.DataFrame:
     """Return a row for each value of one column and a column for each of another; cell(rows that have both)."""
-    parts = dict(list(frame.groupby([row, column], sort=False)))
+    groups = dict(list(frame.groupby([row, column], sort=False)))
     names, values = (list(dict.fromkeys(frame[key])) for key in (row, column))
-    lines = [(n, *(cell(parts[n, v]) if (n, v) in parts else DASH for v in values)) for n in names]
+    lines = [(n, *(cell(groups[n, v]) if (n, v) in groups else DASH for v in values)) for n in names]
     return frame_of(lines, [row, *map(label, values)])

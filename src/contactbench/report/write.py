@@ -51,11 +51,11 @@ def documents(
 
 
 def with_answers(readme: Path, frames: Frames) -> str:
-    parts = computed_part(readme)
-    if parts is None:
+    around = computed_part(readme)
+    if around is None:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    return f"{parts[0]}\n{markdown.answers(headline.answers(frames))}\n\n{parts[1]}"
+    return f"{around[0]}\n{markdown.answers(headline.answers(frames))}\n\n{around[1]}"
 
 
 def computed_part(readme: Path) -> tuple[str, str] | None:

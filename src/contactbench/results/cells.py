@@ -1,12 +1,8 @@
-"""Finished cells: a file each, there as a whole or not at all, and merged into the tables.
+"""Finished cells: a file each in ``results/.cells/PROFILE``, there as a whole or not at all, merged into the tables.
 
-A process that has finished a cell puts all rows of it into a file of its own in ``results/.cells/PROFILE``, which
-takes its name last: a kill leaves a cell finished or not.  A merge rewrites the tables under a lock and only then
-renames the files it has read; to merge a file twice does no harm, so that a kill of the merge loses nothing either.
-The files stay, and say which cells are done.
-
-Once all cells of an experiment are done, the rows of its tables that none of them has made are dropped: their
-benchmark no longer exists.
+A merge rewrites the tables under a lock and only then renames the files it has read; to merge a file twice does no
+harm, so that no kill loses anything.  The files stay, and say which cells are done.  Once all cells of an experiment
+are, rows of its tables that none of them has made are dropped: their benchmark no longer exists.
 """
 
 from __future__ import annotations
@@ -53,7 +49,7 @@ class DiskFull(BadInput):
 
 @contextlib.contextmanager
 def disk() -> Iterator[None]:
-    """Say in one line where a disk takes no more."""
+    """Raise `DiskFull`, in one line, in place of any `OSError` of the body."""
     try:
         yield
     except OSError as error:
@@ -151,7 +147,7 @@ def _by_table(cells: Iterable[Rows]) -> dict[str, list[Row]]:
 
 
 def _fits(entry: Entry) -> bool:
-    """Whether the tables can take the rows; what another version, or a plug-in that is not here, made stays aside."""
+    """Return whether the tables can take the rows; of another version, or a plug-in not here, they stay aside."""
     try:
         for name, row in entry.rows:
             check(TABLES[name], row)

@@ -198,7 +198,7 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
     at_least : a column, if there is one, of the least that those cost which were cut off before they reached the error,
     else nan: where one of them may cost less than the least, nobody wins.
     """
-    parts = []
+    ranked = []
     for _, part in costs.groupby(list(by), sort=False):
         part = part.sort_values("cost", kind="stable")
         least = next(cost_rows(part))
@@ -211,8 +211,8 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
             verdicts[0] = str(max(alike, key=list(Verdict).index, default=Verdict.win))
         if "at_least" in part and (part["at_least"] <= least.cost).any():
             verdicts = [v if v in ("", "loss") else "undecided" for v in verdicts]
-        parts.append(part.assign(ratio=ratios, margin=margins, verdict=verdicts))
-    return pd.concat(parts, ignore_index=True) if parts else costs.assign(ratio=[], margin=[], verdict=[])
+        ranked.append(part.assign(ratio=ratios, margin=margins, verdict=verdicts))
+    return pd.concat(ranked, ignore_index=True) if ranked else costs.assign(ratio=[], margin=[], verdict=[])
 
 
 def contests(costs: pd.DataFrame) -> pd.DataFrame:

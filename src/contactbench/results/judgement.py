@@ -41,7 +41,7 @@ def law_rows(frames: Mapping[str, pd.DataFrame], law: str) -> pd.DataFrame:
     terms that cancel); frozen (with the steps held fixed); claimed, kept, undecided, bound; judged (the run follows
     the motion); broken (judged, and neither kept nor undecided).  A law that is not structural is not judged.
     """
-    parts = []
+    judged = []
     for name in JUDGED_TABLES:
         frame = frames.get(name)
         if frame is not None and len(frame) and law in frame:
@@ -54,7 +54,7 @@ def law_rows(frames: Mapping[str, pd.DataFrame], law: str) -> pd.DataFrame:
             }
             found = {"value": numbers(rows, law), "frozen": numbers(rows, law + FROZEN), "bound": limit}
             found |= {"clamped": numbers(rows, f"{law}_clamped", 0.0), "judged": limit.notna()}
-            parts.append(rows.assign(**found, **dict.fromkeys(FLAGS[:3], False) | flags))
-    rows = pd.concat(parts or [pd.DataFrame()], ignore_index=True).reindex(columns=list(COLUMNS))
+            judged.append(rows.assign(**found, **dict.fromkeys(FLAGS[:3], False) | flags))
+    rows = pd.concat(judged or [pd.DataFrame()], ignore_index=True).reindex(columns=list(COLUMNS))
     rows = rows.astype(dict.fromkeys(FLAGS, bool))
     return rows.assign(broken=rows["judged"] & ~rows["kept"] & ~rows["undecided"])

@@ -70,7 +70,7 @@ def _cpu() -> str:
 
 
 def _instructions() -> str:
-    """The processor as the compiler sees it, and a digest of the instructions it has: they decide how numbers
+    """Return the processor as the compiler sees it, and a digest of the instructions it has: they decide how numbers
     are rounded."""
     from llvmlite import binding
 

@@ -222,7 +222,7 @@ def write(frame: pd.DataFrame, table: Table, results: Path) -> None:
 
 
 def as_text(values: pd.Series, column: Column) -> list[str]:
-    """A column as text: numbers in full, scientific where they count in decades, or in six digits."""
+    """Return a column as text: numbers in full, scientific where they count in decades, or in six digits."""
 
     def number_text(value: float) -> str:
         if column.exact or math.isinf(value):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from contactbench.checks import array
+from contactbench.checks import real_array
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.protocol import Arithmetic, Vector
 
@@ -145,7 +145,7 @@ def rotate(R: Vector, v: Vector) -> Vector:
 def quaternion_of(value: object) -> Vector:
     """Return an attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion."""
     wanted = "1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix"
-    matrix = array("R", value, wanted)
+    matrix = real_array("R", value, wanted)
     if matrix.ndim == 0 and matrix == 1:
         return (1.0, 0.0, 0.0, 0.0)
     if matrix.shape == (4,) and abs(np.linalg.norm(matrix) - 1) < 1e-12:

@@ -93,6 +93,14 @@ def key(identity: Hashable | None, *rest: Hashable) -> Hashable | None:
 
 
 @cache
+def written_anew(kind: type) -> str:
+    """Return the names of the equations that a user's own kind of scene writes anew."""
+    base = next(each for each in kind.__mro__ if is_ours(each))
+    names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
+    return ", ".join(name for name in names if getattr(kind, name, None) is not getattr(base, name, None))
+
+
+@cache
 def instead() -> dict[str, str]:
     """Return what no kind of scene takes, by name, and the nearest way to it."""
     return tomllib.loads(Path(__file__).with_name("instead.toml").read_text(encoding="utf-8"))
@@ -180,7 +188,7 @@ class System(ABC):
         return tuple(y)
 
     @staticmethod
-    def pack(state: Iterable[object]) -> list[Any]:
+    def pack(state: Iterable[Any]) -> list[Any]:
         """Return a state, numbers and tuples of them, as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
         for each in state:
@@ -233,10 +241,8 @@ class System(ABC):
     @property
     def own_equations(self) -> str | None:
         """Why the flows of its kind do not solve a user's own kind, which writes equations anew; None where they do."""
-        base = next(each for each in type(self).__mro__ if is_ours(each))
-        names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
-        anew = [name for name in names if getattr(type(self), name, None) is not getattr(base, name, None)]
-        own = f"{type(self).__name__} has {', '.join(anew)} of its own"
+        anew = written_anew(type(self))
+        own = f"{type(self).__name__} has {anew} of its own"
         return f"its flows are those of {self.kind}, and {own}" if anew else None
 
     def recorded(self) -> Self:

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from contactbench.checks import array, finite, function, is_number, require_number
+from contactbench.checks import finite, function, is_number, real_array, require_number
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers import quadrature
 from contactbench.numbers.protocol import Arithmetic, Namespace
@@ -51,7 +51,7 @@ def driven_drift_damp(scene: Driven, x: DrivenState, constants: Constants, xp: N
 
 def increasing(name: str, value: object) -> tuple[float, ...]:
     """Return increasing finite numbers as a tuple; a single number is one of them."""
-    times = np.array(array(name, value, "increasing finite times"), ndmin=1)
+    times = np.array(real_array(name, value, "increasing finite times"), ndmin=1)
     if times.ndim != 1 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
         raise BadInput(f"{name} = {excerpt(value)}: must be increasing finite times, such as (13.3,)")
     return tuple(times.tolist())

@@ -11,7 +11,7 @@ import numpy as np
 
 from contactbench.checks import function, require_number
 from contactbench.errors import BadInput
-from contactbench.numbers.control import choose, scan, settle
+from contactbench.numbers.control import choose, iterate, settle
 from contactbench.numbers.protocol import Arithmetic, Namespace, has_digits, has_where
 from contactbench.scene.algebra import State
 from contactbench.scene.base import Check, optional
@@ -67,7 +67,7 @@ def by_quadrature(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Names
         return tau - (elapsed(tau) - h) / pace(tau)
 
     if has_where(xp):
-        return at(scan(lambda tau: (nearer(tau), tau), h, ITERATIONS, lambda _: 0.0, xp)[0])
+        return at(iterate(nearer, h, ITERATIONS, xp))
     before, tau = 0 * h, h
     for _ in range(ITERATIONS if not has_digits(xp) else 2 * ITERATIONS):
         before, tau = tau, nearer(tau)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from contactbench.blame import their_code
-from contactbench.checks import array, function, whole
+from contactbench.checks import function, real_array, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.functions import namespace
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
@@ -115,7 +115,7 @@ class Many(Canonical):
 
     def __post_init__(self) -> None:
         wanted = f"one number > 0, or {self.sites}"
-        masses = array(self.weights, self.weight, wanted)
+        masses = real_array(self.weights, self.weight, wanted)
         if masses.shape not in ((), (self.sites,)):
             raise BadInput(f"{self.weights} has shape {masses.shape}: must be {wanted}")
         with np.errstate(divide="ignore", over="ignore"):
@@ -167,7 +167,7 @@ class Many(Canonical):
                     values = np.array([given(int(i), *number) for i in index], dtype=float)
             given = values
         shape = f"{self.sites} × {self.dimensions} numbers" if self.dimensions > 1 else f"{size} numbers"
-        values = array(name, given, f"{shape}, or a function of the index")
+        values = real_array(name, given, f"{shape}, or a function of the index")
         if values.shape not in ((size,), (self.sites, self.dimensions)):
             raise BadInput(f"{name} has shape {values.shape}: must be {shape}, or a function of the index")
         if not np.isfinite(values).all():
@@ -518,7 +518,7 @@ class Particles(Many):
 
     def __post_init__(self) -> None:
         self._fix("dimensions", whole("dimensions", self.dimensions, 3))
-        if np.ndim(array("masses", self.masses, "a sequence of numbers")) != 1 or len(self.masses) < 2:
+        if np.ndim(real_array("masses", self.masses, "a sequence of numbers")) != 1 or len(self.masses) < 2:
             raise BadInput(f"masses = {excerpt(self.masses)}: must be 2 numbers or more")
         super().__post_init__()
         places = self.q.reshape(self.sites, self.dimensions)

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.checks import array, finite, vector
+from contactbench.checks import finite, real_array, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import Arithmetic, Namespace
@@ -53,7 +53,7 @@ def one_rate(name: str, value: Any) -> float:
 def damping_matrix(name: str, value: object) -> tuple[Vector, ...]:
     """Return a 3×3 matrix from three rates or a matrix; raise `BadInput` unless it is symmetric and ≥ 0."""
     wanted = "three rates ≥ 0 or a symmetric positive semi-definite 3×3 matrix"
-    given = array(name, value, wanted)
+    given = real_array(name, value, wanted)
     matrix = np.diag(given) if given.shape == (3,) else given
     right = matrix.shape == (3, 3) and np.all(np.isfinite(matrix)) and np.array_equal(matrix, matrix.T)
     if not right or np.linalg.eigvalsh(matrix).min() < -4 * math.ulp(1.0) * np.abs(matrix).max():

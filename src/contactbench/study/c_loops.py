@@ -10,11 +10,11 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from contactbench.scene import Mechanical
+from contactbench.scene.many import Lattice
 from contactbench.splitting.composition import number
 from contactbench.splitting.tables import RKN6, STRANG
 
@@ -36,14 +36,14 @@ def library() -> ctypes.CDLL | str:
         return ctypes.CDLL(str(target))
 
 
-def constants(method: str, scene: Any, step: float) -> tuple[str, int, list[np.ndarray]]:
-    """The loop's name, the steps to the end of the scene, and kicks, φ/m, keep and lose of every stage."""
+def constants(method: str, scene: Mechanical | Lattice, step: float) -> tuple[str, int, list[np.ndarray]]:
+    """Return the loop's name, the steps to the end of the scene, and kicks, φ/m, keep and lose of every stage."""
     name, composition = KERNELS[method]
     n = round(scene.t_end / step)
     h = scene.t_end / n
     kicks = np.array([number(c, math) * h for f, c in composition.stages if f == "kick"])
-    flow, parts = Mechanical.flows["drift_damp"], [c for f, c in composition.stages if f == "drift_damp"]
-    drifts = [flow.constants(scene, number(c, math) * h, math) for c in parts]
+    flow, shares = Mechanical.flows["drift_damp"], [c for f, c in composition.stages if f == "drift_damp"]
+    drifts = [flow.constants(scene, number(c, math) * h, math) for c in shares]
     phi, _, keep, lose = (np.array(column) for column in zip(*drifts, strict=True))
     return name, n, [kicks, phi, keep, lose]
 
@@ -52,8 +52,8 @@ def pointer(array: np.ndarray) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-def ring_kernel(method: str, scene: Any, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
-    """A function that runs a ring with the bonds of the β-chain and returns the final (q, p), and its evaluations."""
+def ring_kernel(method: str, scene: Lattice, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
+    """Return the run of a ring with the bonds of the β-chain to the final (q, p), and its evaluations."""
     loops = library()
     if isinstance(loops, str):
         return loops
@@ -74,7 +74,7 @@ LINE, PAGE = 64 // 8, 4096 // 8  #: in doubles
 
 
 def staggered(rows: int, m: int) -> np.ndarray:
-    """An uninitialised (rows, m), each row beginning with a cache line, a share of a page after the last.
+    """Return an uninitialised (rows, m), each row beginning with a cache line, a share of a page after the last.
 
     Rows at the same place of a page make every load wait for a store to another row: up to 8 times slower.
     """
@@ -89,9 +89,9 @@ SHAPES = ("passes", "plain", "tiled")
 
 
 def ensemble_kernel(
-    method: str, shape: str, scene: Any, step: float, start: np.ndarray
+    method: str, shape: str, scene: Mechanical, step: float, start: np.ndarray
 ) -> tuple[Callable[[], np.ndarray], int, int] | str:
-    """As `ring_kernel`, of the particle from start (4, m), an array per component; the steps before the evaluations."""
+    """Return the run of the particle from start (4, m), an array per component, its steps and its evaluations."""
     loops = library()
     if isinstance(loops, str):
         return loops

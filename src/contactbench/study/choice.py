@@ -18,7 +18,7 @@ SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 
 
 def pairs(profile: Profile, experiment: str, methods: Iterable[str]) -> list[tuple[str, str]]:
-    """The scenes and methods of an experiment: all of them, in the smoke profile a few on scenes but one."""
+    """Return the scenes and methods of an experiment: all of them, in the smoke profile a few on scenes but one."""
     return [
         (scene.name, method)
         for scene in scenes_of(experiment)
@@ -28,7 +28,7 @@ def pairs(profile: Profile, experiment: str, methods: Iterable[str]) -> list[tup
 
 
 def small(scene: str, method: str, main: str = SMOKE, everywhere: Iterable[str] = EVERYWHERE) -> bool:
-    """Whether the smoke profile has a cell: a few methods on all scenes, on a main one what is soon compiled or new."""
+    """Return whether the smoke profile has a cell: a few methods on all scenes, on one what is soon compiled or new."""
     soon = METHODS[method].engines[0] not in DEAR or method not in OWN
     return method in everywhere or (scene == main and soon)
 
@@ -41,7 +41,7 @@ DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[str]:
-    """Which of some methods an experiment runs on a scene: all of them where every experiment runs it."""
+    """Return which of some methods an experiment runs on a scene: all of them where every experiment runs it."""
 
     def runs(method: str) -> bool:
         dear = bool(scene.experiments) and METHODS[method].engines[0] in DEAR
@@ -58,7 +58,7 @@ SOME = 3
 
 
 def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
-    """Every (method, engine) to be timed on a scene.
+    """Return every (method, engine) to be timed on a scene.
 
     A method's first engine, and what calls back into Python; others (the cross-checks) on one scene only.  Of a scene
     that not every experiment runs, the first engine, unless it is dear.  The smoke profile has everything on that one
@@ -87,7 +87,7 @@ LONG, LONGEST = 800.0, 2000.0
 
 
 def step_budget(profile: Profile, scene: Scene, method: Method, engine: str) -> int | None:
-    """Steps that keep one run below a second: a cell that would take longer ends as `budget`."""
+    """Return the steps that keep one run below a second: a cell that would take longer ends as `budget`."""
     if method.refuses(scene):
         return None
     evaluations = round(profile.callback_evaluations * max(1.0, min(scene.t_end, LONGEST) / LONG))

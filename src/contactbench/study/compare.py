@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from contactbench.blame import their_code
-from contactbench.checks import array, finite, function, items_of, positive, switch
+from contactbench.checks import finite, function, items_of, positive, real_array, switch
 from contactbench.errors import BadInput, excerpt
 from contactbench.measure.laws import laws_of
 from contactbench.measure.statistics import PROCESSES
@@ -19,6 +19,7 @@ from contactbench.methods.base import METHODS
 from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
+from contactbench.study.experiment import Row
 from contactbench.study.schedule import Schedule
 from contactbench.study.search import Attempt, Search
 from contactbench.study.settings import ENDS, carry_of, times
@@ -43,7 +44,7 @@ def compare(
     errors: Iterable[float] = ERRORS,
     budget: float = BUDGET,
     progress: bool = False,
-    reference: Callable[[np.ndarray], Any] | None = None,
+    reference: Callable[[np.ndarray], ArrayLike] | None = None,
 ) -> pd.DataFrame:
     """Race methods on one scene: what each costs at each error, and what it keeps.
 
@@ -109,21 +110,21 @@ def compare(
     return frame
 
 
-def users_reference(scene: Scene, given: Callable[[np.ndarray], Any]) -> Reference:
+def users_reference(scene: Scene, given: Callable[[np.ndarray], ArrayLike]) -> Reference:
     """Return what a user's function says of the states at the ends of the runs; raise `BadInput` for other shapes."""
     function("reference", given)
     carry, t = carry_of(scene), times(scene, ENDS)
     labels = ", ".join(scene.labels(carry)[:8])
     wanted = f"a function of the times that gives a row of {labels} for each"
     with their_code("reference"):
-        y = array("reference", given(t.copy()), wanted)
+        y = real_array("reference", given(t.copy()), wanted)
     if y.shape != (shape := (len(t), len(scene.labels(carry)))) or not np.isfinite(y).all():
         raise BadInput(f"reference: gives shape {y.shape}: must be {shape}, finite, for each time {labels}")
     return Reference(scene, carry, t, y, [], np.finfo(float).precision, "given")
 
 
 # -- rows ------------------------------------------------------------------------------------------
-class Runs(tuple[dict[str, Any], ...]):
+class Runs(tuple[Row, ...]):
     """Rows of every setting tried; pandas copies ``attrs`` deeply at every turn, which would take it seconds."""
 
     def __deepcopy__(self, memo: object) -> Runs:
@@ -152,14 +153,14 @@ def laws_in(scene: Scene) -> dict[str, str]:
     return {law.name: law.label or law.name for law in laws}
 
 
-def runs_of(search: Search) -> Iterator[dict[str, Any]]:
+def runs_of(search: Search) -> Iterator[Row]:
     known = {"method": search.method.name, "engine": search.engine, "kind": search.kind}
     for a in sorted(search.attempts, key=lambda a: -a.value):
         ended = {"value": a.value, "status": str(a.status), "message": a.message, "error": a.error}
         yield known | ended | a.columns(0.0)
 
 
-def row(race: Schedule, search: Search, error: float) -> dict[str, Any]:
+def row(race: Schedule, search: Search, error: float) -> Row:
     """Return a row; at_least : seconds that it takes anyway, where it was cut off or left untimed, else nan."""
     known, clock, laws = unreached(race, search, error), {}, {}
     if (attempt := soonest(race, search, error)) is not None:
@@ -186,7 +187,7 @@ def soonest(race: Schedule, search: Search, error: float) -> Attempt | None:
     return min(reach, key=lambda a: race.times.get(id(a), {}).get("time_median_s", math.inf))
 
 
-def unreached(race: Schedule, search: Search, error: float) -> dict[str, Any]:
+def unreached(race: Schedule, search: Search, error: float) -> Row:
     best = min((a for a in search.attempts if a.ok), key=lambda a: a.error, default=None)
     known = {"setting": "", "error_reached": math.nan} if best is None else best.columns(race.floor)
     last = search.finest

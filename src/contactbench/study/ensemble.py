@@ -1,9 +1,7 @@
 """How many trajectories a second?  One cell: a method at one setting, on a number of trajectories and cores.
 
 Four questions: the same arithmetic as C loops (1024 trajectories over 200 000 gradients and more, so that the
-call does not count); the cost of a trajectory at equal error; how throughput depends on the number of trajectories;
-and on the number of cores.  What is timed is the whole call, from initial to final states on the host.
-More than one core takes a process of its own, because this one is bound to one.
+call does not count); the cost of a trajectory at equal error; and how throughput depends on trajectories and on cores.
 """
 
 from __future__ import annotations
@@ -11,25 +9,29 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 import contactbench as cb
-from contactbench.ensembles import ENGINES
+from contactbench.ensembles import ENGINES, Ensemble
 from contactbench.measure.clock import Call, Part
 from contactbench.measure.isolation import usable_cores
 from contactbench.methods.prepared import Refused
 from contactbench.results.tables import ENSEMBLE_TABLE
-from contactbench.scene import Scene
+from contactbench.scene import Mechanical, Scene, State
 from contactbench.solution import keywords
 from contactbench.study.c_loops import SHAPES, ensemble_kernel
 from contactbench.study.choice import key
-from contactbench.study.experiment import Cell, Profile, Row, Timing, experiment
+from contactbench.study.experiment import Cell, Profile, Row, Timing, timed_experiment
 from contactbench.study.timetable import last_cores
 
+if TYPE_CHECKING:
+    from jax import Array
+
 #: a run, and what tells its steps, evaluations and their kind when it has been made; or why there is none
-type Made = tuple[Callable[[], Any], Callable[[], tuple[Any, ...]]]
+type Made = tuple[Callable[[], ArrayLike], Callable[[], tuple[int, int, str]]]
 
 SAMPLE = 4
 #: the share of trajectories of a second call, which tells what a call costs from what every trajectory does
@@ -79,7 +81,7 @@ def ladder(profile: Profile) -> list[Cell]:
 
 
 def initial(scene: Scene, n: int) -> np.ndarray:
-    """States spread by 5 % about the scene's own, (d, n); the first few do not depend on n."""
+    """Return states spread by 5 % about the scene's own, (d, n); the first few do not depend on n."""
     own = np.array(scene.pack(scene.initial(())))
     return own[:, None] + 0.05 * np.random.default_rng(7).normal(size=(n, len(own))).T
 
@@ -92,7 +94,7 @@ def truth(scene_name: str) -> np.ndarray:
 
 
 def error(y: np.ndarray, exact: np.ndarray) -> float:
-    return np.linalg.norm(y[:, :SAMPLE] - exact, axis=0).max() / np.linalg.norm(exact, axis=0).max()
+    return float(np.linalg.norm(y[:, :SAMPLE] - exact, axis=0).max() / np.linalg.norm(exact, axis=0).max())
 
 
 # -- ensembles by each engine ----------------------------------------------------------------------
@@ -108,16 +110,17 @@ SOLVERS = {"diffrax-tsit5": ("Tsit5", 6), "diffrax-dopri8": ("Dopri8", 13)}
 
 
 def contact(scene: Scene, method: str, engine: str, value: float, y0: np.ndarray) -> Made:
-    def solve(start: Any) -> Any:
+    def solve(start: State) -> Ensemble:
         return cb.ensemble(scene, method, start, step=value, carry=(), progress=False, engine=engine)
 
     start = scene.unpack(tuple(np.ascontiguousarray(y0)), ())
     counts = solve(scene.unpack(tuple(y0[:, :1]), ())).counts
-    return lambda: scene.pack(solve(start).final), lambda: (counts.steps, counts.evaluations, counts.kind)
+    costs = counts.steps or 0, counts.evaluations or 0, counts.kind
+    return lambda: scene.pack(solve(start).final), lambda: costs
 
 
 @cache
-def diffrax_program(name: str, shape: str, scene_name: str) -> Any:
+def diffrax_program(name: str, shape: str, scene_name: str) -> Callable[..., tuple[Array, Array]]:
     import diffrax
 
     from contactbench.xla import jax, jnp
@@ -125,7 +128,7 @@ def diffrax_program(name: str, shape: str, scene_name: str) -> Any:
     scene = cb.SCENES[scene_name]
     solver = getattr(diffrax, SOLVERS[name][0])()
 
-    def solve(y: Any, tolerance: Any, end: Any) -> Any:
+    def solve(y: Array, tolerance: Array, end: Array) -> tuple[Array, Array]:
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, x, args: scene.rhs(x)),
             solver,
@@ -144,29 +147,31 @@ def diffrax_program(name: str, shape: str, scene_name: str) -> Any:
     if shape == "vmap":
         solve = jax.vmap(solve, in_axes=(1, None, None), out_axes=(1, 0))
 
-    def tiled(y: Any, tiles: Any, tolerance: Any, end: Any) -> Any:
-        def one(k: Any, state: Any) -> Any:
+    def tiled(y: Array, tiles: Array, tolerance: Array, end: Array) -> tuple[Array, Array]:
+        def one(k: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
             y, most = state
             mine, steps = solve(jax.lax.dynamic_slice_in_dim(y, k * TILE, TILE, axis=1), tolerance, end)
             y = jax.lax.dynamic_update_slice_in_dim(y, mine, k * TILE, axis=1)
             return y, jnp.maximum(most, steps.max())
 
-        return jax.lax.fori_loop(0, tiles, one, (y, jnp.array(0)))
+        done: tuple[Array, Array] = jax.lax.fori_loop(0, tiles, one, (y, jnp.array(0)))
+        return done
 
     return jax.jit(tiled)
 
 
 def diffrax(scene: Scene, method: str, shape: str, value: float, y0: np.ndarray) -> Made:
-    """The program for `ROOM` serves fewer too; the last trajectory fills the last tile."""
+    """Run the program for `ROOM`, which serves fewer too; the last trajectory fills the last tile."""
     program, steps, n = diffrax_program(method, shape, scene.name), [0], y0.shape[1]
     tiles = -(-n // TILE)
     room = np.pad(y0, ((0, 0), (0, max(ROOM, tiles * TILE) - n)), mode="edge")
 
     def run() -> np.ndarray:
-        y, steps[0] = program(room, tiles, value, scene.t_end)
+        y, most = program(room, tiles, value, scene.t_end)
+        steps[0] = int(most)
         return np.asarray(y)[:, :n]
 
-    return run, lambda: (int(steps[0]), int(steps[0]) * SOLVERS[method][1] + 1, "rhs")
+    return run, lambda: (steps[0], steps[0] * SOLVERS[method][1] + 1, "rhs")
 
 
 def heyoka(scene: Scene, method: str, shape: str, value: float, y0: np.ndarray) -> Made:
@@ -200,27 +205,29 @@ def compiled_loop(scene: Scene, method: str, shape: str, value: float, y0: np.nd
         return run.why
     starts, most = np.ascontiguousarray(y0.T), [0, 0]
 
-    def loop() -> Any:
-        told = run.call.many(starts)
+    def loop() -> np.ndarray:
+        told: np.ndarray = run.call.many(starts)
         most[:] = told[:, 3:5].max(axis=0).astype(int)
         return told[:, -len(y0) :].T
 
-    return loop, lambda: (*most, "rhs")
+    return loop, lambda: (most[0], most[1], "rhs")
 
 
-def limit_c(scene: Scene, method: str, shape: str, value: float, y0: np.ndarray) -> Made | str:
+def limit_c(scene: Mechanical, method: str, shape: str, value: float, y0: np.ndarray) -> Made | str:
     composition, kernel = shape.split(" ")
     made = ensemble_kernel(composition, kernel, scene, value, y0)
-    return made if isinstance(made, str) else (made[0], lambda: (*made[1:], "gradient"))
+    return made if isinstance(made, str) else (made[0], lambda: (made[1], made[2], "gradient"))
 
 
-def prepared(scene: Scene, method: str, engine: str, shape: str, value: float, y0: np.ndarray) -> Made | str:
+def prepared(
+    scene: Mechanical, method: str, engine: str, shape: str, value: float, y0: np.ndarray
+) -> Made | str:
     if method in cb.METHODS and not cb.METHODS[method].adaptive:
         return contact(scene, method, engine, value, y0)
     if shape == "loop":
         return compiled_loop(scene, method, shape, value, y0)
-    makers: dict[str, Any] = {"c": limit_c, "llvm": heyoka, "jax": diffrax}
-    return makers[engine](scene, method, shape, value, y0)
+    make = {"c": limit_c, "llvm": heyoka, "jax": diffrax}[engine]
+    return make(scene, method, shape, value, y0)
 
 
 # -- rows ------------------------------------------------------------------------------------------
@@ -233,7 +240,7 @@ BY_ITSELF = ("heyoka-taylor", 2.3e-16)
 def member_deviation(
     scene: Scene, method: str, control: str, value: float, start: np.ndarray, y: np.ndarray
 ) -> float:
-    """max ‖y − y₁‖ / max ‖y₁‖ over all members, y₁ the run of each by itself with the same fixed steps.
+    """Return max ‖y − y₁‖ / max ‖y₁‖ over all members, y₁ the run of each by itself with the same fixed steps.
 
     Of a method that chooses its steps y₁ is the most accurate run of another one.
     """
@@ -241,11 +248,11 @@ def member_deviation(
         (method, value), control = BY_ITSELF, "rtol"
     run = cb.prepare(scene, method, save_at=[scene.t_end], carry=(), **keywords(control, value))
     alone = np.array([run.integrate(np.array(one)).y[-1] for one in start.T.tolist()]).T
-    return np.linalg.norm(y - alone, axis=0).max() / np.linalg.norm(alone, axis=0).max()
+    return float(np.linalg.norm(y - alone, axis=0).max() / np.linalg.norm(alone, axis=0).max())
 
 
 def prepared_row(cell: Cell, exact: list[list[float]] | None) -> tuple[Row, Call | None]:
-    """The row of a cell without its times, and what is to be timed, if it can be run.
+    """Return the row of a cell without its times, and what is to be timed, if it can be run.
 
     exact : the true final states of the first few trajectories, None for a row without errors.
     """
@@ -269,11 +276,12 @@ def prepared_row(cell: Cell, exact: list[list[float]] | None) -> tuple[Row, Call
     row |= {"steps": steps, "evaluations": evaluations, "evaluation_kind": kind}
     if question not in ("error", "size"):
         return row, Call(run)
-    fewer: Any = prepared(scene, method, engine, variant, value, initial(scene, round(n * FEWER)))
+    fewer = prepared(scene, method, engine, variant, value, initial(scene, round(n * FEWER)))
+    assert not isinstance(fewer, str)
     return row, Call(run, Part(fewer[0], FEWER, n))
 
 
-@experiment(ladder, timed=True)
+@timed_experiment(ladder)
 def ensemble(cell: Cell, profile: Profile) -> Timing:
     exact = None if cell[0] == "arithmetic" else truth(cell[1]).tolist()
     return Timing(ENSEMBLE_TABLE, prepared_row, (cell, exact), last_cores(cell[-1]))

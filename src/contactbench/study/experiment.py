@@ -1,7 +1,6 @@
 """What an experiment is: the cells that a profile runs, and the rows of a cell.
 
-A question is a module of this package.  It declares its experiments by decorating the function that gives their rows,
-and is found without being listed anywhere.
+A question is a module of this package, found without being listed; it decorates the function that gives a cell's rows.
 """
 
 from __future__ import annotations
@@ -9,13 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
-from pathlib import Path
-from pkgutil import iter_modules
 from typing import Any
 
-from contactbench.measure.clock import MOST_VISITS, VISITS
-from contactbench.registry import Registry
+from contactbench.measure.clock import MOST_VISITS, VISITS, Call
+from contactbench.registry import import_modules
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.schema import Table
 
@@ -69,8 +65,8 @@ class Timing:
     """
 
     table: Table
-    prepare: Callable[..., tuple[Row, Any]]
-    arguments: tuple[Any, ...]
+    prepare: Callable[..., tuple[Row, Call | None]]
+    arguments: tuple[object, ...]
     cores: Sequence[int] = ()
     derived: Callable[[Row], Row] = lambda row: {}
 
@@ -80,16 +76,20 @@ class Experiment:
     """Cells of one kind, and how each is measured.
 
     question : its module; when all cells of a question are done, other rows of its tables go.  rows : of a cell in a
-    profile, each with its table; of a timed experiment a `Timing`.  errors : the experiment of the same cells that
+    profile, each with its table.  timing : instead, what is timed.  errors : the experiment of the same cells that
     makes their rows without times; a run without a clock leaves this one out.
     """
 
     question: str
     name: str
     cells: Callable[[Profile], list[Cell]]
-    rows: Callable[[Cell, Profile], Any]
-    timed: bool = False
+    rows: Callable[[Cell, Profile], Recorded] = lambda cell, profile: iter(())
+    timing: Callable[[Cell, Profile], Timing] | None = None
     errors: Experiment | None = None
+
+    @property
+    def timed(self) -> bool:
+        return self.timing is not None
 
     def profile_of(self, cell: Cell) -> str:
         """Return the smallest profile that has a cell."""
@@ -101,25 +101,41 @@ def cells_of(experiment: Experiment, profile: Profile) -> frozenset[Cell]:
     return frozenset(experiment.cells(profile))
 
 
-EXPERIMENTS = Registry("experiment", Experiment)
+EXPERIMENTS: list[Experiment] = []
 
 
 def experiment(
-    cells: Callable[[Profile], list[Cell]], timed: bool = False, errors: Experiment | None = None
-) -> Callable[[Callable[[Cell, Profile], Any]], Experiment]:
+    cells: Callable[[Profile], list[Cell]],
+) -> Callable[[Callable[[Cell, Profile], Recorded]], Experiment]:
     """Make an experiment, of its name, of the function that gives the rows of a cell."""
 
-    def add(rows: Callable[[Cell, Profile], Any]) -> Experiment:
-        question = rows.__module__.rpartition(".")[2]
-        return EXPERIMENTS.add(Experiment(question, rows.__name__, cells, rows, timed, errors))
+    def add(rows: Callable[[Cell, Profile], Recorded]) -> Experiment:
+        EXPERIMENTS.append(Experiment(question_of(rows), rows.__name__, cells, rows))
+        return EXPERIMENTS[-1]
 
     return add
+
+
+def timed_experiment(
+    cells: Callable[[Profile], list[Cell]], errors: Experiment | None = None
+) -> Callable[[Callable[[Cell, Profile], Timing]], Experiment]:
+    """Make an experiment, of its name, of the function that says what is timed of a cell."""
+
+    def add(timing: Callable[[Cell, Profile], Timing]) -> Experiment:
+        EXPERIMENTS.append(
+            Experiment(question_of(timing), timing.__name__, cells, timing=timing, errors=errors)
+        )
+        return EXPERIMENTS[-1]
+
+    return add
+
+
+def question_of(function: Callable[[Cell, Profile], object]) -> str:
+    return function.__module__.rpartition(".")[2]
 
 
 @cache
 def experiments() -> dict[str, Experiment]:
     """Return all experiments by their names, question by question."""
-    for module in iter_modules([str(Path(__file__).parent)]):
-        import_module(f"{__package__}.{module.name}")
-    every = sorted(EXPERIMENTS.values(), key=lambda each: each.question)
-    return {each.name: each for each in every}
+    import_modules(__package__)
+    return {each.name: each for each in sorted(EXPERIMENTS, key=lambda each: each.question)}

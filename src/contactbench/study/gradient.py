@@ -1,15 +1,14 @@
 """What does a derivative of a loss in the parameters cost?  One cell: a method, how it is differentiated, an error.
 
 The loss is ½‖q(T) − q(0)‖², q(0) a datum; its derivative is in γ, a parameter of the potential, and the initial q and
-p.  The truth is the variational equations, extrapolated in extended precision.  Contact methods run inside diffrax, as
-the others do, so that what differs is the method and the adjoint.
+p.  All methods run inside diffrax, so that what differs is the method and the adjoint.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cache
-from typing import Any
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +17,14 @@ from contactbench.measure.clock import Call
 from contactbench.numbers.dual import Dual
 from contactbench.results.tables import GRADIENTS
 from contactbench.study.choice import key
-from contactbench.study.experiment import Cell, Profile, Row, Timing, experiment
+from contactbench.study.experiment import Cell, Profile, Row, Timing, timed_experiment
 from contactbench.truth.engines import NEVER, Stopwatch, extrapolate
+
+if TYPE_CHECKING:
+    from jax import Array
+    from jax.stages import Compiled
+
+type Given = dict[str, Any]
 
 PARTICLE, FORCED = "particle", "forced_oscillator"
 #: scenes, all with the programs of the particle, and ends; errors of the derivative asked for
@@ -53,8 +58,8 @@ def ladder(profile: Profile) -> list[Cell]:
 
 
 @cache
-def program(scene: str, method: str, how: str) -> Any:
-    """The compiled ``(x, datum, end, setting) -> (derivative or loss, steps)``, x as in `arguments`."""
+def program(scene: str, method: str, how: str) -> Compiled:
+    """Return the compiled ``(x, datum, end, setting) -> (derivative or loss, steps)``, x as in `arguments`."""
     import diffrax
 
     from contactbench.xla import jax, jnp
@@ -62,21 +67,25 @@ def program(scene: str, method: str, how: str) -> Any:
     terms, d, chosen = cb.diffrax.terms_of(scene), len(cb.SCENES[scene].q), cb.METHODS[method]
     velocity, (force, damping) = terms[0], terms[1].terms
 
-    def field(t: Any, y: Any, args: Any) -> Any:
+    def field(t: Any, y: Array, args: Given) -> Array:
         q, p = y[:d], y[d:]
         return jnp.concatenate([velocity.vf(t, p, args), force.vf(t, q, args) + damping.vf(t, p, args)])
 
-    def loss(x: Any, datum: Any, end: Any, setting: Any) -> Any:
-        fit, norm = {"rtol": setting, "atol": setting}, diffrax.adjoint_rms_seminorm  # diffrax's advice
-        backward = diffrax.PIDController(**fit, norm=norm)
-        adjoints: dict[str, Any] = {
+    def loss(x: Array, datum: Array, end: Array, setting: Array) -> tuple[Array, Array]:
+        fit: Given = {"rtol": setting, "atol": setting}
+        backward = diffrax.PIDController(**fit, norm=diffrax.adjoint_rms_seminorm)  # diffrax's advice
+        adjoints: Given = {
             CHECKPOINTED: diffrax.RecursiveCheckpointAdjoint,
             REVERSIBLE: lambda: cb.diffrax.ReversibleAdjoint(math.inf),
             "direct": diffrax.DirectAdjoint,
             "backsolve": lambda: diffrax.BacksolveAdjoint(stepsize_controller=backward),
         }
         adjoint = adjoints.get(how, diffrax.ForwardMode)()
-        given = {"args": {"gamma": x[0], PARAMETERS[scene]: x[1]}, "max_steps": MOST_STEPS, "throw": False}
+        given: Given = {
+            "args": {"gamma": x[0], PARAMETERS[scene]: x[1]},
+            "max_steps": MOST_STEPS,
+            "throw": False,
+        }
         if chosen.adaptive:
             given["stepsize_controller"] = diffrax.PIDController(**fit)
             what: Any = diffrax.ODETerm(field), getattr(diffrax, chosen.solver)(), 0.0, end, None, x[2:]
@@ -86,13 +95,13 @@ def program(scene: str, method: str, how: str) -> Any:
         q = jnp.ravel(jax.tree.leaves(run.ys)[0])[:d]
         return jnp.sum((q - datum) ** 2) / 2, run.stats["num_accepted_steps"]
 
-    derivative: Any = {ALONE: lambda f, has_aux: f, FORWARD: jax.jacfwd}.get(how, jax.grad)
+    ways: Given = {ALONE: lambda f, has_aux: f, FORWARD: jax.jacfwd}
     shapes = [jax.ShapeDtypeStruct(shape, float) for shape in ((2 + 2 * d,), (d,), (), ())]
-    return jax.jit(derivative(loss, has_aux=True)).lower(*shapes).compile()
+    return jax.jit(ways.get(how, jax.grad)(loss, has_aux=True)).lower(*shapes).compile()
 
 
 def arguments(name: str, *more: float, **changed: float) -> list[np.ndarray]:
-    """Where the derivative is taken, x: γ, the parameter, q and p; the datum; and more."""
+    """Return where the derivative is taken, x: γ, the parameter, q and p; the datum; and more."""
     scene = cb.SCENES[name].with_(**changed)
     x = scene.gamma, scene.parameters[PARAMETERS[name]], *scene.q, *scene.p
     return [np.array(each) for each in (x, scene.q, *more)]
@@ -100,7 +109,7 @@ def arguments(name: str, *more: float, **changed: float) -> list[np.ndarray]:
 
 @cache
 def truth(name: str, end: float) -> np.ndarray:
-    """The derivative by the variational equations: no flow and no step of a method under test."""
+    """Return the derivative by the variational equations: no flow and no step of a method under test."""
     scene, (x, datum) = cb.SCENES[name], arguments(name)
     one = np.eye(len(x), dtype=np.longdouble)
     duals = [Dual(np.longdouble(a), row) for a, row in zip(x, one, strict=True)]
@@ -124,7 +133,7 @@ def distance(found: np.ndarray, true: np.ndarray) -> float:
 
 @cache
 def rungs(name: str, method: str, how: str, end: float) -> list[tuple[float, float, int]]:
-    """Settings from coarse to fine, each with its error and steps, until the smallest error is reached."""
+    """Return settings from coarse to fine, each with its error and steps, until the smallest error is reached."""
     found: list[tuple[float, float, int]] = []
     for k in range(MOST):
         step, rtol = end / math.ceil(end / COARSEST * 2 ** (k / FINER)), LOOSEST * 10 ** (-k / FINER)
@@ -137,7 +146,7 @@ def rungs(name: str, method: str, how: str, end: float) -> list[tuple[float, flo
 
 
 def reached(cell: Cell) -> tuple[Row, Call]:
-    """The row of a cell but for its times, and the call that is timed."""
+    """Return the row of a cell but for its times, and the call that is timed."""
     from contactbench.xla import jax
 
     name, method, how, end, asked = cell
@@ -146,9 +155,10 @@ def reached(cell: Cell) -> tuple[Row, Call]:
     run, given = program(PARTICLE, method, how), jax.device_put(arguments(name, end, setting))
     row = key(name, method, "jax", cb.METHODS[method].control, setting) | {"mode": how, "t_end": end}
     row |= {"error_asked": asked, "gradient_error": error, "steps": steps, "status": "ok", "message": ""}
-    return row | {"memory_kB": run.memory_analysis().temp_size_in_bytes / 1e3}, Call(lambda: run(*given))
+    memory: Any = run.memory_analysis()
+    return row | {"memory_kB": memory.temp_size_in_bytes / 1e3}, Call(partial(run, *given))
 
 
-@experiment(ladder, timed=True)
+@timed_experiment(ladder)
 def gradients(cell: Cell, profile: Profile) -> Timing:
     return Timing(GRADIENTS, reached, (cell,))

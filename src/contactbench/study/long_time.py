@@ -1,22 +1,20 @@
 """What do long runs of a chaotic scene average to, and at what cost?  One cell: a method at all its settings.
 
-Trajectories start anywhere in both wells and settle; then energy and exponents are averaged.  Of a method with fixed
-steps one run with tangents gives all of them.  A solver that chooses its steps has its energy taken from a plain run,
-since it would not carry tangents for that, and its exponents from the variational equations, begun anew after every
-orthonormalisation: which is why a multistep solver is asked for the energy alone.
+Trajectories start anywhere in both wells and settle; then energy and exponents are averaged: of fixed steps by one run
+with tangents, of a solver that chooses its steps the energy by a plain run.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
 import contactbench as cb
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.base import Method
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
 from contactbench.solution import keywords
 from contactbench.study.choice import key
@@ -26,6 +24,7 @@ SCENE = cb.SCENES["duffing"]
 PERIOD = 2 * math.pi / SCENE.parameters["drive"]
 FIXED = ("contact-strang", "contact-rkn4", "contact-rkn6", "herglotz2", "rk4")
 ADAPTIVE = ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5", "cvode-adams")
+#: multistep: the variational equations begin anew after every orthonormalisation
 WITHOUT_TANGENTS = ("cvode-adams",)
 #: evaluations in a period that fixed steps are chosen for, and tolerances
 EVALUATIONS, RTOLS = (12, 16, 24, 32, 48, 64, 96, 192), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
@@ -39,9 +38,10 @@ def starts(count: int) -> dict[str, tuple[np.ndarray]]:
     return {"q": (rng.uniform(-1.5, 1.5, count),), "p": (rng.uniform(-1, 1, count),)}
 
 
-def settings(method: Any) -> list[tuple[str, float]]:
+def settings(method: Method) -> list[tuple[str, float]]:
     if method.adaptive:
         return [("rtol", rtol) for rtol in RTOLS]
+    assert isinstance(method, FixedStep)
     each = method.per_step(SCENE, ())
     return [("step", PERIOD / n) for n in dict.fromkeys(max(1, round(e / each)) for e in EVALUATIONS)]
 
@@ -61,7 +61,7 @@ def with_tangents(method: Method, kind: str, value: float, count: int = TRAJECTO
 
 
 def plain(method: Method, kind: str, value: float) -> Row:
-    """The row of the energy of runs without tangents, saved once in a period."""
+    """Return the row of the energy of runs without tangents, saved once in a period."""
     times = PERIOD * np.arange(1, SETTLE + PERIODS + 1)
     run = cb.prepare(SCENE, method.name, save_at=times, carry=(), **keywords(kind, value))
     given = starts(TRAJECTORIES)
@@ -73,7 +73,7 @@ def plain(method: Method, kind: str, value: float) -> Row:
 
 
 def row(
-    method: Any,
+    method: Method,
     kind: str,
     value: float,
     quantity: str,
@@ -82,13 +82,16 @@ def row(
     lost: int,
     count: int = TRAJECTORIES,
 ) -> Row:
-    """One row; without numbers where a trajectory was lost, which would leave an average over the others.
+    """Return one row, without numbers where a trajectory was lost, which would leave an average over the others.
 
     spent : evaluations and Jacobians per unit of time.
     """
     made = key(SCENE.name, method.name, method.engines[0], kind, value)
     made |= {"quantity": quantity, "reference": count > TRAJECTORIES, "trajectories": count}
-    made |= {"periods": PERIODS, "evaluation_kind": method.kind_on(SCENE) if kind == "step" else "rhs"}
+    made |= {
+        "periods": PERIODS,
+        "evaluation_kind": method.kind_on(SCENE) if isinstance(method, FixedStep) else "rhs",
+    }
     if lost:
         message = f"{lost} of {count} trajectories left the scene's scale"
         return made | {"status": "diverged", "message": message}

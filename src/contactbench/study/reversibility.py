@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -18,22 +17,26 @@ from contactbench.study.gradient import FORCED, FORWARD, REVERSIBLE, arguments, 
 #: the method of runs taken back; γ and step, of an oscillation and an overdamped motion; the force on either; γT
 BACK, RATES, FORCES, SPANS = "contact-strang", ((0.1, 1 / 8), (4.0, 1 / 16)), (0.0, 0.3), (1, 5, 10, 20, 30)
 
+type Packed = tuple[float, ...]
+
 
 @cache
-def steps_of(method: str) -> Callable[..., Any]:
-    """The compiled ``(n, h, y, γ, force) -> y``: n steps of size h, which may be negative."""
+def steps_of(method: str) -> Callable[..., Packed]:
+    """Return the compiled ``(n, h, y, γ, force) -> y``: n steps of size h, which may be negative."""
     from contactbench.xla import jax
 
-    def steps(n: int, h: float, y: Any, gamma: float, force: float) -> Any:
-        return jax.lax.fori_loop(0, n, lambda _, y: step(y, h, gamma=gamma, force=force), y)
+    def steps(n: int, h: float, y: Packed, gamma: float, force: float) -> Packed:
+        end: Packed = jax.lax.fori_loop(0, n, lambda _, y: step(y, h, gamma=gamma, force=force), y)
+        return end
 
     step = cb.step_map(FORCED, method, carry=())
     return jax.jit(steps)
 
 
 def taken_back(gamma: float, h: float, force: float, span: float) -> Row:
-    """The row of a run that is taken back: how far its start is off, and the derivative."""
-    end, changed, y = span / gamma, {"gamma": gamma, "force": force}, (start := (1.0, 0.0, 0.0))
+    """Return the row of a run that is taken back: how far its start is off, and the derivative."""
+    end, changed, start = span / gamma, {"gamma": gamma, "force": force}, (1.0, 0.0, 0.0)
+    y: Packed = start
     for size in (h, -h):
         y = steps_of(BACK)(round(end / h), size, y, gamma, force)
     given = arguments(FORCED, end, h, **changed)

@@ -1,7 +1,4 @@
-"""Runs experiments: on all cores what is measured without a clock, then what is timed, alone on one of them.
-
-A cell that is finished is a file (`results.cells`): a run that is killed loses what it had not finished, and no row.
-"""
+"""Runs experiments: on all cores what is measured without a clock, then what is timed, alone on one of them."""
 
 from __future__ import annotations
 
@@ -17,11 +14,11 @@ from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
 from contactbench.errors import BadInput, one_line
+from contactbench.measure.clock import Call
 from contactbench.measure.isolation import Died, Worker, settle
 from contactbench.methods import METHODS
 from contactbench.methods.base import ENGINES
@@ -31,7 +28,7 @@ from contactbench.results import provenance
 from contactbench.results.schema import TABLES, Table
 from contactbench.results.store import OldTable, check, read
 from contactbench.study.experiment import Cell, Experiment, Profile, Row, Timing, experiments
-from contactbench.study.timetable import Entry, Timetable
+from contactbench.study.timetable import Entry, Remote, Timetable
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class Task:
         return self.experiment.question, str(self)
 
     def matches(self, expression: str) -> bool:
-        """Whether an expression of parts of names, ``and``, ``or``, ``not`` and parentheses holds, as pytest's -k."""
+        """Return whether an expression of parts of names, and, or, not and parentheses holds, as pytest's -k."""
         timed = " timed" * self.experiment.timed
         known = f"bench/bench_{self.experiment.question}.py test_{self}{timed}".lower()
 
@@ -124,8 +121,8 @@ class Run:
 
         Where there is none its row has no times.
         """
-        if task.experiment.timed:
-            return self.prepare(task, timetable)
+        if (timing := task.experiment.timing) is not None:
+            return self.prepare(task, timing(task.cell, self.profile), timetable)
         rows: list[tuple[Table, Row]] = []
         finished = False
         try:
@@ -147,11 +144,11 @@ class Run:
             raise BadInput(f"table {table.name!r}: status {row['status']} without a message")
         return row
 
-    def prepare(self, task: Task, timetable: Timetable | None) -> Entry | None:
-        timing: Timing = task.experiment.rows(task.cell, self.profile)
-        row, call, again = self.untimed(task), None, None
+    def prepare(self, task: Task, timing: Timing, timetable: Timetable | None) -> Entry | None:
+        row, again = self.untimed(task), None
+        call: Call | Remote | None = None
         if timing.cores and timetable is not None:
-            call = timetable.remote(timing.cores, timing.cores, timing.prepare, *timing.arguments)
+            call = timetable.remote(timing.cores, timing.cores, timing)
             row |= call.prepared.result()[1]
         elif row.get("status", "ok") == "ok":
             more, call = timing.prepare(*timing.arguments)
@@ -170,7 +167,7 @@ class Run:
         if not timing.cores:
             call.warm_up()
             if task.key in timetable.sample:
-                again = timetable.second(timing.prepare, *timing.arguments)
+                again = timetable.second(timing)
         timetable.entries.append(Entry(call, again, keep))
         return timetable.entries[-1]
 
@@ -179,10 +176,9 @@ class Run:
         errors = task.experiment.errors
         if errors is None:
             return {}
-        rows: Any = self.cells.rows(Task(errors, task.cell, task.name).key) or errors.rows(
-            task.cell, self.profile
-        )
-        return dict(next(iter(rows))[1])
+        if known := self.cells.rows(Task(errors, task.cell, task.name).key):
+            return dict(known[0][1])
+        return dict(next(errors.rows(task.cell, self.profile))[1])
 
     def timetable(self, tasks: Iterable[Task]) -> Timetable:
         engines = {task.key: next((part for part in task.cell if part in ENGINES), "") for task in tasks}
@@ -232,11 +228,11 @@ def work(run: Run, keyword: str = "", resume: bool = False) -> int:
     allowed = getattr(os, "sched_getaffinity", lambda _: ())(0)
     cores = [[core] for core in sorted(allowed)] or [[]] * (os.cpu_count() or 1)
     failed: list[str] = []
-    calls: dict[Future[Any], tuple[Worker, list[journal.Cell]]] = {}
+    calls: dict[Future[list[str]], tuple[Worker, list[journal.Cell]]] = {}
     with ExitStack() as ends, tqdm(total=len(tasks), unit="cell", disable=None) as bar:
         ends.callback(run.end)
 
-        def tell(worker: Worker, call: Future[Any], cells: list[journal.Cell]) -> None:
+        def tell(worker: Worker, call: Future[list[str]], cells: list[journal.Cell]) -> None:
             try:
                 wrong = worker.result(call)
             except Died as error:

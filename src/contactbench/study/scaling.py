@@ -1,15 +1,16 @@
 """How does cost grow with the size of the problem?  One cell: a method on so many degrees of freedom and cores.
 
 A ring has the data of `PERIOD` sites again and again, and so their motion: truth, steps and errors are the same at any
-length, and what grows is the cost.  Every method has the setting that reaches the error on the short ring at the least
-cost, found as `compare` finds it.  Where so many fixed steps would take long on the ring of a cell they are coarser.
+length.  Every method has the setting that reaches the error on the short ring at the least cost.
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -18,12 +19,12 @@ import numpy as np
 import contactbench as cb
 from contactbench.measure.clock import Call
 from contactbench.measure.isolation import usable_cores
-from contactbench.measure.memory import peak_memory
 from contactbench.results.tables import SCALING
+from contactbench.scene.many import Many
 from contactbench.solution import keywords
 from contactbench.study.c_loops import ring_kernel
 from contactbench.study.choice import EVERYWHERE, key, outcome
-from contactbench.study.experiment import Cell, Profile, Row, Timing, experiment
+from contactbench.study.experiment import Cell, Profile, Row, Timing, timed_experiment
 from contactbench.study.search import Question, Search, step_at
 from contactbench.study.settings import ENDS, times
 from contactbench.study.timetable import last_cores
@@ -69,11 +70,12 @@ def ladder(profile: Profile) -> list[Cell]:
     return rows
 
 
-def sized(name: str, n: int) -> Any:
-    """A scene with so many degrees of freedom: a ring of copies; another one is as it is."""
+def sized(name: str, n: int) -> Many:
+    """Return a scene with so many degrees of freedom: a ring of copies; another one is as it is."""
+    scene: Many = cb.SCENES[name]
     if name not in RINGS:
-        return cb.SCENES[name]
-    short = cb.SCENES[name].with_(n=PERIOD)
+        return scene
+    short = scene.with_(n=PERIOD)
     return short.with_(n=n, **{field: np.tile(getattr(short, field), n // PERIOD) for field in "qp"})
 
 
@@ -85,7 +87,7 @@ def truth(name: str) -> Reference:
 
 @cache
 def found(name: str, method: str) -> float:
-    """The value of the cheapest setting that reaches the error on the short ring, else of the finest that ends well."""
+    """Return the value of the cheapest setting that reaches the error on the short ring, or of the finest."""
     search = Search(Question(truth(name).scene, truth(name), (ERROR,), 60.0), method)
     for _ in search.turns():
         pass
@@ -98,40 +100,60 @@ def value(name: str, method: str, n: int) -> float:
     return reached if chosen.adaptive else max(reached, step_at(chosen, sized(name, n), most))
 
 
-def loop(
-    scene: Any, cores: int, chosen: float
-) -> tuple[Row, Callable[[], np.ndarray] | None, np.ndarray | None]:
-    """The row of the C loop, its run and its end; None for these where there is no compiler."""
+# -- memory, where the system says it: on Linux -------------------------------------------------------
+PROCESS = Path("/proc/self")
+
+
+def peak_memory(run: Callable[[], object]) -> float:
+    """Return by how many bytes the resident memory grows at most during a call; nan where the system does not say."""
+    try:
+        ctypes.CDLL(None).malloc_trim(0)  # what was given back before must not hide what is taken now
+        (PROCESS / "clear_refs").write_text("5")  # the peak begins anew
+    except (OSError, AttributeError):
+        return math.nan
+    before = resident("VmRSS")
+    run()
+    return float(resident("VmHWM") - before)
+
+
+def resident(which: str) -> int:
+    lines = (PROCESS / "status").read_text().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(f"{which}:"))
+
+
+# -- rows ------------------------------------------------------------------------------------------
+def loop(scene: Many, cores: int, chosen: float) -> tuple[Row, Callable[[], np.ndarray] | None]:
+    """Return the row of the C loop and its run, None where there is no compiler."""
+    assert isinstance(scene, cb.Lattice)
     row = key(scene.name, LOOP, "c", "step", chosen, STEPS_OF) | {"n": scene.n, "cores": cores}
     made = ring_kernel(STEPS_OF, scene, chosen)
     if isinstance(made, str):
-        return row | {"status": "unsupported", "message": made, "evaluations": None}, None, None
+        return row | {"status": "unsupported", "message": made, "evaluations": None}, None
     run, evaluations = made
     counts = {"steps": round(scene.t_end / chosen), "evaluations": evaluations, "evaluation_kind": "gradient"}
-    return row | counts | {"status": "ok", "message": "", "memory_MB": peak_memory(run) / 1e6}, run, run()
+    return row | counts | {"status": "ok", "message": "", "memory_MB": peak_memory(run) / 1e6}, run
 
 
 def prepared(cell: Cell, chosen: float, exact: np.ndarray) -> tuple[Row, Call | None]:
-    """The row of a cell without its times, and what is to be timed, if it ends well."""
+    """Return the row of a cell without its times, and what is to be timed, if it ends well."""
     name, method, engine, n, cores = cell
     numba.set_num_threads(cores)  # it saw all of them if it was loaded before this process was bound to one
     scene = sized(name, n)
     if method == LOOP:
-        row, run, y = loop(scene, cores, chosen)
+        row, run = loop(scene, cores, chosen)
     else:
-        options = {"save_at": [scene.t_end], "carry": (), "engine": engine}
+        options: dict[str, Any] = {"save_at": [scene.t_end], "carry": (), "engine": engine}
         options |= keywords(cb.METHODS[method].control, chosen)
         made = cb.prepare(scene, method, **options)
         solution = made()
         row = outcome(solution) | {"n": n, "cores": cores, "compile_s": made.compile_s}
-        run, y = None, solution.y[-1]
-        if solution.ok:
+        run = partial(made.bare, made.start) if solution.ok else None
+        if run:
             peak = peak_memory(lambda: cb.prepare(scene, method, **options)())
-            row["memory_MB"] = max(peak - y.nbytes, 0.0) / 1e6
-            start = made.start
-            run = lambda: made.bare(start)  # noqa: E731
+            row["memory_MB"] = max(peak - solution.y[-1].nbytes, 0.0) / 1e6
     if run is None:
         return row, None
+    y = run() if method == LOOP else solution.y[-1]
     copies = 2 * n // exact.shape[1]
     true = np.tile(exact[-1].reshape(2, -1), copies).ravel()
     size = math.sqrt(copies) * np.linalg.norm(exact, axis=1).max()
@@ -139,13 +161,13 @@ def prepared(cell: Cell, chosen: float, exact: np.ndarray) -> tuple[Row, Call | 
 
 
 def shares(row: Row) -> Row:
-    """The columns that follow from the time of a run."""
+    """Return the columns that follow from the time of a run."""
     time, evaluations = row["time_min_s"], row["n"] * (row["evaluations"] or 0)
     found = {"site_ns": 1e9 * time / evaluations} if evaluations else {}
     return found | ({"reach_s": time} if row["solution_error"] <= ERROR else {})
 
 
-@experiment(ladder, timed=True)
+@timed_experiment(ladder)
 def scaling(cell: Cell, profile: Profile) -> Timing:
     name, method, _, n, cores = cell
     arguments = cell, value(name, method, n), truth(name).y

@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -21,6 +20,7 @@ from contactbench.measure.laws import row as laws_row
 from contactbench.methods.base import prepare
 from contactbench.scene import Scene
 from contactbench.solution import GROWING, Solution
+from contactbench.study.experiment import Row
 from contactbench.study.search import Attempt, Question, Search
 from contactbench.study.settings import ENDS, carry_of, setting_to, times
 from contactbench.truth import OutOfTime, Reference, confirmed, reference
@@ -46,8 +46,6 @@ COMPILATIONS, RUNS = 2.0, 100.0
 CACHED = 0.2
 #: components from which on compiling it takes longer, as their cube
 MANY = 20
-
-type Columns = dict[str, Any]
 
 
 class Schedule:
@@ -80,8 +78,8 @@ class Schedule:
         self.searches = [Search(self.question, name) for name in methods]
         self.interrupted = False
         self.unrefined: list[str] = []
-        self.laws: dict[int, Columns] = {}
-        self.times: dict[int, Columns] = {}
+        self.laws: dict[int, Row] = {}
+        self.times: dict[int, Row] = {}
         self.truths: dict[tuple[tuple[str, ...], bytes], Reference | None] = {}
         #: how many times longer than foreseen the derivative of a map has taken
         self.slower = 1.0
@@ -173,7 +171,7 @@ class Schedule:
                     self.laws[id(attempt)] = self.laws_at(each, attempt)
                     self.slower = max(self.slower, (perf_counter() - begun) / foreseen)
 
-    def laws_at(self, search: Search, attempt: Attempt) -> Columns:
+    def laws_at(self, search: Search, attempt: Attempt) -> Row:
         """Return how far a run that carries every field is from the laws; nothing where that would take too long."""
         scene, left = self.question.scene, self.left(LAWS)
         if left < (search.compile_s if search.engine == "jax" else 0.0):  # another field is another program

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
@@ -15,10 +14,11 @@ from contactbench.blame import UserError
 from contactbench.measure.laws import observables
 from contactbench.methods.base import ENGINES, METHODS, prepare
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.prepared import IMPLICIT, Prepared, Refused
+from contactbench.methods.prepared import IMPLICIT, Prepared
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution, Status
+from contactbench.study.experiment import Row
 from contactbench.study.settings import ENDS, carry_of, control_of, setting_to, steps, times, tolerances
 from contactbench.truth import OutOfTime, Reference
 
@@ -151,15 +151,11 @@ class Attempt:
     def reaches(self, error: float) -> bool:
         return self.ok and self.error <= error
 
-    def columns(self, floor: float) -> dict[str, Any]:
+    def columns(self, floor: float) -> Row:
         """Return the columns of its setting; no error below the floor is claimed."""
         counted = self.counts.rhs_equivalents is not None
         columns = {"setting": self.setting, "error_reached": max(self.error, floor)}
         return columns | {"evaluations": self.work if counted else math.nan}
-
-
-class Unsupported(Exception):
-    """A method cannot do a scene, as is found out only when it is prepared."""
 
 
 class Search:
@@ -170,7 +166,7 @@ class Search:
 
     def __init__(self, question: Question, method: str) -> None:
         self.question, self.method = question, METHODS[method]
-        self.engine = self.method.engines[0]
+        self.engine, self.control = self.method.engines[0], control_of(question.scene, self.method)
         self.attempts: list[Attempt] = []
         self.why: tuple[str, str] | None = None
         self.compile_s, self.spent, self.a_step = 0.0, 0.0, math.nan
@@ -178,10 +174,6 @@ class Search:
     @property
     def kind(self) -> str:
         return ENGINES.get(self.engine, "compiled")
-
-    @property
-    def control(self) -> str:
-        return control_of(self.question.scene, self.method)
 
     @property
     def finest(self) -> Attempt | None:
@@ -199,14 +191,16 @@ class Search:
         try:
             for attempt in self.coarse_to_fine():
                 yield
+                if attempt.status is Status.unsupported:  # as is found out only when it is prepared
+                    self.why = ("unsupported", attempt.message)
+                    self.attempts.clear()
+                    return
                 if attempt.status is Status.budget:
                     most = f"more than a run may take here, {self.question.longest:.2g} s"
                     self.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
                     break
             for error in self.question.errors:
                 yield from self.refine(error)
-        except Unsupported as reason:
-            self.why = ("unsupported", str(reason))
         except UserError as error:
             self.why = ("failed", str(error))
         except BROKEN as error:
@@ -267,7 +261,7 @@ class Search:
 
     def attempt(self, value: float) -> Attempt:
         scene, first = self.question.scene, not self.attempts
-        options: dict[str, Any] = {"carry": carry_of(scene), "max_steps": self.most_steps()}
+        options: Row = {"carry": carry_of(scene), "max_steps": self.most_steps()}
         *earlier, end = times(scene, ENDS).tolist()
 
         def prepared(end: float) -> Prepared:
@@ -281,8 +275,6 @@ class Search:
 
         start = perf_counter()
         run = prepared(end)
-        if isinstance(run, Refused):
-            raise Unsupported(run.why)
         self.engine = run.request.engine
         if first:
             solved(run)  # the first call of a program may compile yet

@@ -1,9 +1,7 @@
 """Where do integrators break, and how?  One cell: a method on a hard scene, or a question of stability.
 
-Solvers run in worker processes, each call with a budget of steps, counted from evaluations: a crash, a hang
-or a result that is no number is a row and stops nothing.  The budget ends a run within seconds; the limit
-on time is many times longer and there for a solver that hangs, so that no row depends on how fast or how
-busy the machine is.
+Solvers run in worker processes, each call with a budget of steps, counted from evaluations, so that no row depends on
+how fast the machine is: a crash, a hang or a result that is no number is a row and stops nothing.
 """
 
 from __future__ import annotations
@@ -13,7 +11,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
@@ -25,13 +22,14 @@ from contactbench.measure.isolation import Died, TimedOut, Worker
 from contactbench.measure.law import MEANINGFUL
 from contactbench.measure.laws import row as laws_row
 from contactbench.methods.base import Method
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.tables import DAMPING_RATES, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import controlled, key, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
-from contactbench.study.search import right_hand_sides, tolerance_at
+from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import SAVES, times
 from contactbench.truth import blow_up_time, condition_number
 
@@ -60,7 +58,7 @@ DAMPING_PER_STEP = (1.0, 5.0, 25.0)
 SPANS = (1e4, 1e5)
 
 
-def settings(scene: Scene, method: Any) -> list[tuple[str, float]]:
+def settings(scene: Scene, method: Method) -> list[tuple[str, float]]:
     if method.control == EXACT:
         return [(EXACT, 0.0)]
     if method.adaptive:
@@ -68,6 +66,7 @@ def settings(scene: Scene, method: Any) -> list[tuple[str, float]]:
         return [("rtol", rtol) for rtol in (*(r for r in TOLERANCES if r > finest), finest)]
     if method.refuses(scene):
         return [("step", COARSEST.get(scene.name, scene.t_end / 100))]
+    assert isinstance(method, FixedStep)
     each = method.per_step(scene) / (2 if method.kind_on(scene) == "rotation" else 1)
     rungs: tuple[float, ...] = RUNGS.get(scene.name, BY_FOUR)
     if method.order <= LOW_ORDER:
@@ -95,7 +94,7 @@ def questions(profile: Profile) -> list[Cell]:
 
 
 #: the row of a call that ends badly, and the call
-type Asked = tuple[Row, Callable[..., Row], tuple[Any, ...]]
+type Asked = tuple[Row, Callable[..., Row], tuple[object, ...]]
 
 
 def calls(cell: Cell, profile: Profile) -> Iterator[Asked]:
@@ -123,7 +122,7 @@ def rate_calls(cell: Cell, profile: Profile) -> Iterator[Asked]:
 
 
 def budget_of(profile: Profile, scene: Scene, method: Method) -> int | None:
-    """Three times the evaluations of a timed run: these are hard."""
+    """Return three times the evaluations of a timed run: these are hard."""
     steps = step_budget(profile, scene, method, method.engines[0])
     if steps is None:
         return None if method.control == "step" else 1_000_000
@@ -148,7 +147,7 @@ def blamed_on_solver() -> Iterator[None]:
         raise SolverError(f"{type(error).__name__}: {error}") from error
 
 
-def solve(scene: Scene, method: str, **options: Any) -> Solution:
+def solve(scene: Scene, method: str, **options: object) -> Solution:
     with blamed_on_solver():
         return cb.solve(scene, method, **options)
 
@@ -160,8 +159,8 @@ LONG = 0.3
 def stability_row(name: str, method: str, engine: str, kind: str, value: float, max_steps: int | None) -> Row:
     scene = cb.SCENES[name]
     with blamed_on_solver():
-        options: dict[str, Any] = {"engine": engine, "save_at": times(scene), "max_steps": max_steps}
-        run = cb.prepare(scene, method, **options, **keywords(kind, value))
+        given: Row = {"engine": engine, "save_at": times(scene), **keywords(kind, value)}
+        run = cb.prepare(scene, method, max_steps=max_steps, **given)
         start = perf_counter()
         solution = run()
         first = perf_counter() - start
@@ -180,7 +179,7 @@ def stability_row(name: str, method: str, engine: str, kind: str, value: float, 
 
 
 def end_error(solution: Solution) -> float:
-    """‖y − y*‖ / ‖y*‖ at the end, of (q, p) or M; 0 where both have underflowed."""
+    """Return ‖y − y*‖ / ‖y*‖ at the end, of (q, p) or M; 0 where both have underflowed."""
     size = len(solution.scene.labels(()))
     truth = cb.reference(solution.scene, solution.t[-1:], solution.carry).y[0, :size]
     return float(np.linalg.norm(solution.y[-1, :size] - truth) / max(np.linalg.norm(truth), MEANINGFUL))
@@ -188,7 +187,7 @@ def end_error(solution: Solution) -> float:
 
 # -- overdamped ------------------------------------------------------------------------------------
 def overdamped_row(method: str, kind: str, value: float, max_steps: int | None) -> Row:
-    """The rate of creep between t_end/2 and t_end over the true slow rate."""
+    """Return the rate of creep between t_end/2 and t_end over the true slow rate."""
     scene = cb.SCENES["overdamped"]
     ends = [scene.t_end / 2, scene.t_end]
     solution = solve(scene, method, save_at=ends, carry=(), max_steps=max_steps, **keywords(kind, value))
@@ -223,7 +222,7 @@ GAP = 1e-12
 
 
 def energy_rate(t: np.ndarray, energy: np.ndarray) -> float:
-    """The mean rate at which log H0 falls: its slope by least squares, weighted by a bump over the span.
+    """Return the mean rate at which log H0 falls: its slope by least squares, weighted by a bump over the span.
 
     The weight is flat at both ends with all its derivatives, so that oscillations of H0 hardly count (Das, Saiki,
     Sander, Yorke, Nonlinearity 30, 4111 (2017), doi:10.1088/1361-6544/aa84c2).
@@ -235,13 +234,13 @@ def energy_rate(t: np.ndarray, energy: np.ndarray) -> float:
     return float(-(lever @ np.log(energy)) / (lever @ t))
 
 
-def truth_at(scene: Scene, times: np.ndarray) -> Any:
-    """The true (q, p) at equidistant times up to t_end, a multiple of the frozen ones, as states.
+def truth_at(scene: Scene, times: np.ndarray) -> np.ndarray:
+    """Return the true (q, p) at equidistant times up to t_end, a multiple of the frozen ones.
 
     Between frozen times by Taylor series, afresh from each frozen state, and checked against the next.
     """
     if scene.exact is not None:
-        return cb.reference(scene, times, ()).states()
+        return cb.reference(scene, times, ()).y
     between = len(times) // FROZEN
     frozen = cb.reference(scene, times[between - 1 :: between], ())
     starts = np.vstack([scene.pack(scene.initial(())), frozen.y[:-1]])
@@ -249,11 +248,11 @@ def truth_at(scene: Scene, times: np.ndarray) -> Any:
     pieces = np.array([run.integrate(y).y for y in starts])
     assert np.abs(pieces[:, -1] - frozen.y).max() < GAP
     pieces[:, -1] = frozen.y
-    return scene.unpack(tuple(np.concatenate(pieces).T), ())
+    return np.concatenate(pieces)
 
 
 def weak_row(name: str, method: str, t_end: float) -> Row:
-    """The damping rate over t_end, every method at about COST evaluations per unit of time."""
+    """Return the damping rate over t_end, every method at about COST evaluations per unit of time."""
     scene = cb.SCENES[name].with_(t_end=t_end)
     chosen = cb.METHODS[method]
     if chosen.refuses(scene) is not None:
@@ -266,28 +265,29 @@ def weak_row(name: str, method: str, t_end: float) -> Row:
         return right_hand_sides(solve(scene, method, rtol=rtol, save_at=[PILOT], carry=()))
 
     if chosen.adaptive:
-        setting = {"rtol": tolerance_at(pilot_cost, COST * PILOT, chosen.rtol_range)}
-    else:  # whole steps between samples
-        setting = {"step": times[0] / max(1, round(times[0] * COST / chosen.per_step(scene)))}
+        value = tolerance_at(pilot_cost, COST * PILOT, chosen.rtol_range)
+    else:
+        value = step_at(chosen, scene, COST * t_end, SAMPLES)
+    setting = keywords(chosen.control, value)
     solution = solve(scene, method, save_at=times, carry=(), **setting)
     row = rate_row("weak", solution, t_end, math.nan)
     if not solution.ok:
         return row
     if "python" not in solution.engine:  # the cost without what it takes to save
         row["evaluations"] = solve(scene, method, save_at=times[-1:], carry=(), **setting).counts.evaluations
-    row["true_rate"] = energy_rate(times, scene.energy(truth_at(scene, times)))
+    row["true_rate"] = energy_rate(times, scene.energy(scene.unpack(truth_at(scene, times).T, ())))
     return row | beside(energy_rate(times, scene.energy(solution.states())), row["true_rate"])
 
 
 # -- workers ---------------------------------------------------------------------------------------
 @cache
 def worker() -> Worker:
-    """The process that all cells of this one share."""
+    """Return the process that all cells of this one share."""
     return Worker()
 
 
 def rows_of(calls: Iterable[Asked], worker: Worker) -> list[Row]:
-    """The row of each call, coarse to fine; how it ended where there is none.
+    """Return the row of each call, coarse to fine; how it ended where there is none.
 
     Where a tolerance spent the budget a tighter one would spend it too, and is not run.
     """
@@ -337,7 +337,7 @@ def linear_stability(cell: Cell, profile: Profile) -> Recorded:
     yield from ((STRONG_DAMPING, row) for gamma in STRONG for row in errors(method, gamma))
 
 
-def limits(method: Any, gamma: float, omega: float) -> Row:
+def limits(method: FixedStep, gamma: float, omega: float) -> Row:
     theory, both = linear.THEORY.get(method.name), linear.is_processed(method)
     found = linear.stability(linear.kernel(method), gamma, omega)
     row = {"method": method.name, "gamma": gamma, "omega": omega, "limit": found.limit, "last": found.last}
@@ -348,7 +348,7 @@ def limits(method: Any, gamma: float, omega: float) -> Row:
     return row | {"limit_kernel": found.limit if both else np.nan, "limit_saved": saved}
 
 
-def errors(method: Any, gamma: float) -> Iterator[Row]:
+def errors(method: FixedStep, gamma: float) -> Iterator[Row]:
     each = method.per_step(cb.SCENES["oscillator"])
     for between in PER_EVALUATION:
         h = between / gamma * each

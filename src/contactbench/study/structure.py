@@ -1,24 +1,24 @@
 """What does keeping the structure buy?  One cell: a method at one setting, on a chaotic ring with weak damping.
 
-Nobody follows such a trajectory for long.  What can be asked for is the energy that is left, total less the centre of
-mass's, and the rate at which it goes.  The truth is a run of a contact method at a fine step, and that of a Taylor
-method beside it: as far as the two differ, chaos decides, and no method can be told from another.
+Nobody follows such a trajectory for long; what is compared is the energy left, less the centre of mass's, and its rate.
 """
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 import contactbench as cb
 from contactbench.measure.clock import Call
+from contactbench.methods.prepared import Prepared
 from contactbench.results.tables import STRUCTURE_BUYS
+from contactbench.scene import Scene
 from contactbench.scenes.many import long_wave, quartic_bond, two_waves
 from contactbench.solution import Solution, keywords
 from contactbench.study.choice import EVERYWHERE, key
-from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment
+from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 
 RING, QUADRATIC = "chaotic_ring", "chaotic_ring_quadratic"
 #: of the scene whose damping has a quadratic term
@@ -69,28 +69,23 @@ def ladder(profile: Profile) -> list[Cell]:
 
 
 def rungs(scene: str, name: str, gamma: float, span: float, n: int) -> list[Cell]:
-    """The cells of a method; in long runs without the first, which is lost there, and the last, which is dear."""
+    """Return the cells of a method; in long runs without the first, which is lost, and the last, which is dear."""
     values = LADDERS[name] if span <= SPAN else LADDERS[name][1:-1]
     return [(scene, name, cb.METHODS[name].engines[0], gamma, span, n, value) for value in values]
 
 
 @cache
-def shaped(method: str, name: str, gamma: float, span: float, n: int) -> Any:
-    """The ring in the shape that a method is faster on: as a lattice, or component by component."""
-    waves: dict[str, Any] = {
-        "bond": quartic_bond,
-        "parameters": {"beta": 1.0},
-        "q": long_wave,
-        "p": two_waves,
-    }
-    ring = cb.Lattice(name=name, n=n, gamma=gamma, t_end=span, **waves)
+def shaped(method: str, name: str, gamma: float, span: float, n: int) -> Scene:
+    """Return the ring in the shape that a method is faster on: as a lattice, or component by component."""
+    bonds: Row = {"bond": quartic_bond, "parameters": {"beta": 1.0}}
+    ring = cb.Lattice(name=name, n=n, gamma=gamma, t_end=span, **bonds, q=long_wave, p=two_waves)
     if name == QUADRATIC:
         return ring.unrolled().with_(kappa=KAPPA)
     return ring if n > N or method in LATTICE else ring.unrolled()
 
 
 def starts(n: int) -> np.ndarray:
-    """Initial data: those of the scene, and others near them."""
+    """Return initial data: those of the scene, and others near them."""
     off = AMPLITUDE * np.random.default_rng(SEED).normal(size=(STARTS, 2, n))
     off[0] = 0
     sites: Any = np.arange(n)
@@ -98,21 +93,19 @@ def starts(n: int) -> np.ndarray:
 
 
 def energy_left(q: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """H0 less that of the centre of mass; sites along the first axis."""
-    stretched: Any = np.roll(q, -1, axis=0) - q
-    bonds: Any = quartic_bond(stretched, 1.0)
-    total = (p * p).sum(axis=0) / 2 + bonds.sum(axis=0)
+    """Return H0 less that of the centre of mass; sites along the first axis."""
+    bonds: Any = quartic_bond(np.roll(q, -1, axis=0) - q, 1.0)
+    total: np.ndarray = (p * p).sum(axis=0) / 2 + bonds.sum(axis=0)
     return total - p.sum(axis=0) ** 2 / (2 * len(q))
 
 
-def prepared(method: str, case: Cell, end: float, saves: int, **setting: float) -> Any:
-    times = end * np.arange(1, saves + 1) / saves
-    given: dict[str, Any] = {"save_at": times, "carry": (), "max_steps": MOST_STEPS, **setting}
-    return cb.prepare(shaped(method, *case), method, **given)
+def prepared(method: str, case: Cell, end: float, saves: int, **setting: float) -> Prepared:
+    given: Row = {"save_at": end * np.arange(1, saves + 1) / saves, "carry": (), **setting}
+    return cb.prepare(shaped(method, *case), method, max_steps=MOST_STEPS, **given)
 
 
 def runs(method: str, case: Cell, count: int, **setting: float) -> tuple[list[Solution], np.ndarray]:
-    """The solutions from so many starts, until one ends badly, and the energies left along them."""
+    """Return the solutions from so many starts, until one ends badly, and the energies left along them."""
     run, n = prepared(method, case, case[2], SAVES, **setting), case[-1]
     found: list[Solution] = []
     for q, p in starts(n)[:count]:
@@ -123,8 +116,8 @@ def runs(method: str, case: Cell, count: int, **setting: float) -> tuple[list[So
 
 
 @cache
-def truth(*case: Any) -> tuple[np.ndarray, float]:
-    """The energy left from every start, and by how much it differs at most from that of another accurate method."""
+def truth(*case: object) -> tuple[np.ndarray, float]:
+    """Return the energy left from every start, and by how much it differs from another accurate method's."""
     (method, setting), (other, tolerance) = TRUTH, BESIDE
     left = runs(method, case, STARTS, **setting)[1]
     beside = runs(other, case, FEWER, **tolerance)[1]
@@ -132,7 +125,7 @@ def truth(*case: Any) -> tuple[np.ndarray, float]:
 
 
 def errors(cell: Cell) -> Row:
-    """The row of a cell but for what is timed."""
+    """Return the row of a cell but for what is timed."""
     name, method, engine, gamma, span, n, value = cell
     case, control = (name, gamma, span, n), cb.METHODS[method].control
     count = STARTS if span <= SPAN or method in STEPS else FEWER
@@ -153,13 +146,12 @@ def errors(cell: Cell) -> Row:
     return row | {name: float(value) for name, value in numbers.items()}
 
 
-def part(cell: Cell) -> tuple[Row, Call]:
-    """What is timed of a run: its beginning."""
+def beginning(cell: Cell) -> tuple[Row, Call]:
+    """Return what is timed of a run: its beginning."""
     name, method, _, gamma, span, n, value = cell
     case, control = (name, gamma, span, n), cb.METHODS[method].control
     run = prepared(method, case, TIMED, 1, **keywords(control, value))
-    start = run.start
-    return {"timed_evaluations": run().counts.evaluations}, Call(lambda: run.bare(start))
+    return {"timed_evaluations": run().counts.evaluations}, Call(partial(run.bare, run.start))
 
 
 @experiment(ladder)
@@ -167,10 +159,9 @@ def structure_errors(cell: Cell, profile: Profile) -> Recorded:
     yield STRUCTURE_BUYS, errors(cell)
 
 
-@experiment(
+@timed_experiment(
     lambda profile: [c for c in ladder(profile) if c[0] == RING and c[3] == GAMMA and c[4] == SPAN],
-    timed=True,
-    errors=structure_errors,
+    structure_errors,
 )
 def structure(cell: Cell, profile: Profile) -> Timing:
-    return Timing(STRUCTURE_BUYS, part, (cell,))
+    return Timing(STRUCTURE_BUYS, beginning, (cell,))

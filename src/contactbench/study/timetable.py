@@ -1,7 +1,4 @@
-"""The timed part of an experiment: all cells are prepared first, then visited in turns.
-
-A sample of them is prepared in a second process too and visited in the same turns: what processes differ by.
-"""
+"""The timed part of an experiment: all cells are prepared first, then visited in turns."""
 
 from __future__ import annotations
 
@@ -11,7 +8,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any
 
 from tqdm import tqdm
 
@@ -26,6 +22,8 @@ from contactbench.measure.clock import (
     time_columns,
 )
 from contactbench.measure.isolation import Worker, usable_cores
+from contactbench.results.cells import Cell
+from contactbench.study.experiment import Row, Timing
 
 #: cells of every engine that a second process times too
 SAMPLE = 20
@@ -33,7 +31,7 @@ SAMPLE = 20
 PREPARED: list[Call] = []
 
 
-def prepare(function: Callable[..., Any], *arguments: Any) -> tuple[int, dict[str, Any]]:
+def prepare(function: Callable[..., tuple[Row, Call]], *arguments: object) -> tuple[int, Row]:
     row, call = function(*arguments)
     PREPARED.append(call)
     return len(PREPARED) - 1, row
@@ -50,7 +48,7 @@ def visit(number: int, rounds: int) -> Visit:
 
 
 def last_cores(count: int) -> list[int]:
-    """The cores of a call that takes several, none for one: it stays on that of this process."""
+    """Return the cores of a call that takes several, none for one: it stays on that of this process."""
     return usable_cores()[-count:] if count > 1 else []
 
 
@@ -59,7 +57,7 @@ class Remote:
     """A call that another process prepares, without being waited for, and times."""
 
     worker: Worker
-    prepared: Future[Any]
+    prepared: Future[tuple[int, Row]]
     cores: Sequence[int]
     part = None
 
@@ -79,8 +77,8 @@ class Entry:
 
     call: Call | Remote
     again: Remote | None
-    record: Callable[[dict[str, Any]], None]
-    told: dict[str, Any] = field(default_factory=dict)
+    record: Callable[[Row], None]
+    told: Row = field(default_factory=dict)
 
     def finish(self, visits: list[Visit], again: list[Visit]) -> None:
         columns, part = time_columns(visits), self.call.part
@@ -92,16 +90,16 @@ class Entry:
         self.record(columns)
 
 
-class Timetable(AbstractContextManager[Any]):
+class Timetable(AbstractContextManager["Timetable"]):
     """The timed cells of an experiment, in the order in which they were prepared.
 
-    cells : all there will be, and the engine of each; a sample of every engine's is timed in a second process too.
-    visits : to each.
+    cells : all there will be, and the engine of each; a sample of every engine's is timed in a second process too:
+    what processes differ by.  visits : to each.
     """
 
-    def __init__(self, cells: Mapping[Any, str], visits: int) -> None:
+    def __init__(self, cells: Mapping[Cell, str], visits: int) -> None:
         self.visits = visits
-        self.sample: set[Any] = set()
+        self.sample: set[Cell] = set()
         for engine in sorted(set(cells.values())):
             own = [cell for cell, its in cells.items() if its == engine]
             self.sample |= set(random.Random(SEED).sample(own, min(SAMPLE, -(-len(own) // 2))))
@@ -110,16 +108,16 @@ class Timetable(AbstractContextManager[Any]):
         self.entries: list[Entry] = []
         self.workers: dict[tuple[int, ...], Worker] = {}
 
-    def remote(self, cores: Sequence[int], timed_on: Sequence[int], *call: Any) -> Remote:
+    def remote(self, cores: Sequence[int], timed_on: Sequence[int], timing: Timing) -> Remote:
         """Let a process on some cores prepare a call that it will time on others."""
         worker = self.workers.setdefault(tuple(cores), Worker(cores))
-        return Remote(worker, worker.submit(prepare, *call), timed_on)
+        return Remote(worker, worker.submit(prepare, timing.prepare, *timing.arguments), timed_on)
 
-    def second(self, *call: Any) -> Remote:
+    def second(self, timing: Timing) -> Remote:
         """Let a second process prepare a call on another core than this one's, and time it on the same."""
         cores = usable_cores()
         mine = sorted(os.sched_getaffinity(0)) if cores else []
-        return self.remote([core for core in cores if core not in mine][:1] or mine, mine, *call)
+        return self.remote([core for core in cores if core not in mine][:1] or mine, mine, timing)
 
     def go(self) -> None:
         """Visit all of them in turns; each is recorded with its last visit."""
@@ -136,6 +134,6 @@ class Timetable(AbstractContextManager[Any]):
                 if min(len(own), len(again)) == self.visits:
                     entry.finish(own, again)
 
-    def __exit__(self, *_: Any) -> None:
+    def __exit__(self, *_: object) -> None:
         for worker in self.workers.values():
             worker.close()

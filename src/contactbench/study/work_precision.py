@@ -1,30 +1,26 @@
 """What does accuracy cost?  One cell: a method on an engine, on a scene, at one setting.
 
-Compiled and warmed up before, garbage collection off, results on the host before the clock stops, visited again and
-again in shuffled order (`contactbench.measure.clock`).  What is timed is the solver's own call, by its fastest
-documented way: packed initial state in, packed final state out, none of our bookkeeping; what the public
-call adds is a column of its own.  The error is the largest over five end times, each the end of a run of
-its own or, of slow fixed steps, a step boundary: interpolation between steps, of lower order than the method
-for Radau and Kvaerno5, plays no part in it.
+What is timed is the solver's own call, by its fastest documented way: packed initial state in, packed final state
+out.  The error is the largest over five end times, each the end of a run of its own: no interpolation plays a part.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from time import perf_counter
-from typing import Any
 
 import contactbench as cb
 from contactbench.measure.clock import Call, Part
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
+from contactbench.methods.prepared import Prepared
 from contactbench.results.tables import WORK_PRECISION
-from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, GROWING, Solution
 from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget
-from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment
+from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.study.settings import (
     BETWEEN,
     ENDS,
@@ -33,6 +29,7 @@ from contactbench.study.settings import (
     control_of,
     setting_to,
     steps,
+    times,
     tolerances,
 )
 
@@ -62,13 +59,13 @@ def ladder(profile: Profile) -> list[Cell]:
 
 
 def error(solutions: Sequence[Solution]) -> float:
-    """max ‖y − y*‖ / max ‖y*‖ over the saved times of several runs."""
+    """Return max ‖y − y*‖ / max ‖y*‖ over the saved times of several runs."""
     pairs = [absolute_error(solution) for solution in solutions]
-    return max(error.max() for error, _ in pairs) / max(size for _, size in pairs)
+    return float(max(error.max() for error, _ in pairs) / max(size for _, size in pairs))
 
 
 def passes_through(method: Method, engine: str, control: str) -> bool:
-    """Whether one run saved at all ends is, but for roundings, the runs to each of them, and slow enough to matter.
+    """Return whether one run saved at all ends is, but for roundings, the runs to each, and slow enough to matter.
 
     Not of a processed method, which brings a state to its own coordinates and back wherever it is saved, nor of one
     that starts afresh there.
@@ -76,28 +73,26 @@ def passes_through(method: Method, engine: str, control: str) -> bool:
     return engine == "python" and control == "step" and method.one_step and not is_processed(method)
 
 
-def options(cell: Cell, profile: Profile) -> tuple[str, str, list[Any], dict[str, Any]]:
-    """The names of scene and method of a cell, what it sets and to what, and what else `prepare` is given."""
-    name, method, engine, *setting = cell
-    scene, budget = cb.SCENES[name], step_budget(profile, cb.SCENES[name], cb.METHODS[method], engine)
-    return name, method, setting, {"engine": engine, "carry": carry_of(scene), "max_steps": budget}
+def prepared(cell: Cell, budget: int | None, times: Sequence[float]) -> Prepared:
+    """Return the run to the last of some times, saved at each of them."""
+    name, method, engine, control, value = cell
+    scene = cb.SCENES[name]
+    given = {"engine": engine, "carry": carry_of(scene), "max_steps": budget}
+    return cb.prepare(scene, method, save_at=times, **setting_to(times[-1], scene, control, value), **given)
 
 
-def prepared(
-    scene: Scene, method: str, setting: Sequence[Any], given: dict[str, Any], times: Sequence[float]
-) -> Any:
-    """The run to the last of some times, saved at each of them."""
-    return cb.prepare(scene, method, save_at=times, **setting_to(times[-1], scene, *setting), **given)
+def budget_of(cell: Cell, profile: Profile) -> int | None:
+    return step_budget(profile, cb.SCENES[cell[0]], cb.METHODS[cell[1]], cell[2])
 
 
 def errors(cell: Cell, profile: Profile) -> Row:
-    """The row of a cell but for what is timed: how its run ends, what it costs, its error at several ends."""
+    """Return the row but for what is timed: how its run ends, what it costs, its error at several ends."""
     scene, method, engine, control, value = cb.SCENES[cell[0]], cb.METHODS[cell[1]], *cell[2:]
-    _, _, setting, given = options(cell, profile)
-    run = prepared(scene, method.name, setting, given, [scene.t_end])
+    budget = budget_of(cell, profile)
+    run = prepared(cell, budget, [scene.t_end])
     start = perf_counter()
     solution = run()
-    row = {"compile_s": run.compile_s, "first_call_s": perf_counter() - start}
+    row: Row = {"compile_s": run.compile_s, "first_call_s": perf_counter() - start}
     carried = scene.initial(run.request.carry)._asdict().items()
     own = ("t",) if method.own_time else ()
     row |= {"carried": " ".join(name for name, field in carried if field is not None and name not in own)}
@@ -106,12 +101,12 @@ def errors(cell: Cell, profile: Profile) -> Row:
         row |= controlled(method.control, value, variant)
     if not solution.ok:
         return outcome(solution, variant=variant) | row
-    earlier = [scene.t_end * k / ENDS for k in range(1, ENDS)]
+    earlier = times(scene, ENDS)[:-1].tolist()
     saves = [earlier] if passes_through(method, engine, control) else [[t] for t in earlier]
-    others = [prepared(scene, method.name, setting, given, times)() for times in saves]
+    others = [prepared(cell, budget, ends)() for ends in saves]
     row["solution_error"] = error([*others, solution])
     if method.adaptive and method.order is None:
-        row["evaluations_spread"] = evaluations_spread(run, solution.counts.evaluations)
+        row["evaluations_spread"] = evaluations_spread(run, solution.counts.evaluations or 0)
     return outcome(solution, solution.counts, variant) | row
 
 
@@ -122,21 +117,17 @@ LONG_CALLBACK, SHORT = 0.02, 5e-4
 PAIRS, BLOCK_SECONDS = 15, 1e-4
 
 
-def runs(scene: str, method: str, setting: Sequence[Any], given: dict[str, Any]) -> tuple[Row, Call]:
-    """What the public call adds, for the row; and what is timed: the bare run, and the one to the earliest end."""
-    end = cb.SCENES[scene].t_end
-    run, shorter = (prepared(cb.SCENES[scene], method, setting, given, [t]) for t in (end, end / ENDS))
+def runs(cell: Cell, budget: int | None) -> tuple[Row, Call]:
+    """Return what the public call adds, and what is timed: the bare run, and the one to the earliest end."""
+    end = cb.SCENES[cell[0]].t_end
+    run, shorter = (prepared(cell, budget, [t]) for t in (end, end / ENDS))
     # arrays that an engine has moved to its device ahead of the call
-    start, earlier = run.start, shorter.start
-
-    def bare() -> Any:
-        return run.bare(start)
-
+    bare, part = partial(run.bare, run.start), partial(shorter.bare, shorter.start)
     call = Call(bare)
     call.warm_up()
     once = call.once[0]
-    if "python" not in given["engine"] or once < LONG_CALLBACK:
-        call = Call(bare, Part(lambda: shorter.bare(earlier), 1 / ENDS, end))
+    if "python" not in cell[2] or once < LONG_CALLBACK:
+        call = Call(bare, Part(part, 1 / ENDS, end))
     if once >= SHORT:
         return {}, call
     beside = Part(bare, 0.0, 1.0)
@@ -148,13 +139,14 @@ def runs(scene: str, method: str, setting: Sequence[Any], given: dict[str, Any])
 ROUNDINGS = (-2e-15, -1e-15, 1e-15, 2e-15)
 
 
-def evaluations_spread(run: Any, own: int) -> float:
-    """By how much the evaluations differ, relative to the fewest, where the initial data differ by `ROUNDINGS`.
+def evaluations_spread(run: Prepared, own: int) -> float:
+    """Return by how much the evaluations differ, relative to the fewest, where the initial data differ by `ROUNDINGS`.
 
     Measured, on `particle_long`: a solver of fixed order takes the same number of them at every tolerance;
     CVODE's choice of an order turns on a rounding at the tightest ones, and costs up to 60 % more or less.
     """
-    counted = [own, *(run.integrate(run.start * (1 + change)).counts.evaluations for change in ROUNDINGS)]
+    others = (run.integrate(run.start * (1 + change)).counts.evaluations or 0 for change in ROUNDINGS)
+    counted = [own, *others]
     return max(counted) / min(counted) - 1
 
 
@@ -163,6 +155,6 @@ def work_precision_errors(cell: Cell, profile: Profile) -> Recorded:
     yield WORK_PRECISION, errors(cell, profile)
 
 
-@experiment(ladder, timed=True, errors=work_precision_errors)
+@timed_experiment(ladder, errors=work_precision_errors)
 def work_precision(cell: Cell, profile: Profile) -> Timing:
-    return Timing(WORK_PRECISION, runs, options(cell, profile))
+    return Timing(WORK_PRECISION, runs, (cell, budget_of(cell, profile)))

@@ -281,6 +281,9 @@ class RecordedNumbers(ChoosingNumbers):
     def repeat_while[X](self, condition: Callable[[X], Condition], body: Callable[[X], X], x: X) -> X:
         return self.tape.repeat_while(condition, body, x)
 
+    def iterate[X](self, turns: int, body: Callable[[X], X], x: X) -> X:
+        return self.tape.repeat(turns, body, x)
+
     def where(self, condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
         if isinstance(a, Dual) or isinstance(b, Dual):
             return DualNumbers(self).where(condition, a, b)

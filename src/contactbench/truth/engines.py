@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from decimal import Decimal, localcontext
 from functools import partial
 from importlib.util import find_spec
-from time import perf_counter
+from time import perf_counter, thread_time
 from typing import Any
 
 import numpy as np
@@ -146,14 +146,14 @@ class Stopwatch:
     """
 
     def __init__(self, scene: Scene, span: float, deadline: float, patience: float = 1.0) -> None:
-        self.scene, self.span, self.deadline, self.begun = scene, span, deadline, perf_counter()
-        self.patience = patience
+        self.scene, self.span, self.deadline, self.patience = scene, span, deadline, patience
+        self.begun, self.worked = perf_counter(), thread_time()
 
     def is_over(self, t: float) -> bool:
         """Return whether the deadline has passed, or, seen from t, will pass before the end."""
-        spent = (now := perf_counter()) - self.begun
-        hopeless = spent * self.span > self.patience * (self.deadline - self.begun) * t
-        return now > self.deadline or (spent > FORESEEN and t > 0 and hopeless)
+        worked = thread_time() - self.worked  # a busy machine may stand still for seconds
+        hopeless = worked * self.span > self.patience * (self.deadline - self.begun) * t
+        return perf_counter() > self.deadline or (worked > FORESEEN and t > 0 and hopeless)
 
     def check(self, t: float) -> None:
         if self.is_over(t):

@@ -6,9 +6,9 @@ import pytest
 
 import contactbench as cb
 import planted_faults
-from contactbench.measure.definition import STEPPED, method_lines, row
 from contactbench.methods.contact import contact_method
 from contactbench.splitting.tables import COMPOSITIONS
+from contactbench.study.definitions import STEPPED, method_lines, row
 
 
 @pytest.mark.parametrize("scene", cb.SCENES.values(), ids=cb.SCENES)

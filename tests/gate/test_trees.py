@@ -10,7 +10,7 @@ import pytest
 import made_up
 from contactbench.cli import main
 from contactbench.errors import BadInput
-from contactbench.gate import judge, revisions
+from contactbench.gate import revisions, trees
 from contactbench.results.schema import TABLES
 from contactbench.results.store import merge
 from made_up import ROWS, commit, folder, fresh, git, project, repository, same
@@ -33,7 +33,7 @@ def root(tmp_path, monkeypatch):
 
 def run_gate(root, tmp_path, change=same, changed=(), **more):
     run = fresh(root, tmp_path / "fresh", change, **more)
-    return judge.gate(root, fresh=run, parts=("accuracy",), changed=changed)
+    return trees.gate(root, fresh=run, parts=("accuracy",), changed=changed)
 
 
 def red(found):
@@ -179,7 +179,7 @@ def test_a_table_that_is_made_and_not_committed_is_red(root, tmp_path):
     run = fresh(root, tmp_path / "fresh", tables={"strong_damping": "whole", **dict.fromkeys(TABLES, "part")})
     damped = {"method": "rk4", "gamma": 1.0, "damping_per_evaluation": 0.1, "error": 0.9, "profile": "smoke"}
     merge(TABLES["strong_damping"], [damped], run)
-    found = judge.gate(root, fresh=run, parts=("accuracy",)).moved
+    found = trees.gate(root, fresh=run, parts=("accuracy",)).moved
     assert found[["table", "measure", "result"]].values.tolist() == [
         ["strong_damping", "table", "not committed"]
     ]
@@ -226,7 +226,7 @@ def test_times_are_held_to_a_fresh_run_by_their_ratios(root, tmp_path):
         commit(root, "harmless")
         record = {**made_up.RUN, "commit": git(root, "rev-parse", "HEAD")}
         (run / "environment.json").write_text(json.dumps({"runs": [record]}))
-        return judge.gate(root, fresh=run, parts=("accuracy",), changed=changed)
+        return trees.gate(root, fresh=run, parts=("accuracy",), changed=changed)
 
     assert not judged().moved["measure"].isin(["time_min_s"]).any()
     timed(root / "results", rk4=0.1)
@@ -249,7 +249,7 @@ def test_errors_are_held_to_older_revisions_of_the_tables(root, tmp_path):
         remake(changed(power))(root)
         commit(root, message)
         run = fresh(root, tmp_path / message, changed(power))
-        found = judge.gate(root, fresh=run, base="HEAD~1", parts=("accuracy",))
+        found = trees.gate(root, fresh=run, base="HEAD~1", parts=("accuracy",))
         assert {one.partition(" → ")[2] for one in red(found)} == (
             set() if power == 1 else {"tree: solution_error", "fresh: solution_error"}
         )
@@ -258,7 +258,7 @@ def test_errors_are_held_to_older_revisions_of_the_tables(root, tmp_path):
     remake(changed(3))(root)
     commit(root, "harmless")
     run = fresh(root, tmp_path / "again", changed(3))
-    assert not judge.gate(root, fresh=run, base="HEAD~1", parts=("accuracy",)).red
+    assert not trees.gate(root, fresh=run, base="HEAD~1", parts=("accuracy",)).red
 
 
 @pytest.mark.parametrize(
@@ -283,7 +283,7 @@ def test_deleted_tests_are_red_unless_listed(left, messages, expected, tmp_path)
         return tree
 
     trees = write_tests(tmp_path / "base", {"test_a.py": "abc"}), write_tests(tmp_path / "tree", left)
-    assert [row["red"] for row in judge.check_tests(*trees, messages)] == expected
+    assert [row["red"] for row in trees.check_tests(*trees, messages)] == expected
 
 
 # -- the base --------------------------------------------------------------------------------------
@@ -295,7 +295,7 @@ def test_the_base_is_where_the_main_branch_was_left_or_what_is_asked_for(root, t
     git(root, "switch", "-q", "change")
     assert not run_gate(root, tmp_path / "a").red
     run = fresh(root, tmp_path / "b")
-    assert judge.gate(root, fresh=run, base="main", parts=("accuracy",)).red
+    assert trees.gate(root, fresh=run, base="main", parts=("accuracy",)).red
 
 
 def test_the_pinned_revision_is_that_of_the_base(root):
@@ -344,7 +344,7 @@ def test_a_clone_without_the_base_is_inconclusive(tmp_path):
 LAXER = {
     "results/schema.py": ("eps * np.max", "eps * 1e9 * np.max"),
     "gate/compare.py": ("FACTOR = 2.0", "FACTOR = 1e9"),
-    "gate/judge.py": ("def row(", "def gate(*_, **__):\n    return Findings()\n\n\ndef row("),
+    "gate/trees.py": ("def row(", "def gate(*_, **__):\n    return Findings()\n\n\ndef row("),
 }
 
 

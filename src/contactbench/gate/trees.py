@@ -1,11 +1,4 @@
-"""The gate: which tables and revisions are compared, and that the base's own code and rules judge.
-
-A fresh run and the tables of the tree are compared with the tables of the base revision, read through git, so that no
-edit of the tree that is judged can move its own goal.  A change that means to change tables names them in the message
-of one of its commits, ``Tables-changed: laws, convergence``, or by ``--tables-changed``; ``all`` names every table.
-Those are judged by what the tree has, and what became of them is listed for a reviewer.  So are tests that are taken
-out, by ``Tests-removed: tests/gate``.
-"""
+"""The gate: the tables of a fresh run, of the tree and of the base, read through git, compared by the base's code."""
 
 from __future__ import annotations
 
@@ -18,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePath
-from typing import Any, TextIO
+from typing import TextIO
 
 import pandas as pd
 
@@ -27,6 +20,7 @@ from contactbench.gate import revisions, speed
 from contactbench.gate.compare import (
     Findings,
     Frames,
+    Row,
     Runs,
     between,
     compare,
@@ -44,11 +38,11 @@ from contactbench.results.schema import TABLES, Rule, Table
 from contactbench.results.store import OldTable, read
 
 PARTS = ("accuracy", "speed")
+#: in the messages of commits: tables that are meant to change, or all, and tests that are meant to go
 TRAILER = re.compile(r"^Tables-changed:(.*)$", re.MULTILINE | re.IGNORECASE)
 REMOVED = re.compile(r"^Tests-removed:(.*)$", re.MULTILINE | re.IGNORECASE)
 DEFINED = re.compile(r"^ *(?:async )?def (test_\w+)", re.MULTILINE)
 ALL = "all"
-Row = dict[str, Any]
 
 
 def by_base(folder: Path, base: str | None, line: Sequence[str], stdout: TextIO) -> int | None:
@@ -60,7 +54,7 @@ def by_base(folder: Path, base: str | None, line: Sequence[str], stdout: TextIO)
         return None
     base = revisions.base(root, base)
     with revisions.checkout(root, base) as tree:
-        if not (tree / "src/contactbench/gate/judge.py").exists():
+        if not (tree / "src/contactbench/gate").is_dir():
             why = f"the base {base[:12]} has no gate that could judge; give a later --base"
             raise BadInput(f"inconclusive: {why}")
         command = [sys.executable, "-P", "-m", "contactbench", *line, "--base", base]
@@ -102,14 +96,14 @@ def gate(
                 found += run_benchmark(root, fresh)
             messages = revisions.git(root, "log", "--format=%B", f"{base}..HEAD")
             named = changed_tables(messages, changed, root / results)
-            found += judge_tables(root, root / results, old, fresh, named, base)
+            found += compare_tables(root, root / results, old, fresh, named, base)
             found += Findings(rows_of(*check_tests(tree, root, messages), *check_report(root, results)))
         if "speed" in parts:
             timed = read(TABLES["work_precision"], old)
             cells = speed.workload(timed) if revisions.ours(root) else speed.every(timed)
             if not cells:
                 raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {results}/")
-            found += speed.judge_speed(root, tree, cells, budget, revisions.pinned(root, base))
+            found += speed.compare_speed(root, tree, cells, budget, revisions.pinned(root, base))
     return found
 
 
@@ -136,11 +130,13 @@ def run_benchmark(root: Path, results: Path) -> Findings:
     return Findings(rows_of(*[row("benchmark run", "passed", "failed", "failed")] * status))
 
 
-def row(measure: str, before: str, after: str, result: str, **where: Any) -> Row:
+def row(measure: str, before: str, after: str, result: str, **where: object) -> Row:
     return {"measure": measure, "before": before, "after": after, "result": result, **where}
 
 
-def judge_tables(root: Path, results: Path, old: Path, fresh: Path, changed: set[str], base: str) -> Findings:
+def compare_tables(
+    root: Path, results: Path, old: Path, fresh: Path, changed: set[str], base: str
+) -> Findings:
     (before, rows), (head, more), (now, _) = (readable(side, changed) for side in (old, results, fresh))
     rows += more + check_record(results, head) + check_record(fresh, now) + check_commit(root, fresh)
     found, reference, runs = Findings(), {}, Runs.of(results, fresh)
@@ -199,10 +195,9 @@ def compare_oldest(
             for name, table in held.items():
                 with suppress(OldTable):
                     oldest = read(table, tree / where)
-                    for side, rows in (("tree", head[name]), ("fresh", now[name])):
-                        found += between(
-                            f"{revision[:12]} → {side}", compare(table, oldest, rows, only=ERRORS)
-                        )
+                    for side, frames in {"tree": head, "fresh": now}.items():
+                        moved = compare(table, oldest, frames[name], only=ERRORS)
+                        found += between(f"{revision[:12]} → {side}", moved)
         wanted -= held.keys()
     return found
 
@@ -273,7 +268,7 @@ def check_report(root: Path, results: Path) -> list[Row]:
     if not revisions.ours(root) or computed_part(root / "README.md") is None:
         return []
     command = [sys.executable, "-P", "-m", "contactbench", "report", "--check", "--results", str(results)]
-    given: dict[str, Any] = {"cwd": root, "env": revisions.environment(root), "text": True}
-    run = subprocess.run(command, capture_output=True, **given)
+    variables = revisions.environment(root)
+    run = subprocess.run(command, capture_output=True, cwd=root, env=variables, text=True)
     lines = (run.stdout or run.stderr).strip().splitlines() if run.returncode else []
     return [row("report", "as the tables", line, "differs") | {"between": "tree"} for line in lines]
