@@ -1,6 +1,3 @@
-"""Where do integrators break, and how?  One cell: a method on a hard scene, or a question of stability."""
-
-
 def test_stability(measure):
     measure()
 

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FunctionType
-from typing import Any
 
 from contactbench.errors import BadInput, one_line
 from contactbench.limits import VARIABLE, Overrun, limit, within
@@ -35,7 +34,7 @@ class UserError(BadInput):
     """An error in a user's function or plug-in; the exception itself is its `__cause__`."""
 
 
-def is_ours(function: Any) -> bool:
+def is_ours(function: object) -> bool:
     """Whether a function, or a class, was written in this package: it computes the same tomorrow.
 
     Where one that wraps another was written is told by its globals; what it has captured must not change either.

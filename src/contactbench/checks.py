@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from contextlib import suppress
-from typing import Any, NoReturn
+from typing import Any, NoReturn, SupportsFloat, TypeGuard
 
 import numpy as np
 
@@ -15,11 +15,11 @@ from contactbench.errors import BadInput, excerpt
 CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f\\u2028\\u2029\\ud800-\\udfff]")
 
 
-def refuse(name: str, value: Any, wanted: str) -> NoReturn:
+def refuse(name: str, value: object, wanted: str) -> NoReturn:
     raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}") from None
 
 
-def finite(name: str, value: Any) -> float:
+def finite(name: str, value: object) -> float:
     """`value` as a finite float, or `BadInput`: a real number, neither text nor an array."""
     number = value if type(value) is float else math.nan
     if type(value) is not float and is_real(value):
@@ -28,28 +28,28 @@ def finite(name: str, value: Any) -> float:
     return number if math.isfinite(number) else refuse(name, value, "a finite number")
 
 
-def is_real(value: Any) -> bool:
+def is_real(value: object) -> TypeGuard[SupportsFloat]:
     """Whether a value is one real number: no text, no complex number, no date, no array."""
     if isinstance(value, np.ndarray | np.generic):
         return value.ndim == 0 and value.dtype.kind in "fiubO"
     return not isinstance(value, str | bytes | bytearray | complex)
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: object) -> bool:
     return is_real(value) and hasattr(value, "__float__")
 
 
-def require_number(name: str, value: Any) -> None:
+def require_number(name: str, value: object) -> None:
     if not is_number(value):
         raise BadInput(f"{name}: must return a real number; it returns {excerpt(value)}")
 
 
-def positive(name: str, value: Any) -> float:
+def positive(name: str, value: object) -> float:
     number = finite(name, value)
     return number if number > 0 else refuse(name, value, "> 0")
 
 
-def whole(name: str, value: Any, most: int, least: int = 1) -> int:
+def whole(name: str, value: object, most: int, least: int = 1) -> int:
     """`value` as an int from `least` to `most`, or `BadInput`."""
     number = 0.0 if isinstance(value, bool) else finite(name, value)
     if not least <= number <= most or number != int(number):
@@ -57,7 +57,7 @@ def whole(name: str, value: Any, most: int, least: int = 1) -> int:
     return int(number)
 
 
-def real_array(name: str, value: Any, wanted: str) -> np.ndarray:
+def real_array(name: str, value: object, wanted: str) -> np.ndarray:
     """`value` as an array of floats, itself if it is one, or `BadInput` (for complex numbers and dates, too)."""
     try:
         given = np.asarray(value)
@@ -87,15 +87,15 @@ def items_of(name: str, value: Any, wanted: str) -> list[Any]:
         refuse(name, value, wanted)
 
 
-def function(name: str, value: Any) -> Any:
+def function(name: str, value: object) -> Any:
     return value if callable(value) else refuse(name, value, "a function")
 
 
-def text(name: str, value: Any) -> str:
+def text(name: str, value: object) -> str:
     if not isinstance(value, str) or CONTROL.search(value):
         refuse(name, value, "a string of one line, without control characters")
     return value
 
 
-def switch(name: str, value: Any) -> bool:
+def switch(name: str, value: object) -> bool:
     return bool(value) if isinstance(value, bool | np.bool_) else refuse(name, value, "True or False")

@@ -77,7 +77,7 @@ def load_file(path: Path | str) -> None:
     LOADED[path.name] = f"sha256 {hashlib.sha256(file.read_bytes()).hexdigest()}"
 
 
-def _registered() -> dict[tuple[str, int], Any]:
+def _registered() -> dict[tuple[str, int], object]:
     """What is registered at the moment, by names and identity: a file may replace some."""
     return {(name, id(item)): item for registry in Registry.every for name, item in registry.items()}
 
@@ -94,7 +94,7 @@ def _run(path: Path) -> None:
     loader.exec_module(sys.modules[name])
 
 
-def try_out(item: Any) -> None:
+def try_out(item: object) -> None:
     """Evaluate a scene's functions, or a step map on a scene, once: raises `BadInput` where that fails."""
     if isinstance(item, Scene):
         verify(item)

@@ -282,8 +282,8 @@ def test_deleted_tests_are_red_unless_listed(left, messages, expected, tmp_path)
             path.write_text("".join(f"def test_{each}(): ...\n" for each in letters))
         return tree
 
-    trees = write_tests(tmp_path / "base", {"test_a.py": "abc"}), write_tests(tmp_path / "tree", left)
-    assert [row["red"] for row in trees.check_tests(*trees, messages)] == expected
+    base, tree = write_tests(tmp_path / "base", {"test_a.py": "abc"}), write_tests(tmp_path / "tree", left)
+    assert [row["red"] for row in trees.check_tests(base, tree, messages)] == expected
 
 
 # -- the base --------------------------------------------------------------------------------------

@@ -50,8 +50,8 @@ def gap(a, b):
 # -- engines -----------------------------------------------------------------------------------------
 @pytest.mark.parametrize("boundary", BOUNDARIES)
 @pytest.mark.parametrize("n", SIZES)
-@pytest.mark.quick(n=9)
-@pytest.mark.quick(n=(2, 2047, 2049), boundary="free")
+@pytest.mark.quick(n=9, boundary="ring")
+@pytest.mark.quick(n=2049, boundary="free")
 def test_numba_agrees_with_arrays_whatever_the_length(n, boundary):
     """Held or not, masses of their own or not, with and without s, by every way to be recorded."""
     for held, mass in ((True, masses(n)), (False, 1.3)):
@@ -65,7 +65,7 @@ def test_numba_agrees_with_arrays_whatever_the_length(n, boundary):
 @pytest.mark.parametrize(
     ("name", "method"), [(name, method) for name, scene in SMALL.items() for method in runs_on(FIXED, scene)]
 )
-@pytest.mark.quick(name=("ring held", "bodies 2D"))
+@pytest.mark.quick(name="ring held", method=SHAPES)
 @pytest.mark.quick(method=("contact-abc", "contact-rkn4"))
 def test_numba_agrees_with_arrays_and_components_for_every_method(method, name):
     """Components: the same scene as a `Mechanical` of so many coordinates, by the engine of such scenes."""

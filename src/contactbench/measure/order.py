@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contactbench.methods.base import Method
+from contactbench.methods.contact_exact import ExactMethod
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Scene
 from contactbench.truth import decimal_context, reference, with_decimals
@@ -104,18 +105,8 @@ def extrapolate(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[fl
 DIGITS = 50
 
 
-class Stepping(Protocol):
-    """A method whose steps can be taken one by one, on any kind of number."""
-
-    @property
-    def symmetric(self) -> bool: ...
-    @property
-    def advance(self) -> Callable[..., Any]: ...
-    def refuses(self, scene: Scene) -> str | None: ...
-
-
-def has_steps(method: Method) -> TypeGuard[Stepping]:
-    return hasattr(method, "advance")
+#: methods whose steps can be taken one by one, on any kind of number
+type Stepping = FixedStep | ExactMethod
 
 
 def march(

@@ -55,19 +55,14 @@ def fixed_point[K](
 
 @dataclass(frozen=True)
 class Implicit(FixedStep):
-    """A method whose step returns x and iterations.
-
-    each : evaluations of an iteration, one more comes first.  forces_of_q : whether it takes no others.
-    """
+    """A method whose step returns x and iterations; each : evaluations of an iteration, one more comes first."""
 
     each: int = field(kw_only=True)
-    forces_of_q: bool = False
     engines: tuple[str, ...] = ("numba", "python")
     iterates = True
 
     def refuses(self, scene: Scene) -> str | None:
-        fits = not self.forces_of_q or (scene.canonical and scene.clock is None)
-        return unfit(self, scene, fits, "forces that depend on q alone")
+        return unfit(self, scene, True, "")
 
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
@@ -140,6 +135,12 @@ def gauss(stages: int) -> Callable[[Any, State, Arithmetic, Namespace], tuple[St
 
 
 # -- a discrete gradient -------------------------------------------------------------------------------
+class DiscreteGradient(Implicit):
+    def refuses(self, scene: Scene) -> str | None:
+        fits = scene.canonical and scene.clock is None
+        return unfit(self, scene, fits, "forces that depend on q alone")
+
+
 #: where the motion turns: of a way² smaller than this part of q², what lacks in V is rounding, being of order way³
 TURNING = 1e-10
 
@@ -186,5 +187,8 @@ for _stages in (2, 3):
     _name, _order = f"gauss{2 * _stages}", 2 * _stages
     METHODS.add(Implicit(_name, _order, gauss(_stages), about=_source, each=_stages, symmetric=True))
 _source = "discrete gradient of Gonzalez, doi:10.1007/BF02440162, between halves of exact damping"
-_both: dict[str, Any] = {"kind": "gradient", "forces_of_q": True, "symmetric": True}
-METHODS.add(Implicit("discrete-gradient", 2, discrete_gradient, about=_source, each=1, **_both))
+METHODS.add(
+    DiscreteGradient(
+        "discrete-gradient", 2, discrete_gradient, kind="gradient", about=_source, each=1, symmetric=True
+    )
+)

@@ -402,11 +402,15 @@ class Plain(StepLoop[Spans]):
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
                 y = np.array(self.run_program(self.program, y0.tolist(), ready))
         if y is None:
-            y = np.full((len(ready), len(y0) + self.counted), math.nan)
-            with suppress(*NO_NUMBER), np.errstate(all="ignore"):
-                for k, after in enumerate(self.states(y0, ready)):
-                    y[k] = after
+            y = self.as_written(y0, ready)
         return spent(y) if self.counted else (y, None)
+
+    def as_written(self, y0: np.ndarray, spans: Spans) -> np.ndarray:
+        y = np.full((len(spans), len(y0) + self.counted), math.nan)
+        with suppress(*NO_NUMBER), np.errstate(all="ignore"):
+            for k, after in enumerate(self.states(y0, spans)):
+                y[k] = after
+        return y
 
     def run_program(self, program: Program, y: list[float], spans: Spans) -> list[list[float]]:
         numbers, data, shape = self.scene.numbers(), program.data.tolist(), program.shape.tolist()

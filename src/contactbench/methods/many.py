@@ -14,6 +14,7 @@ import numpy as np
 
 from contactbench.methods.jax_engine import Traced
 from contactbench.methods.loops import (
+    Count,
     Loop,
     Plain,
     StepLoop,
@@ -24,9 +25,10 @@ from contactbench.methods.loops import (
     loop_of,
 )
 from contactbench.methods.prepared import Request, stopwatch
+from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
-from contactbench.scene import Cache, Scene, State, key
+from contactbench.scene import Cache, Scene, State, Vector, key
 from contactbench.scene.many import Many
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.fields import FieldProgram, record_fields
@@ -70,7 +72,9 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
     """
     (d, with_s, blocks), names = packing, tuple(scene.constants)
 
-    def fields(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:
+    def fields(
+        numbers: Vector, h: Arithmetic, n: Count, f: Any, s: Any, constants: Vector, xp: Any, repeat: Repeat
+    ) -> list[Arithmetic]:
         if blocks > 1:
             f, s, xp = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else [], DualNumbers(xp)
         twin = scene.with_numbers(numbers)._replaced(**dict(zip(names, constants, strict=True)))
@@ -156,7 +160,7 @@ class FieldLoop(Loop):
         return made
 
     @cached_property
-    def run(self) -> Any:
+    def run(self) -> Callable[..., int]:
         pointer = ctypes.c_void_p
         return ctypes.CFUNCTYPE(None, pointer, ctypes.c_double, pointer, pointer)(self.sweeps.address)
 

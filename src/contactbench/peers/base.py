@@ -22,7 +22,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -30,8 +30,8 @@ from contactbench.errors import BadInput
 from contactbench.methods.base import Adaptive
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
 from contactbench.numbers.dual import Dual, slope
-from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene, System, dot, key
+from contactbench.numbers.protocol import Arithmetic, CannotRecord
+from contactbench.scene import AnyState, Scene, System, dot, key
 from contactbench.scene.scales import in_order
 from contactbench.solution import Counts, Solution, Status
 from contactbench.trace.form import Function, Unpack, execute
@@ -136,7 +136,7 @@ class Call(ABC):
         y = y0[:clock] if clock == len(y0) - 1 else np.concatenate((y0[:clock], y0[clock + 1 :]))
         return float(y0[clock]), y
 
-    def insert_clock(self, y: np.ndarray, start: float, times: Any) -> np.ndarray:
+    def insert_clock(self, y: np.ndarray, start: float, times: np.ndarray | float) -> np.ndarray:
         """Return packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
         clock = self.clock
         if clock is None:
@@ -262,8 +262,8 @@ class Pieces(Prepared):
 
 
 class Bundle(NamedTuple):
-    x: Any
-    v: tuple[Any, ...]
+    x: AnyState
+    v: tuple[AnyState, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,17 +281,20 @@ class Variational(System):
     motion = property(lambda self: self.base.motion)
     canonical = property(lambda self: self.base.canonical)
 
+    def unrolled(self) -> Self:
+        return self
+
     def initial(self, carry: Sequence[str], **data: Any) -> Bundle:
         x = self.base.initial(carry, **data)
         return Bundle(x, tuple(self.base.tangents(x)))
 
-    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Bundle:
+    def unpack(self, y: Sequence[Arithmetic], carry: Sequence[str]) -> Bundle:
         base, d = self.base, len(self.base.labels(carry))
         each = len(base.without_clock(y[:d]))
         v = (base.unpack(base.with_clock(y[i : i + each], 0.0), carry) for i in range(d, len(y), each))
         return Bundle(base.unpack(y[:d], carry), tuple(v))
 
-    def pack(self, state: Bundle) -> list[Any]:  # type: ignore[override]
+    def pack(self, state: Bundle) -> list[Arithmetic]:  # type: ignore[override]
         moved = (self.base.without_clock(System.pack(v)) for v in state.v)
         return [*System.pack(state.x), *(c for v in moved for c in v)]
 
@@ -304,11 +307,11 @@ class Variational(System):
     def numbers(self) -> list[float]:
         return self.base.numbers()
 
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
         return self._replaced(base=self.base.with_numbers(numbers))
 
     @property
-    def structure(self) -> tuple[Any, ...]:
+    def structure(self) -> tuple[object, ...]:
         return (Variational, self.count, *self.base.structure)
 
     @property
@@ -321,7 +324,7 @@ class Variational(System):
         v = (base.unpack([dot(row, flat) for row in rows], carry) for flat in map(base.pack, z.v))
         return Bundle(base.rhs(z.x), tuple(v))
 
-    def jacobian(self, z: Bundle) -> list[list[Any]]:
+    def jacobian(self, z: Bundle) -> list[list[Arithmetic]]:
         """diag(Df, …, Df), without the coupling D²f(y) v_j of tangents to the state, strictly block triangular.
 
         So Newton's iteration converges all the same, the tangents one turn later, and the solver's test sees both.
@@ -329,7 +332,7 @@ class Variational(System):
         rows = derivative(self.base, z.x, self.carried(z))
         moved = [self.base.without_clock(row) for row in self.base.without_clock(rows)]
         blocks = [rows] + [moved] * self.count
-        size, found = sum(map(len, blocks)), list[list[Any]]()
+        size, found = sum(map(len, blocks)), list[list[Arithmetic]]()
         for block in blocks:
             before = [0.0] * len(found)
             found += [[*before, *row, *[0.0] * (size - len(before) - len(row))] for row in block]
@@ -339,9 +342,10 @@ class Variational(System):
         return tuple(name for name in self.base.optional if getattr(z.x, name) is not None)
 
 
-def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
+def derivative(scene: Scene, x: AnyState, carry: tuple[str, ...]) -> list[list[Arithmetic]]:
     """Df at x, rows in packed order: the scene's own Jacobian, or its right-hand side on dual numbers."""
-    if (rows := scene.jacobian(x)) is not None:
+    rows: list[list[Arithmetic]] | None = scene.jacobian(x)
+    if rows is not None:
         return rows
     y = scene.pack(x)
     columns = []
@@ -354,6 +358,22 @@ def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
 # -- solvers that call back into Python ---------------------------------------------------------------
 #: evaluations DOP853 adds for the interpolant of a step, and before the first step
 INTERPOLANT, BEFORE = 3, 2
+
+
+#: f(t, y), or its Jacobian, of floats
+type Rates = Callable[[float, Sequence[float]], Sequence[Any]]
+
+
+class Solver(Protocol):
+    """What SciPy's solvers have, and others are given."""
+
+    t: float
+    y: np.ndarray
+    status: str
+    njev: int
+
+    def step(self) -> str | None: ...
+    def dense_output(self) -> Callable[[float], np.ndarray]: ...
 
 
 class Callback(Call):
@@ -371,12 +391,12 @@ class Callback(Call):
         recorded = None if scene.by_sites else record_function(scene, "rhs", carry)
         self.slopes = recorded or (lambda t, y: scene.slopes(t, y, carry))
         self.nowhere = [math.nan] * len(scene.without_clock(scene.labels(carry)))
-        self.jacobian: Callable[[float, Any], Any] | None = None
+        self.jacobian: Rates | None = None
         if method.implicit and scene.has_jacobian:
             recorded = record_function(scene, "jacobian", carry)
             self.jacobian = recorded or (lambda t, y: motion_jacobian(scene, t, y, carry))
 
-    def rhs(self, t: float, y: Any) -> Any:
+    def rhs(self, t: float, y: Sequence[float]) -> Sequence[float]:
         """Return the slopes, nan where a function raises: that is Python's way to say inf or nan.
 
         A solver that is told so takes a smaller step.
@@ -389,7 +409,7 @@ class Callback(Call):
             return self.nowhere
 
     @abstractmethod
-    def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Any:
+    def begin(self, start: float, y: np.ndarray, rhs: Rates) -> Solver:
         """Return a solver, with the interface of SciPy's, for the motion from a time on."""
 
     def __call__(self, y0: np.ndarray) -> Ending:
@@ -397,7 +417,9 @@ class Callback(Call):
         start, y = self.split_clock(y0)
         steps, interpolated, status, message = 0, 0, Status.ok, ""
 
-        def counting(t: float, y: Any) -> Any:  # libraries leave out the calls that difference the Jacobian
+        def counting(
+            t: float, y: Sequence[float]
+        ) -> Sequence[float]:  # libraries leave out the calls that difference the Jacobian
             calls[0] += 1
             return self.rhs(t, y)
 
@@ -431,7 +453,7 @@ class Callback(Call):
         return Ending(found, counts, status, message, (float(solver.t), solver.y))
 
 
-def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
+def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Rates | None:
     tape = Tape()
     names = tuple(f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry)))))
     t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
@@ -443,6 +465,8 @@ def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callabl
     return execute(Function(what, ("t", "y"), (Unpack(names, "y"), *tape.root.statements), results))
 
 
-def motion_jacobian(scene: System, t: Any, y: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:
+def motion_jacobian(
+    scene: System, t: Arithmetic, y: Sequence[Arithmetic], carry: tuple[str, ...]
+) -> list[Sequence[Arithmetic]]:
     rows = scene.jacobian(scene.unpack(scene.with_clock(y, t), carry))
     return [scene.without_clock(row) for row in scene.without_clock(rows)]

@@ -16,15 +16,15 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from threading import Lock
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from contactbench.methods.many import slopes_of
 from contactbench.methods.prepared import Request, stopwatch
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.peers.base import Call, Ending, Peer, derivative
-from contactbench.scene import Cache, Scene, key
+from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
 from contactbench.trace.compiled import back_end, compile_c, intrinsic
@@ -53,11 +53,14 @@ class CFunctions(NamedTuple):
     jacobian: int
     constants: Callable[[Sequence[float]], Sequence[float]]
     compile_s: float
-    code: Any
+    code: object
 
     def data(self, numbers: Sequence[float]) -> np.ndarray:
         return np.array([0.0] * CONSTANTS + [*self.constants(numbers)])
 
+
+#: a library's module of compiled calls, and their first arguments
+type Connection = tuple[ModuleType, tuple[Any, ...]]
 
 _compiled: Cache[CFunctions] = Cache(256)
 
@@ -65,8 +68,8 @@ _compiled: Cache[CFunctions] = Cache(256)
 def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions | FieldFunctions:
     """The C functions of a scene, once for its identity and fields; `CannotRecord` where it branches on values."""
 
-    if isinstance(scene, Many):
-        return FieldFunctions(scene, carry)
+    if scene.by_sites:
+        return FieldFunctions(cast(Many, scene), carry)
 
     def make() -> CFunctions:
         elapsed = stopwatch()
@@ -101,10 +104,10 @@ def functions(scene: Scene, carry: tuple[str, ...]) -> tuple[Function, dict[str,
     numbers = [tape.assign(Element("numbers", (i,)), "f", tape.root) for i in range(len(scene.numbers()))]
     twin = scene.with_numbers(numbers)
 
-    def slopes(x: Any) -> list[Any]:
+    def slopes(x: AnyState) -> list[Arithmetic]:
         return list(scene.without_clock(scene.pack(twin.rhs(x))))
 
-    def columns(x: Any) -> list[Any]:
+    def columns(x: AnyState) -> list[Arithmetic]:
         rows = [scene.without_clock(row) for row in scene.without_clock(derivative(twin, x, carry))]
         return [entry for column in zip(*rows, strict=True) for entry in column]
 
@@ -125,7 +128,11 @@ def functions(scene: Scene, carry: tuple[str, ...]) -> tuple[Function, dict[str,
 
 
 def _body(
-    tape: Tape, scene: Scene, carry: tuple[str, ...], function: Callable[[Any], list[Any]], name: str
+    tape: Tape,
+    scene: Scene,
+    carry: tuple[str, ...],
+    function: Callable[[AnyState], list[Arithmetic]],
+    name: str,
 ) -> list[Any]:
     block = tape.block = Block(tape.root)
     size = len(scene.without_clock(scene.labels(carry)))
@@ -153,7 +160,7 @@ class Compiled(Call):
         self.library, self.arguments = self.connect(-1 if self.clock is None else self.clock)
 
     @abstractmethod
-    def connect(self, clock: int) -> tuple[ModuleType, tuple[Any, ...]]:
+    def connect(self, clock: int) -> Connection:
         """The library's compiled `to_end`, `at_times` and `in_a_loop`, and their arguments but states and times."""
 
     @abstractmethod
@@ -164,11 +171,13 @@ class Compiled(Call):
         return Counts(steps, evaluations, jacobians, int(rejected))
 
     def last(self, y0: np.ndarray) -> np.ndarray:
-        return self.library.to_end(y0, *self.arguments)[KNOWN:]
+        found: np.ndarray = self.library.to_end(y0, *self.arguments)
+        return found[KNOWN:]
 
     def many(self, starts: np.ndarray) -> np.ndarray:
         """`FACTS` and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
-        return self.library.in_a_loop(np.ascontiguousarray(starts), *self.arguments)
+        found: np.ndarray = self.library.in_a_loop(np.ascontiguousarray(starts), *self.arguments)
+        return found
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """`FACTS` and the state reached, and the saved states, of which those reached are filled."""

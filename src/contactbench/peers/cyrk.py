@@ -13,14 +13,12 @@ takes no Jacobian: Radau and LSODA difference the right-hand side, and the calls
 from __future__ import annotations
 
 from threading import Thread
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 
 from contactbench.methods.base import CLAMPED, METHODS
 from contactbench.peers.base import Peer
-from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, Compiled
+from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, Compiled, Connection
 from contactbench.solution import Counts, Status
 
 #: steps of a short run, about a hundredth of a second; seconds between two looks at signals
@@ -30,7 +28,7 @@ BEFORE = 2
 
 
 class Cyrk(Compiled):
-    def connect(self, clock: int) -> tuple[ModuleType, tuple[Any, ...]]:
+    def connect(self, clock: int) -> Connection:
         from contactbench.peers.abi import cyrk
 
         r, method = self.request, int(cyrk.find_ode_method_int(self.method.solver))
@@ -47,7 +45,7 @@ class Cyrk(Compiled):
             self.arguments = (*given, most)
         if most <= PIECE or found[0][0] not in (TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR):
             return found
-        again: list[Any] = []
+        again: list[tuple[np.ndarray, np.ndarray]] = []
         worker = Thread(target=lambda: again.append(Compiled.run(self, y0)), daemon=True)
         worker.start()
         while worker.is_alive():

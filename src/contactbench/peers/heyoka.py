@@ -15,7 +15,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from threading import Lock
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,10 +27,13 @@ from contactbench.peers.base import Call, Ending, Peer
 from contactbench.scene import Cache, Scene, key
 from contactbench.solution import Counts, Status
 
+if TYPE_CHECKING:
+    import heyoka
+
 
 def taylor_system(
-    scene: Scene, carry: tuple[str, ...], heyoka: Any, units: Sequence[float] | None = None
-) -> list[tuple[Any, Any]]:
+    scene: Scene, carry: tuple[str, ...], heyoka: ModuleType, units: Sequence[float] | None = None
+) -> list[tuple[object, object]]:
     """Return the equations, each component in a unit of its own: heyoka knows one scale for all, one or the largest."""
     names = scene.without_clock(scene.labels(carry))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
@@ -51,7 +55,7 @@ PIECE = 10**4
 
 #: one program per identity, numbers and tolerance, a megabyte or two each; a run has a copy of its own, with a
 #: state of its own
-_integrators: Cache[tuple[Any, float]] = Cache(32)
+_integrators: Cache[tuple[heyoka.taylor_adaptive, float]] = Cache(32)
 
 
 class Taylor(Call):
@@ -68,7 +72,7 @@ class Taylor(Call):
         #: what the integrator's numbers are multiples of, powers of two; None: all are 1
         self.units = units if scaled else None
 
-        def make() -> tuple[Any, float]:
+        def make() -> tuple[heyoka.taylor_adaptive, float]:
             elapsed = stopwatch()
             system = taylor_system(scene, r.carry, heyoka, units.tolist())
             return heyoka.taylor_adaptive(
@@ -79,7 +83,7 @@ class Taylor(Call):
         program, self.seconds = _integrators.get(key(scene.recorded().identity, *given), make)
         self.integrator = copy(program)
         #: where a packed state has what is integrated: all of it, but the time
-        self.motion: Any = slice(self.clock)
+        self.motion: slice | list[int] = slice(self.clock)
         if self.clock is not None and self.clock < size - 1:
             self.motion = [i for i in range(size) if i != self.clock]
         self.alone = Lock()  # one state: calls from several threads take turns

@@ -6,23 +6,26 @@ Hairer, Nørsett, Wanner, Solving ODEs I, §II.5 (DOP853) and II, §IV.8 (Radau 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactbench.methods.base import CLAMPED, METHODS
-from contactbench.peers.base import Callback, Peer
+from contactbench.peers.base import Callback, Peer, Rates
+
+if TYPE_CHECKING:
+    from scipy.integrate import OdeSolver
 
 
 class Scipy(Callback):
-    def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Any:
+    def begin(self, start: float, y: np.ndarray, rhs: Rates) -> OdeSolver:
         import scipy.integrate
 
         r, jacobian = self.request, self.jacobian
 
-        def f(t: float, y: np.ndarray) -> Any:
+        def f(t: float, y: np.ndarray) -> Sequence[float]:
             return rhs(start + t, self.scene.entries(y))
 
         options: dict[str, Any] = {"rtol": r.rtol, "atol": r.atol}

@@ -9,16 +9,18 @@ from `max_steps` and the result's status is read.
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
 from contactbench.methods.prepared import Request
-from contactbench.peers.base import Call, Callback, Peer
-from contactbench.peers.compiled import FACTS, KNOWN, TOO_MUCH_WORK, Compiled
+from contactbench.peers.base import Call, Callback, Peer, Rates
+from contactbench.peers.compiled import FACTS, KNOWN, TOO_MUCH_WORK, Compiled, Connection
 from contactbench.solution import Status
+
+if TYPE_CHECKING:
+    from sksundae.cvode import CVODE
 
 #: components times steps of CVODE that take some hundredths of a second
 PIECE = 10**5
@@ -28,7 +30,7 @@ FLAG, SAVED = map(FACTS.index, ("flag", "saved"))
 class Stepper:
     """scikit-sundae's CVODE, one internal step at a time, with the interface of SciPy's solvers."""
 
-    def __init__(self, solver: Any, y: np.ndarray, end: float) -> None:
+    def __init__(self, solver: CVODE, y: np.ndarray, end: float) -> None:
         self.solver, self.end, self.status, self.njev = solver, end, "running", 0
         self.t, self.y = 0.0, solver.init_step(0.0, y).y
 
@@ -54,10 +56,10 @@ class CvodeCallback(Callback):
         solver.init_step(0.0, y)
         return self.insert_clock(solver.step(self.end, tstop=self.end).y, start, self.end)
 
-    def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Stepper:
+    def begin(self, start: float, y: np.ndarray, rhs: Rates) -> Stepper:
         return Stepper(self.solver(start, rhs), y, self.end)
 
-    def solver(self, start: float, rhs: Callable[[float, Any], Any]) -> Any:
+    def solver(self, start: float, rhs: Rates) -> CVODE:
         from sksundae.cvode import CVODE
 
         r, scene, jacobian = self.request, self.scene, self.jacobian
@@ -80,7 +82,7 @@ class CvodeCallback(Callback):
 
 
 class Cvode(Compiled):
-    def connect(self, clock: int) -> tuple[ModuleType, tuple[Any, ...]]:
+    def connect(self, clock: int) -> Connection:
         from contactbench.peers.abi import cvode
 
         r, size = self.request, len(self.split_clock(self.request.start)[1])

@@ -486,6 +486,15 @@ class Scene(System):
             changed["parameters"] = dict(zip(names, numbers[len(leaves(own)) :], strict=True))
         return self._replaced(**changed)
 
+    @property
+    def layout(self) -> Sequence[object]:
+        """Return what the motion depends on besides functions, numbers and initial data."""
+        return ()
+
+    def unrolled(self) -> Scene:
+        """Return the scene component by component, for solvers that know no arrays."""
+        return self
+
     def orders(self) -> list[tuple[int, int, bool]]:
         """Return pairs (i, j, strict): number i is below number j, 0 being one more number, or else not above it.
 

@@ -161,6 +161,10 @@ class Driven(Mechanical):
         return [(time, exact) for time, exact in found if -exact < time < end + exact]
 
     @property
+    def layout(self) -> Sequence[object]:
+        return [self.breaks] if self.breaks else []
+
+    @property
     def clock(self) -> int:
         return 2 * len(self.q)
 

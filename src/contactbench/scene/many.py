@@ -109,6 +109,10 @@ class Many(Canonical):
         """Return the arrays of one number a site that the equations read, by the attribute they are."""
         return {} if self.uniform else {"inverse_mass": self.inverse_mass}
 
+    @property
+    def layout(self) -> Sequence[object]:
+        return [self.sites, self.boundary, *self.constants.values()]
+
     @abstractmethod
     def unrolled(self) -> Mechanical:
         """Return the same scene component by component, for solvers that know no arrays."""

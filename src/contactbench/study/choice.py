@@ -10,7 +10,7 @@ from contactbench.methods.base import Method
 from contactbench.plugins import OWN
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
-from contactbench.solution import Counts, Solution, setting_key
+from contactbench.solution import Solution, setting_key
 from contactbench.study.experiment import Profile, Row
 
 #: in the smoke profile what is soon compiled on one scene, and on every other one of our methods and one of theirs
@@ -106,8 +106,8 @@ def key(scene: str, method: str, engine: str, control: str, value: float, varian
     return own | controlled(control, value, variant)
 
 
-def outcome(solution: Solution, counts: Counts | None = None, variant: str = "") -> Row:
-    counts, method = counts or solution.counts, METHODS[solution.method]
+def outcome(solution: Solution, variant: str = "") -> Row:
+    counts, method = solution.counts, METHODS[solution.method]
     row = key(solution.scene.name, method.name, solution.engine, solution.control, solution.value, variant)
     row |= {"status": str(solution.status), "message": solution.message, "evaluation_kind": counts.kind}
     row |= {name: getattr(counts, name) for name in ("steps", "evaluations", "rhs_equivalents", "jacobians")}

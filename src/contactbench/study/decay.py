@@ -74,7 +74,7 @@ def decay_laws(cell: Cell, profile: Profile) -> Recorded:
     budget = step_budget(profile, scene, method, method.engines[0])
     value = value_at(scene, method, cost * scene.t_end, budget)
     solution = to_the_end(scene, method, value, budget)
-    row = outcome(solution, solution.counts) | {"cost": cost, "control": method.control, "value": value}
+    row = outcome(solution) | {"cost": cost, "control": method.control, "value": value}
     if solution.ok:
         row |= laws_row(scene, method, value, budget)
     yield DECAY_LAWS, row

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contactbench.measure.order import DIGITS, has_steps, march
+from contactbench.measure.order import DIGITS, march
 from contactbench.methods.base import METHODS, Method
+from contactbench.methods.contact_exact import ExactMethod
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.tables import DEFINITIONS
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
@@ -63,7 +65,7 @@ def scene_lines(scene: Scene) -> list[str]:
 
 def method_lines(method: Method) -> list[str]:
     lines = declarations(method)
-    if not has_steps(method):
+    if not isinstance(method, FixedStep | ExactMethod):
         return lines
     context = decimal_context(DIGITS)
     for name in STEPPED:

@@ -108,30 +108,20 @@ def experiment(
     cells: Callable[[Profile], list[Cell]],
 ) -> Callable[[Callable[[Cell, Profile], Recorded]], Experiment]:
     """Make an experiment, of its name, of the function that gives the rows of a cell."""
-
-    def add(rows: Callable[[Cell, Profile], Recorded]) -> Experiment:
-        EXPERIMENTS.append(Experiment(question_of(rows), rows.__name__, cells, rows))
-        return EXPERIMENTS[-1]
-
-    return add
+    return lambda rows: add(rows, cells=cells, rows=rows)
 
 
 def timed_experiment(
     cells: Callable[[Profile], list[Cell]], errors: Experiment | None = None
 ) -> Callable[[Callable[[Cell, Profile], Timing]], Experiment]:
     """Make an experiment, of its name, of the function that says what is timed of a cell."""
-
-    def add(timing: Callable[[Cell, Profile], Timing]) -> Experiment:
-        EXPERIMENTS.append(
-            Experiment(question_of(timing), timing.__name__, cells, timing=timing, errors=errors)
-        )
-        return EXPERIMENTS[-1]
-
-    return add
+    return lambda timing: add(timing, cells=cells, timing=timing, errors=errors)
 
 
-def question_of(function: Callable[[Cell, Profile], object]) -> str:
-    return function.__module__.rpartition(".")[2]
+def add(function: Callable[[Cell, Profile], object], **given: Any) -> Experiment:
+    question = function.__module__.rpartition(".")[2]
+    EXPERIMENTS.append(Experiment(question, function.__name__, **given))
+    return EXPERIMENTS[-1]
 
 
 @cache

@@ -100,14 +100,14 @@ def errors(cell: Cell, profile: Profile) -> Row:
     if control == GROWING:
         row |= controlled(method.control, value, variant)
     if not solution.ok:
-        return outcome(solution, variant=variant) | row
+        return outcome(solution, variant) | row
     earlier = times(scene, ENDS)[:-1].tolist()
     saves = [earlier] if passes_through(method, engine, control) else [[t] for t in earlier]
     others = [prepared(cell, budget, ends)() for ends in saves]
     row["solution_error"] = error([*others, solution])
     if method.adaptive and method.order is None:
         row["evaluations_spread"] = evaluations_spread(run, solution.counts.evaluations or 0)
-    return outcome(solution, solution.counts, variant) | row
+    return outcome(solution, variant) | row
 
 
 #: a run with callbacks that takes longer has no second length: what is fixed is lost in it; and in one longer than

@@ -78,7 +78,7 @@ class MethodCase:
         return float(np.abs(a - b).max() / np.abs(b).max())
 
     def error(self, level: str = "coarse", **options: Any) -> float:
-        return LAWS["solution_error"](self.run(level, **options)())
+        return float(LAWS["solution_error"](self.run(level, **options)()))
 
     def require_below(self, bound: float, what: str, value: float, message: str) -> None:
         self.measured[what] = value
@@ -190,13 +190,13 @@ def ends_as_it_says(case: MethodCase) -> None:
     case.require_below(0.01, "end of a blow-up", off, "diverged at another time")
 
 
-def with_counter(scene: Any, kind: str) -> tuple[Any, list[int]]:
+def with_counter(scene: Scene, kind: str) -> tuple[Scene, list[int]]:
     """Return the scene with a function that counts its calls, and the count; it cannot be recorded."""
     of_force = "gradient_at" if scene.by_sites else "gradient"
     calls, name = [0], of_force if kind == "gradient" else "rhs"
     original = getattr(scene, name)
 
-    def counting(x: Any, **parameters: Any) -> Any:
+    def counting(x: Any, **parameters: float) -> object:
         calls[0] += 1
         first = x[0] if name == "gradient" else x[0][0]
         require(float(np.ravel(first)[0]) < math.inf, "not finite")  # asks for the value

@@ -46,7 +46,7 @@ class Finding(NamedTuple):
     not_here: str
 
 
-def require(condition: Any, message: str) -> None:
+def require(condition: object, message: str) -> None:
     """Raise `AssertionError` unless the condition holds; not by `assert`, which may be switched off."""
     if not condition:
         raise AssertionError(message)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from contactbench.numbers.protocol import Arithmetic
 from contactbench.registry import NAME
-from contactbench.scene import Scene, verify
+from contactbench.scene import AnyState, Scene, verify
 from contactbench.scene.definition import verify_along
-from contactbench.scene.many import Many
 from contactbench.testing.rules import Finding, follow, require
 from contactbench.truth import decimal_context, reference, with_decimals
+
+if TYPE_CHECKING:
+    from mpmath import MPContext
 
 DIGITS = 50
 #: central differences of step 10⁻¹⁵ at 50 digits: truncation 10⁻³⁰, cancellation 10⁻³⁵
@@ -34,15 +37,15 @@ class SceneCase:
     measured: dict[str, float] = field(default_factory=dict, compare=False)
 
     @cached_property
-    def xp(self) -> Any:
+    def xp(self) -> MPContext:
         return decimal_context(DIGITS)
 
     @cached_property
-    def twin(self) -> Any:
+    def twin(self) -> Scene:
         return with_decimals(self.scene, self.xp.mpf)
 
     @cached_property
-    def states(self) -> list[Any]:
+    def states(self) -> list[AnyState]:
         """Off the initial state along every tangent in turn."""
         rng, scene, states = np.random.default_rng(7), self.scene, []
         for _ in range(STATES):
@@ -53,28 +56,31 @@ class SceneCase:
         return states
 
     @cached_property
-    def exact(self) -> list[Any]:
+    def exact(self) -> list[AnyState]:
         return [self.read([self.xp.mpf(repr(float(c))) for c in self.scene.pack(x)]) for x in self.states]
 
-    def read(self, y: Any) -> Any:
-        return self.scene.unpack(y, self.scene.carry())
+    def read(self, y: Sequence[Arithmetic]) -> AnyState:
+        state: AnyState = self.scene.unpack(y, self.scene.carry())
+        return state
 
-    def moved(self, x: Any, v: Any, amount: Any) -> Any:
+    def moved(self, x: AnyState, v: AnyState, amount: Arithmetic) -> AnyState:
         pairs = zip(self.scene.pack(x), self.scene.pack(v), strict=True)
         return self.read([a + amount * b for a, b in pairs])
 
-    def derivative(self, f: Callable[[Any], Any]) -> list[Any]:
+    def derivative(self, f: Callable[[Arithmetic], Iterable[Arithmetic]]) -> list[Arithmetic]:
         delta = self.xp.mpf(DELTA)
         return [(a - b) / (2 * delta) for a, b in zip(f(delta), f(-delta), strict=True)]
 
-    def slope(self, f: Callable[[Any], Any], x: Any, v: Any) -> list[Any]:
+    def slope(
+        self, f: Callable[[AnyState], Iterable[Arithmetic]], x: AnyState, v: AnyState
+    ) -> list[Arithmetic]:
         return self.derivative(lambda d: f(self.moved(x, v, d)))
 
-    def rate(self, x: Any) -> Any:
+    def rate(self, x: AnyState) -> Arithmetic:
         along_s = self.read([self.xp.mpf(int(name == "s")) for name in self.scene.labels(self.scene.carry())])
         return self.slope(lambda x: [self.twin.hamiltonian(x)], x, along_s)[0]
 
-    def near(self, a: Any, b: Any, what: str) -> None:
+    def near(self, a: Iterable[Arithmetic], b: Iterable[Arithmetic], what: str) -> None:
         a, b = list(a), list(b)
         size = max([1.0, *(float(abs(c)) for c in b)])
         gap = max(float(abs(p - q)) for p, q in zip(a, b, strict=True))
@@ -115,7 +121,7 @@ def replaces_numbers(case: SceneCase) -> None:
 
 
 def is_one_definition(case: SceneCase) -> None:
-    def values(scene: Any, name: str, x: Any) -> list[Any]:
+    def values(scene: Scene, name: str, x: AnyState) -> list[Arithmetic]:
         value = getattr(scene, name)(x)
         return case.scene.pack(value) if isinstance(value, tuple) else [value]
 
@@ -124,7 +130,7 @@ def is_one_definition(case: SceneCase) -> None:
         pair = case.read([np.array([c, 2 * c]) for c in scene.pack(x)])
         for name in ("rhs", "energy") + (("hamiltonian",) if scene.is_contact else ()):
             plain = values(scene, name, x)
-            first = [np.broadcast_to(c, 2)[0] for c in values(scene, name, pair)]
+            first = [np.broadcast_to(np.asarray(c), 2)[0] for c in values(scene, name, pair)]
             case.near(first, plain, f"{name} on arrays")
             case.near(values(case.twin, name, z), plain, f"{name} on 50-digit numbers")
 
@@ -134,9 +140,9 @@ def derives(case: SceneCase) -> None:
     verify(scene)
     verify_along(scene)
     for x in case.states:
-        given = scene.slopes(
-            0.0 if scene.clock is None else x.t, scene.without_clock(scene.pack(x)), scene.carry()
-        )
+        y = scene.pack(x)
+        t = 0.0 if scene.clock is None else y[scene.clock]
+        given = scene.slopes(t, scene.without_clock(y), scene.carry())
         case.near(given, scene.without_clock(scene.pack(scene.rhs(x))), "slopes are not those of rhs")
     for x in case.exact:
         rows = case.twin.jacobian(x)
@@ -153,7 +159,7 @@ def is_a_contact_system(case: SceneCase) -> str | None:
     if not scene.is_contact:
         return "no contact system"
 
-    def lie_derivative(x: Any, v: Any) -> list[Any]:
+    def lie_derivative(x: AnyState, v: AnyState) -> list[Arithmetic]:
         """Return that of η on v: its slope while x moves along X and v with the flow."""
         field = twin.rhs(x)
         pushed = case.read(case.slope(lambda x: scene.pack(twin.rhs(x)), x, v))
@@ -178,8 +184,8 @@ def has_its_laws(case: SceneCase) -> None:
         decay = case.slope(lambda x: [twin.energy(x)], z, field)[0]
         require(scene.may_gain_energy or decay <= CLOSE, f"H0 grows, {float(decay):.1e}, though it may not")
         if scene.has_momentum_law and scene.is_contact:
-            law = [-case.rate(z) * c for c in twin.momentum(z)]
-            case.near(case.slope(lambda x: list(twin.momentum(x)), z, field), law, "J' is not −Γ' J")
+            law = [-case.rate(z) * c for c in twin.momentum(z) or ()]
+            case.near(case.slope(lambda x: twin.momentum(x) or (), z, field), law, "J' is not −Γ' J")
         terms = []
         if scene.is_contact:
             terms += [("hamiltonian_terms < |H|", scene.hamiltonian_terms(x), scene.hamiltonian(x))]
@@ -201,7 +207,7 @@ def has_tangents(case: SceneCase) -> None:
             gap = np.abs((ahead - behind) / 2e-5 - row).max()
             require(gap < 1e-9, f"displaced leaves along another tangent, off by {gap:.1e}")
         pushed = np.array(scene.pack(scene.rhs(x)), dtype=float)
-        if isinstance(scene, Many) and len(tangents) < len(pushed):
+        if scene.by_sites and len(tangents) < len(pushed):
             continue
         if scene.clock is not None:  # tangents do not move the time
             require(pushed[scene.clock] == 1, f"t' = {pushed[scene.clock]}")
@@ -216,7 +222,7 @@ def solves_its_equations(case: SceneCase) -> str | None:
     exact = scene.exact
     if exact is None:
         return "no closed form"
-    if isinstance(scene, Many):  # its closed form is one of arrays of floats
+    if scene.by_sites:  # its closed form is one of arrays of floats
         t = scene.t_end / 7
         true = reference(scene._replaced(exact=None), t)
         case.near(scene.pack(exact(scene, t, np)), true.y[0], "exact does not solve the equations")
@@ -224,7 +230,7 @@ def solves_its_equations(case: SceneCase) -> str | None:
     start, t = twin.initial(scene.carry()), xp.mpf(repr(scene.t_end)) / 7
     known = [name for name, part in exact(twin, t, xp)._asdict().items() if part is not None]
 
-    def flat(state: Any) -> list[Any]:
+    def flat(state: AnyState) -> list[Arithmetic]:
         parts = (getattr(state, name) for name in known)
         return [c for part in parts for c in (part if isinstance(part, tuple) else (part,))]
 

@@ -12,27 +12,32 @@ from decimal import Decimal, localcontext
 from functools import partial
 from importlib.util import find_spec
 from time import perf_counter, thread_time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactbench.errors import BadInput
+from contactbench.numbers.protocol import Arithmetic
 from contactbench.numbers.series import NO_SERIES, equations
 from contactbench.scene import Scene
 
-Rows = list[list[Any]]  #: one list of components per time
+if TYPE_CHECKING:
+    import heyoka
+    from mpmath import MPContext
+
+Rows = list[list[Arithmetic]]  #: one list of components per time
 
 
-def scales(rows: Rows) -> list[Any]:
+def scales(rows: Rows) -> list[Arithmetic]:
     """Return the largest |entry| of every column (1 for a column of zeros)."""
-    return [max(abs(x) for x in column) or 1 for column in zip(*rows, strict=True)]
+    return [max(abs(x) for x in column) or 1.0 for column in zip(*rows, strict=True)]
 
 
-def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    return np.abs(np.subtract(a, b)).max()
+def distance(a: Sequence[Arithmetic], b: Sequence[Arithmetic]) -> Arithmetic:
+    return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
-def disagreement(a: Rows, b: Rows) -> list[Any]:
+def disagreement(a: Rows, b: Rows) -> list[Arithmetic]:
     return [distance(p, q) for p, q in zip(zip(*a, strict=True), zip(*b, strict=True), strict=True)]
 
 
@@ -42,13 +47,13 @@ def agreeing_digits(a: Rows, b: Rows, at_most: int) -> int:
     return matching_digits(worst, at_most)
 
 
-def matching_digits(error: Any, at_most: int) -> int:
+def matching_digits(error: Arithmetic, at_most: int) -> int:
     import mpmath
 
     return at_most if error == 0 else max(0, min(at_most, int(mpmath.floor(-mpmath.log10(error)))))
 
 
-def rounded(value: Any, places: int) -> str:
+def rounded(value: Arithmetic, places: int) -> str:
     """Return a number to a number of decimal places (half to even), in plain or scientific notation."""
     import mpmath
 
@@ -58,7 +63,7 @@ def rounded(value: Any, places: int) -> str:
         return str(exact.quantize(Decimal(1).scaleb(-places)))
 
 
-def place(value: Any, digits: int) -> int:
+def place(value: Arithmetic, digits: int) -> int:
     """Return the decimal place of the last of `digits` significant digits of value."""
     import mpmath
 
@@ -70,7 +75,7 @@ def place(value: Any, digits: int) -> int:
 GROWING, LARGEST = ("exp", "sinh", "cosh", "tanh", "sin", "cos", "tan"), 1000
 
 
-def decimal_context(digits: int) -> Any:
+def decimal_context(digits: int) -> MPContext:
     """Return an mpmath context of its own, so that nobody's global precision is touched.
 
     Its functions raise `OverflowError` for arguments beyond any scale.
@@ -81,8 +86,8 @@ def decimal_context(digits: int) -> Any:
     context.dps = digits
     largest = context.ldexp(1, LARGEST)
 
-    def bounded(function: Callable[..., Any]) -> Callable[..., Any]:
-        def apply(x: Any, **options: Any) -> Any:
+    def bounded(function: Callable[..., Arithmetic]) -> Callable[..., Arithmetic]:
+        def apply(x: Arithmetic, **options: object) -> Arithmetic:
             if abs(x) > largest:
                 raise OverflowError(f"{function.__name__}(x), |x| > 2^{LARGEST}")
             return function(x, **options)
@@ -94,7 +99,7 @@ def decimal_context(digits: int) -> Any:
     return context
 
 
-def with_decimals(scene: Scene, number: Callable[[str], Any]) -> Scene:
+def with_decimals(scene: Scene, number: Callable[[str], Arithmetic]) -> Scene:
     """Return the scene with every float x, initial data included, replaced by ``number(repr(x))``."""
 
     def convert(value: Any) -> Any:
@@ -121,7 +126,7 @@ BEYOND = 1e30
 class BlowUp(BadInput):
     """The trajectory reaches infinity at `time`, an mpmath number."""
 
-    def __init__(self, scene: Scene, time: Any) -> None:
+    def __init__(self, scene: Scene, time: Arithmetic) -> None:
         at = f"the trajectory blows up at t = {float(time):.6g}"
         super().__init__(f"no reference for scene {scene.name!r}: {at}")
         self.time = time
@@ -167,7 +172,9 @@ class Stopwatch:
 
 
 # -- Taylor series -----------------------------------------------------------------------------------
-def taylor_system(scene: Scene, carry: tuple[str, ...], bits: int) -> tuple[list[Any], list[Any]]:
+def taylor_system(
+    scene: Scene, carry: tuple[str, ...], bits: int
+) -> tuple[list[tuple[heyoka.expression, heyoka.expression]], list[heyoka.real]]:
     """Return the scene as heyoka expressions with numbers of `bits` bits, and its initial state."""
     import heyoka
 
@@ -203,13 +210,13 @@ def taylor(
     end, watch, longest, steps = float(times[-1]), Stopwatch(scene, float(times[-1]), deadline), 0.0, 0
     context, limits, due = decimal_context(bits * 3 // 10 + 5), heyoka.taylor_outcome, 0.0
 
-    def keep_going(integrator: Any) -> bool:
+    def keep_going(integrator: heyoka.taylor_adaptive) -> bool:
         nonlocal longest
         t, last = float(integrator.time), float(integrator.last_h)
         longest = max(longest, last)
         return not watch.is_over(t) and (t >= due or last > collapse * longest)
 
-    ends, rows, left = {*stops, end}, list[Any](), list[str]()
+    ends, rows, left = {*stops, end}, list[np.ndarray](), list[str]()
     for time in times:
         left += [time] if float(time) else []
         if float(time) not in ends:
@@ -234,7 +241,7 @@ def taylor(
     return [[context.mpf(str(x)) for x in row] for row in rows[len(rows) - len(times) :]]
 
 
-def heyoka_reads_rhs(scene: Scene, y: list[Any], carry: tuple[str, ...]) -> bool:
+def heyoka_reads_rhs(scene: Scene, y: list[Arithmetic], carry: tuple[str, ...]) -> bool:
     """Return whether heyoka agrees with mpmath to 35 digits, as not on x / 3, the product with a double near 1/3."""
     import heyoka
 
@@ -246,7 +253,8 @@ def heyoka_reads_rhs(scene: Scene, y: list[Any], carry: tuple[str, ...]) -> bool
     theirs = compiled(np.array([heyoka.real(str(x), bits) for x in state]))
     twin = with_decimals(scene, context.mpf)
     ours = twin.pack(twin.rhs(twin.unpack(state, carry)))
-    return distance([context.mpf(str(x)) for x in theirs], ours) <= 1e-35 * max(map(abs, [*ours, *state]))
+    gap = distance([context.mpf(str(x)) for x in theirs], ours)
+    return bool(gap <= 1e-35 * max(map(abs, [*ours, *state])))
 
 
 # -- extrapolation -----------------------------------------------------------------------------------
@@ -265,25 +273,22 @@ def extrapolation(
     """
     context = decimal_context(digits + 15)  # extrapolation amplifies round-off
     twin = with_decimals(scene, context.mpf)
-    most = 4 + digits // 2
-    tolerance = context.mpf(10) ** -digits
 
     slope, y0, origin = initial_value_problem(twin, carry)
     watch, breaks = Stopwatch(scene, float(times[-1]), deadline), scene.breaks_until(float(times[-1]))
 
-    def solve(y: np.ndarray, times: list[Any], begin: Any) -> list[np.ndarray]:
-        return extrapolate(slope, y, times, most, tolerance, watch, collapse, begin)
-
+    limits = {"most": 4 + digits // 2, "tolerance": context.mpf(10) ** -digits}
+    solve = partial(extrapolate, slope, watch=watch, collapse=collapse, **limits)
     saved = list(map(context.mpf, times))
     rows = across_breaks(solve, slope, y0, saved, breaks)
     return [list(twin.with_clock(y.tolist(), origin + t)) for t, y in zip(saved, rows, strict=True)]
 
 
 #: f(t, y): t since the start, y a packed state less the time
-Slope = Callable[[Any, np.ndarray], np.ndarray]
+Slope = Callable[[Arithmetic, np.ndarray], np.ndarray]
 
 
-def initial_value_problem(scene: Scene, carry: tuple[str, ...]) -> tuple[Slope, np.ndarray, Any]:
+def initial_value_problem(scene: Scene, carry: tuple[str, ...]) -> tuple[Slope, np.ndarray, Arithmetic]:
     """Return y' = f(t, y), y(0), and the time at the start.
 
     A force that jumps asks for the time itself: one that is summed step by step would be some roundings off.
@@ -291,7 +296,7 @@ def initial_value_problem(scene: Scene, carry: tuple[str, ...]) -> tuple[Slope, 
     start = scene.pack(scene.initial(carry))
     origin = 0.0 if scene.clock is None else start[scene.clock]
 
-    def slope(t: Any, y: np.ndarray) -> np.ndarray:
+    def slope(t: Arithmetic, y: np.ndarray) -> np.ndarray:
         return np.asarray(scene.slopes(origin + t, scene.entries(y), carry))
 
     return slope, np.array(scene.without_clock(start)), origin
@@ -309,19 +314,19 @@ def across_breaks(
     solve: Callable[..., list[np.ndarray]],
     slope: Slope,
     y: np.ndarray,
-    times: Sequence[Any],
+    times: Sequence[Arithmetic],
     breaks: Breaks,
-    begin: Any = 0,
+    begin: Arithmetic = 0.0,
 ) -> list[np.ndarray]:
-    """Return states at increasing times, `sides` of breaks among them, by `solve(y, times, begin)`.
+    """Return states at increasing times, `sides` of breaks among them, by `solve(y, times, begin=…)`.
 
     Over a break itself nothing converges: there a state moves by the mean of the slopes on both sides.
     """
-    rows, begin, group = list[np.ndarray](), begin + 0 * times[-1], list[Any]()
+    rows, begin, group = list[np.ndarray](), begin + 0 * times[-1], list[Arithmetic]()
     for time in times:
         before = group[-1] if group else begin
         if before < time and any(b - m <= float(before) and float(time) <= b + m for b, m in breaks):
-            rows += solve(y, group, begin)
+            rows += solve(y, group, begin=begin)
             y = rows[-1] if rows else y
             here = slope(before, y)
             y = y + (time - before) / 2 * (here + slope(time, y + (time - before) * here))
@@ -329,18 +334,18 @@ def across_breaks(
             begin, group = time, []
         else:
             group.append(time)
-    return rows + solve(y, group, begin)
+    return rows + solve(y, group, begin=begin)
 
 
 def extrapolate(
     slope: Slope,
     y: np.ndarray,
-    times: Sequence[Any],
+    times: Sequence[Arithmetic],
     most: int,
-    tolerance: Any,
+    tolerance: Arithmetic,
     watch: Stopwatch,
     collapse: float = COLLAPSE,
-    begin: Any = 0,
+    begin: Arithmetic = 0.0,
 ) -> list[np.ndarray]:
     """Return the states at increasing times, arrays of any kind of numbers; raises as `extrapolation` does."""
     if not times:
@@ -368,11 +373,11 @@ def extrapolate(
 
 def extrapolated(
     slope: Slope,
-    t: Any,
+    t: Arithmetic,
     y: np.ndarray,
-    step: Any,
+    step: Arithmetic,
     most: int,
-    tolerance: Any,
+    tolerance: Arithmetic,
     check: Callable[[], None],
 ) -> tuple[int, np.ndarray | None]:
     """Return one extrapolated step from t and the number of columns it took; None if `most` are not enough.

@@ -16,7 +16,6 @@ import numpy as np
 from contactbench.blame import is_ours
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.scene.many import Many
 from contactbench.trace.formula import Formula
 
 
@@ -27,11 +26,13 @@ def name_of(function: Any) -> list[str]:
     return ["", function.digest if isinstance(function, Formula) else f"unknown {id(function)}"]
 
 
-def fingerprint(value: Any) -> Any:
-    """Return numbers as the decimals they print as; of an array, which may have millions, its hash."""
+def fingerprint(value: object) -> str | list[str]:
+    """Return numbers as the decimals they print as; of an array, which may have millions, its hash; a name as it is."""
+    if isinstance(value, str):
+        return value
     if isinstance(value, np.ndarray):
         return hashlib.sha256(value.tobytes()).hexdigest()
-    return [repr(float(x)) for x in np.ravel(value)]
+    return [repr(float(x)) for x in np.ravel(np.asarray(value))]
 
 
 def digest(scene: Scene) -> str:
@@ -43,17 +44,14 @@ def digest(scene: Scene) -> str:
     ]
     kind = type(scene)
     package = ".".join(kind.__module__.split(".")[:2])  # where it is imported from, not where it is written
-    definition: list[Any] = [
+    definition: list[object] = [
         f"{package}.{kind.__qualname__}",
         functions,
         list(getattr(scene, "parameters", {})),
         [repr(float(x)) for x in scene.numbers()],
         [fingerprint(getattr(scene, name)) for name in scene.initial_fields],
     ]
-    if breaks := getattr(scene, "breaks", ()):  # where a truth is known to fewer digits, if at all
-        definition.append(fingerprint(breaks))
-    if isinstance(scene, Many):
-        definition += [scene.sites, scene.boundary, *map(fingerprint, scene.constants.values())]
+    definition += map(fingerprint, scene.layout)
     return hashlib.sha256(json.dumps(definition).encode()).hexdigest()
 
 
@@ -68,7 +66,10 @@ def frozen_folder() -> Path | None:
 
 @lru_cache
 def manifest(folder: Path) -> dict[str, dict[str, Any]]:
-    return json.loads((folder / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
+    scenes: dict[str, dict[str, Any]] = json.loads((folder / "MANIFEST.json").read_text(encoding="utf-8"))[
+        "scenes"
+    ]
+    return scenes
 
 
 @lru_cache

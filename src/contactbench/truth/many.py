@@ -10,13 +10,11 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.scene.many import Many
 from contactbench.truth.engines import (
     OutOfTime,
     Slope,
@@ -54,22 +52,9 @@ def doubles(
     def agreed(pair: tuple[str, str]) -> tuple[np.ndarray, int]:
         found, begun = list[np.ndarray](), perf_counter()
         for name in pair:
-            solver, spent, left = (
-                partial(by_scipy, name=name) if name else gragg,
-                perf_counter() - begun,
-                SOLVERS - len(found),
-            )
+            spent, left = perf_counter() - begun, SOLVERS - len(found)
             watch = Stopwatch(scene, float(t[-1]), deadline, PATIENCE)
-
-            def solve(
-                y: np.ndarray,
-                times: list[float],
-                begin: float,
-                solver: Any = solver,
-                watch: Stopwatch = watch,
-            ) -> Any:
-                return solver(slope, y, times, watch=watch, begin=begin)
-
+            solve = partial(partial(by_scipy, name=name) if name else gragg, slope, watch=watch)
             try:
                 with np.errstate(all="ignore"):
                     rows = np.array(across_breaks(solve, slope, start, times, breaks))[saved]
@@ -88,7 +73,7 @@ def doubles(
     try:
         y, digits = agreed(explicit)
     except OutOfTime as late:
-        if isinstance(scene, Many):  # a dense Jacobian
+        if scene.by_sites:  # a dense Jacobian
             raise
         try:
             y, digits = agreed(implicit)
@@ -98,7 +83,7 @@ def doubles(
         raise BadInput(
             f"no reference for scene {scene.name!r}: two solvers agree on no digit at t = {t[-1]:g}"
         )
-    return y if scene.clock is None else np.insert(y, scene.clock, origin + t, axis=1), digits
+    return y if scene.clock is None else np.insert(y, scene.clock, float(origin) + t, axis=1), digits
 
 
 def by_scipy(

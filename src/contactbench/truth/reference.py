@@ -14,15 +14,16 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from contactbench.blame import is_ours, plain_function
 from contactbench.blame import place as place_of
 from contactbench.checks import is_real, real_array
 from contactbench.errors import BadInput, excerpt, one_line
+from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Cache, Scene, key, verify
 from contactbench.scene.base import scene_of
 from contactbench.scene.definition import difference, verify_along
-from contactbench.scene.many import Many
 from contactbench.truth.engines import (
     NEVER,
     BlowUp,
@@ -93,7 +94,7 @@ class Reference:
         return self.scene.unpack(self.y.T, self.carry)
 
 
-def checked_times(times: Any) -> np.ndarray:
+def checked_times(times: object) -> np.ndarray:
     """Return `times` as a new float array of shape (k,), k ≥ 1, or `BadInput`."""
     t = np.array(real_array("times", times, "finite numbers ≥ 0"), ndmin=1)  # a copy
     if t.ndim != 1 or not t.size:
@@ -110,7 +111,7 @@ _cache: Cache[Reference] = Cache(1024)
 
 
 def reference(
-    scene: Scene | str, times: Any, carry: Sequence[str] | None = None, seconds: float = LIVE_SECONDS
+    scene: Scene | str, times: ArrayLike, carry: Sequence[str] | None = None, seconds: float = LIVE_SECONDS
 ) -> Reference:
     """Return the true states of a scene at given times.
 
@@ -152,11 +153,11 @@ def reference(
     t = checked_times(times)
     verify(scene)
     verify_along(scene)
-    exact = isinstance(scene, Many) and scene.exact is not None and solves_on_arrays(scene, float(t.max()))
-    in_doubles = isinstance(scene, Many) and (scene.motion > FEW or exact)
+    exact = scene.by_sites and scene.exact is not None and solves_on_arrays(scene, float(t.max()))
+    in_doubles = scene.by_sites and (scene.motion > FEW or exact)
 
     def make() -> Reference:
-        if isinstance(scene, Many) and in_doubles:
+        if in_doubles:
             return of_many(scene, t, carry, begun + seconds, exact)
         single = scene.unrolled()
         stored = closed_form(single, t, carry) or frozen(single, t, carry)
@@ -180,12 +181,12 @@ def reference(
 
 def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> Reference:
     unique, back = np.unique(t, return_inverse=True)
-    stops = [] if isinstance(scene, Many) else surveyed(scene, carry, float(unique[-1]), deadline).stops
+    stops = [] if scene.by_sites else surveyed(scene, carry, float(unique[-1]), deadline).stops
     y, digits = doubles(scene, unique, carry, deadline, stops)
     return Reference(scene, carry, t, y[back], [], digits, "two solvers")
 
 
-def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], deadline: float, exact: bool) -> Reference:
+def of_many(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float, exact: bool) -> Reference:
     """Return the truth of a scene of many sites in double precision; exact : by its closed form."""
     if not exact:
         return by_two_solvers(scene, t, carry, deadline)
@@ -266,7 +267,7 @@ def solves_equations(scene: Scene, end: float) -> bool:
     return True
 
 
-def solves_on_arrays(scene: Many, end: float) -> bool:
+def solves_on_arrays(scene: Scene, end: float) -> bool:
     """Return the same of a scene of many sites, in double precision."""
     exact = lambda t: np.asarray(scene.pack(scene.exact(scene, t, np)))  # type: ignore[misc]  # noqa: E731
     start = np.asarray(scene.pack(scene.initial(scene.carry())))
@@ -427,7 +428,7 @@ def blow_up_time(scene: Scene) -> tuple[str, int] | None:
     return rounded(high, place(high, digits)), digits
 
 
-def taylor_blow_up(scene: Scene, bits: int) -> Any:
+def taylor_blow_up(scene: Scene, bits: int) -> Arithmetic | None:
     try:
         taylor(scene, [repr(scene.t_end)], scene.carry(), bits, BLOW_UP_COLLAPSE)
     except BlowUp as found:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,12 +21,14 @@ from contactbench.scene import Scene
 from contactbench.truth.engines import (
     DoublesOnly,
     OutOfTime,
-    Slope,
     Stopwatch,
     across_breaks,
     initial_value_problem,
     sides,
 )
+
+if TYPE_CHECKING:
+    from scipy.integrate import DenseOutput
 
 #: relative tolerance of a step, and by how much its change may be off the integral of the slopes, against the motion
 STEP, OFF = 1e-10, 1e-7
@@ -44,8 +46,11 @@ _angles = math.pi * (np.arange(12) + 0.5) / 12
 NODES, BARYCENTRIC = (1 - np.cos(_angles)) / 2, np.sin(_angles) * (-1.0) ** np.arange(12)
 FEJER = [(1 - 2 * sum(math.cos(2 * k * a) / (4 * k * k - 1) for k in range(1, 6))) / 12 for a in _angles]
 
+#: f(t, y) of k times and states (d, k)
+Slopes = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
-def of_many_times(scene: Scene, carry: tuple[str, ...]) -> tuple[Slope, bool]:
+
+def of_many_times(scene: Scene, carry: tuple[str, ...]) -> tuple[Slopes, bool]:
     """Return f(t, y) for k times and states (d, k), and whether it takes them all at once."""
     one, start, origin = initial_value_problem(scene, carry)
 
@@ -143,7 +148,7 @@ class Survey:
         due, shortest = [bound], SHORTEST * self.end
         while due:
             if any(time - m <= ends[-1] and due[-1] <= time + m for time, m in self.breaks):
-                (y,) = across_breaks(lambda *_: [], self.slope, y, [due[-1]], self.breaks, ends[-1])
+                (y,) = across_breaks(lambda *_, **__: [], self.slope, y, [due[-1]], self.breaks, ends[-1])
                 ends.append(due.pop())
                 continue
             solver = DOP853(self.slope, ends[-1], y, due[-1], rtol=STEP, atol=STEP * self.scale().min())
@@ -165,7 +170,7 @@ class Survey:
                 due.pop()
         return y
 
-    def cut(self, a: float, b: float, path: Any, shortest: float) -> tuple[list[float], np.ndarray]:
+    def cut(self, a: float, b: float, path: DenseOutput, shortest: float) -> tuple[list[float], np.ndarray]:
         """Return the ends of the pieces that a step is cut into, and the integral of the slopes over it."""
         ends, integral, left = list[float](), np.zeros_like(self.start), [(a, b)]
         while left:

@@ -7,6 +7,7 @@ same word.  Imported where a peer is first run, and only then: importing it load
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from contactbench.trace.form import digest
 
 #: v void, p pointer, a array of doubles, d double, b bool, i int, l long, q 64-bit int, z size_t
 #: as ctypes has them, and as numba does
-LETTERS: dict[str, tuple[Any, Any]] = {
+LETTERS: dict[str, tuple[type | None, types.Type]] = {
     "v": (None, types.none),
     "p": (ctypes.c_void_p, types.intp),
     "a": (ctypes.c_void_p, types.CPointer(types.float64)),
@@ -38,7 +39,7 @@ SOURCES = digest(
 )
 
 
-def kept(function: Any) -> Any:
+def kept(function: Callable[..., object]) -> Any:
     """As numba's `njit`, kept."""
     return keep(function, SOURCES, nogil=True)
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core.base import BaseContext
 from numba.extending import intrinsic
 
 from contactbench.peers.abi import LETTERS, external, join, kept, kept_c, split
@@ -77,7 +78,7 @@ def library_file() -> Path:
     raise ImportError(f"scikit-sundae's CVODE library is not in {', '.join(map(str, places))}")
 
 
-def load() -> Any:
+def load() -> ctypes.CDLL:
     path = library_file()
     from sksundae._cy_common import config  # how the library was built
 
@@ -119,7 +120,9 @@ def _call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> An
     """``function(out, t, y, data)`` of a C function known by its address, all pointers as integers."""
     signature = types.void(pointer, pointer, real, pointer, pointer)
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def generate(
+        context: BaseContext, builder: ir.IRBuilder, _: object, arguments: list[ir.Value]
+    ) -> ir.Value:
         function, out, t, y, data = arguments
         place = ir.PointerType(ir.DoubleType())
         kind = ir.FunctionType(ir.VoidType(), [place, ir.DoubleType(), place, place])
@@ -236,7 +239,7 @@ class Memory:
         functions: CFunctions | FieldFunctions,
         data: np.ndarray,
         size: int,
-        tolerances: tuple[float, Any],
+        tolerances: tuple[float, float | np.ndarray],
         bounds: tuple[float, float],
     ) -> None:
         self.y, self.data, self.functions = np.zeros(size), data, functions
@@ -256,16 +259,16 @@ class Memory:
         check("CVodeSetMinStep", memory, bounds[0])
         check("CVodeSetMaxStep", memory, bounds[1])
 
-    def tolerate(self, rtol: float, atol: Any, context: Any) -> None:
+    def tolerate(self, rtol: float, atol: float | np.ndarray, context: c_void_p) -> None:
         """Set the tolerances; atol is one number, or one for every component."""
-        if not np.ndim(atol):
+        if not isinstance(atol, np.ndarray):
             check("CVodeSStolerances", self.memory, rtol, atol)
             return
         given = library.N_VMake_Serial(len(atol), atol.ctypes.data, context)
         check("CVodeSVtolerances", self.memory, rtol, given)  # which copies it
         library.N_VDestroy(given)
 
-    def choose(self, method: str, many: bool, size: int, context: Any) -> dict[str, int]:
+    def choose(self, method: str, many: bool, size: int, context: c_void_p) -> dict[str, int]:
         """Connect what solves for a step (no dense matrix of many sites), and return it by what frees it."""
         if many and method == "Adams":
             iteration = library.SUNNonlinSol_FixedPoint(self.vector, 0, context)
@@ -280,7 +283,7 @@ class Memory:
         return {"SUNLinSolFree": linear} | ({"SUNMatDestroy": matrix} if matrix else {})
 
 
-def check(name: str, *arguments: Any) -> None:
+def check(name: str, *arguments: object) -> None:
     if flag := getattr(library, name)(*arguments):
         raise RuntimeError(f"{name} returned {flag}")
 
