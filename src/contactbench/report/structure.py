@@ -47,16 +47,16 @@ def cost(rows: pd.DataFrame, column: str) -> float:
 def costs(rows: pd.DataFrame) -> pd.DataFrame:
     """Return evaluations and time by method and end, least time first; bound : the cheapest setting exceeds it."""
     found = [
-        (m, end, own["family"].iloc[0], own["starts"].max(), own["energy_error"].max() < ALLOWED)
-        + tuple(cost(own, c) for c in COSTS)
+        (m, end, own["family"].iloc[0], own["energy_error"].max() < ALLOWED, *(cost(own, c) for c in COSTS))
         for (m, end), own in rows.groupby(["method", "t_end"], sort=False)
     ]
-    frame = pd.DataFrame(found, columns=["method", "t_end", "family", "starts", "bound", *COSTS])
+    frame = pd.DataFrame(found, columns=["method", "t_end", "family", "bound", *COSTS])
     return frame.sort_values(["run_s", "evaluations_per_time"], kind="stable")
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
-    found = costs(main_rows(frames["structure_buys"]))
+    runs = main_rows(frames["structure_buys"])
+    found, starts = costs(runs), runs["starts"].max()
     found = found[found["t_end"] == found["t_end"].max()]
     for column, (asked, unit, show) in COSTS.items():
         rows = found.dropna(subset=column).sort_values(column, kind="stable")
@@ -67,7 +67,7 @@ def answers(frames: Frames) -> Iterator[Answer]:
         others = rows[(rows["family"] != CONTACT) & ~first]
         beside = [f"{o['method']} {times(o[column] / least)}" for _, o in others.iterrows()]
         after = f"T = {power(rows['t_end'].iloc[0])}, γ = {power(GAMMA)}"
-        what = f"the energy left in a chaotic ring of {SITES} after {after}, within 1 % (median of {rows['starts'].max()} starts)"
+        what = f"the energy left in a chaotic ring of {SITES} after {after}, within 1 % (median of {starts} starts)"
         question = f"Which {asked} to have {what}?"
         methods = names([str(m) for m in rows["method"][first]], 3)
         yield Answer(question, methods, "; ".join(filter(None, [show(least) + unit, ", ".join(beside)])))
