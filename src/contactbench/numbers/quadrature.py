@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.protocol import Namespace, has_digits
+from contactbench.numbers.protocol import Arithmetic, Namespace, has_digits
 
 STAGES = 8
 #: of the coefficients on doubles
@@ -20,7 +20,10 @@ DIGITS = 30
 #: halvings of a span before its integral is taken as it is
 HALVINGS = 12
 
-Rule = tuple[list[Any], list[Any], list[list[Any]]]
+#: γ(t)
+Rate = Callable[[Any], Arithmetic]
+#: nodes, weights, matrix
+Rule = tuple[list[Arithmetic], list[Arithmetic], list[list[Arithmetic]]]
 
 
 @cache
@@ -33,7 +36,7 @@ def gauss(digits: int) -> Rule:
     nodes = [(1 + xp.findroot(lambda x: xp.legendre(STAGES, x), x)) / 2 for x in near.tolist()]
     powers = xp.matrix([[c**k for c in nodes] for k in range(STAGES)])
 
-    def weights(end: Any) -> list[Any]:
+    def weights(end: Arithmetic) -> list[Arithmetic]:
         """∫₀^end of the interpolating polynomials: exact on powers up to the seventh."""
         return list(xp.lu_solve(powers, xp.matrix([end ** (k + 1) / (k + 1) for k in range(STAGES)])))
 
@@ -43,35 +46,37 @@ def gauss(digits: int) -> Rule:
 @cache
 def gauss_on_doubles() -> Rule:
     nodes, weights, matrix = gauss(DIGITS)
-    return [*map(float, nodes)], [*map(float, weights)], [[*map(float, row)] for row in matrix]
+    numbers = np.array([nodes, weights, *matrix], dtype=float).tolist()
+    return numbers[0], numbers[1], numbers[2:]
 
 
 def rule(xp: Namespace) -> Rule:
     return gauss(xp.dps) if has_digits(xp) else gauss_on_doubles()
 
 
-def weigh(weights: list[Any], values: list[Any]) -> Any:
+def weigh(weights: list[Arithmetic], values: list[Arithmetic]) -> Arithmetic:
     return sum(w * v for w, v in zip(weights, values, strict=True))
 
 
-def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> tuple[Any, Any]:
-    """G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ of a rate γ(t), by one step on G' = γ, φ' = e^{−G}."""
+def integrals(rate: Rate, t: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
+    """Return G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ of a rate γ(t), by one step on G' = γ, φ' = e^{−G}."""
     nodes, weights, matrix = rule(xp)
     values = [rate(t + c * h) for c in nodes]
     kept = [xp.exp(-h * weigh(row, values)) for row in matrix]
     return h * weigh(weights, values), h * weigh(weights, kept)
 
 
-def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> Any:
-    """∫_t^{t+h} γ over a span of any length, on plain numbers or arrays: halved until it no longer changes."""
+def integral(rate: Rate, t: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
+    """Return ∫_t^{t+h} γ over a span of any length, on plain numbers or arrays: halved until it no longer changes."""
     nodes, weights, _ = rule(xp)
-    before = None
+    before: Any = None
     for k in range(HALVINGS):
-        parts, width = 2**k, h / 2**k
-        total = 0 * h
-        for j in range(parts):
+        width = h / 2**k
+        total: Any = 0 * h
+        for j in range(2**k):
             total = total + width * weigh(weights, [rate(t + (j + c) * width) for c in nodes])
         if before is not None and bool(abs(total - before).max() <= 1e-15 * abs(total).max()):
             break
         before = total
-    return total
+    found: Arithmetic = total
+    return found
