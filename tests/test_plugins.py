@@ -58,7 +58,7 @@ def results(given, tmp_path_factory):
     """The benchmark with all of them, for real, on a small part."""
     folder = tmp_path_factory.mktemp("results")
     own = "my-method and (double-well or particle and not long) or double-well and cvode-bdf"
-    few = "particle and not long and not limit and not weak and (strang or cvode-adams)"
+    few = "particle and not long and not limit and not weak and not fixed and (strang or cvode-adams)"
     finished(bench(folder, f"{own} or {few}", *given))
     run(sys.executable, EXTENSIONS[-1], folder).check_returncode()
     return folder

@@ -148,6 +148,23 @@ def test_ias15_passes_saved_times_and_stops_in_time():
     assert np.isnan(short.y).all()
 
 
+def test_ias15_knows_the_time():
+    """Of the start, a scene's or a call's, and along the motion."""
+    scene = cb.Driven(
+        name="two",
+        potential=lambda q, t: (q[0] * q[0] + 2 * q[1] * q[1]) / 2 - 0.3 * cb.math.cos(0.7 * t) * q[1],
+        gamma=0.1,
+        q=(1.0, 0.2),
+        p=(0.0, 0.4),
+        t=0.7,
+        t_end=4.0,
+    )
+    assert error(scene, "ias15", rtol=1e-13) < 1e-13
+    moved = cb.prepare(scene, "ias15", rtol=1e-10, save_at=[3.0])(t=2.0)
+    own = cb.solve(scene.with_(t=2.0), "ias15", rtol=1e-10, save_at=[3.0])
+    np.testing.assert_array_equal(moved.y, own.y)
+
+
 def test_ias15_refuses_a_single_coordinate():
     assert "passes through 0" in cb.METHODS["ias15"].refuses(cb.SCENES["oscillator"])
     assert "q' = p/m" in cb.METHODS["ias15"].refuses(cb.SCENES["rigid_body"])

@@ -11,6 +11,7 @@ ADAPTIVE = [
     (method.name, engine)
     for method in cb.METHODS.values()
     if method.adaptive and method.family == "established"
+    if method.refuses(cb.SCENES["forced_oscillator"]) is None
     for engine in method.engines
 ]
 #: XLA compiles four programs for seconds: one of its methods stands for all

@@ -16,9 +16,8 @@ from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 from made_up import row
 
 #: without what is compiled by JAX and numba: a kill is one whatever it interrupts
-SMALL = (
-    "particle and not long and not limit and (strang or cvode-adams) and not weak and not jax and not numba"
-)
+SMALL = "particle and (strang or cvode-adams) and not long and not limit and not weak and not fixed"
+SMALL += " and not jax and not numba"
 TIMED = 5
 #: convergence of one, decay and laws of both; errors and times
 CELLS = 5 + 2 * TIMED

@@ -52,18 +52,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 #: what is raced, and what it is compiled by
-PEERS = (
-    "scipy",
-    "scikit-sundae",
-    "diffrax",
-    "jax",
-    "heyoka",
-    "cyrk",
-    "sundials4py",
-    "rebound",
-    "numba",
-    "numpy",
-)
+PEERS = "scipy scikit-sundae diffrax jax heyoka cyrk sundials4py rebound numba numpy".split()
 
 
 def versions() -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from decimal import Decimal, localcontext
 from functools import partial
 from importlib.util import find_spec
@@ -180,6 +179,8 @@ def within[Made](make: Callable[[], Made], watch: Stopwatch) -> Made:
     """
     if watch.deadline == NEVER:
         return make()
+    from concurrent.futures import Future  # loaded when it is used
+
     made = Future[Made]()
 
     def work() -> None:
