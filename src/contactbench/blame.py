@@ -35,7 +35,7 @@ class UserError(BadInput):
 
 
 def is_ours(function: object) -> bool:
-    """Whether a function, or a class, was written in this package: it computes the same tomorrow.
+    """Return whether a function, or a class, was written in this package: it computes the same tomorrow.
 
     Where one that wraps another was written is told by its globals; what it has captured must not change either.
     """
@@ -63,7 +63,7 @@ def frame_of(error: BaseException) -> traceback.FrameSummary | None:
 
 
 def plain_function(error: BaseException) -> str | None:
-    """What to write in place of a function of `math` or NumPy that was given a number it does not know."""
+    """Return what to write in place of a function of `math` or NumPy that was given a number it does not know."""
     frame = frame_of(error)
     math = os.path.join(_OURS, "numbers", "functions.py")  # cb.math itself was called, and is not to blame
     if frame is None or any(last.filename == math for last in traceback.extract_tb(error.__traceback__)):
@@ -82,7 +82,7 @@ def plain_function(error: BaseException) -> str | None:
 
 
 def user_error(what: str, error: BaseException) -> UserError:
-    """The error as a line: whose it is, where it happened, what it says."""
+    """Return the error as a line: whose it is, where it happened, what it says."""
     if isinstance(error, Overrun):
         says = f"ended after {limit():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
     else:
@@ -93,7 +93,7 @@ def user_error(what: str, error: BaseException) -> UserError:
 
 
 def place(error: BaseException) -> str:
-    """Where in a user's code an error happened: ", function (file, line n)"; empty where it did not."""
+    """Return where in a user's code an error happened: ", function (file, line n)"; empty where it did not."""
     frame = frame_of(error)
     if frame is None:
         return ""
@@ -101,7 +101,7 @@ def place(error: BaseException) -> str:
 
 
 def blame(what: str, error: BaseException) -> BaseException:
-    """The error as a `UserError` where it comes from a user's own code, else as it is."""
+    """Return the error as a `UserError` where it comes from a user's own code, else as it is."""
     passed = isinstance(error, BadInput | KeyboardInterrupt | GeneratorExit)
     return error if passed or frame_of(error) is None else user_error(what, error)
 

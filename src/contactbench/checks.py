@@ -20,7 +20,7 @@ def refuse(name: str, value: object, wanted: str) -> NoReturn:
 
 
 def finite(name: str, value: object) -> float:
-    """`value` as a finite float, or `BadInput`: a real number, neither text nor an array."""
+    """Return `value` as a finite float, or raise `BadInput`: a real number, neither text nor an array."""
     number = value if type(value) is float else math.nan
     if type(value) is not float and is_real(value):
         with suppress(TypeError, ValueError, OverflowError):
@@ -29,7 +29,7 @@ def finite(name: str, value: object) -> float:
 
 
 def is_real(value: object) -> TypeGuard[SupportsFloat]:
-    """Whether a value is one real number: no text, no complex number, no date, no array."""
+    """Return whether a value is one real number: no text, no complex number, no date, no array."""
     if isinstance(value, np.ndarray | np.generic):
         return value.ndim == 0 and value.dtype.kind in "fiubO"
     return not isinstance(value, str | bytes | bytearray | complex)
@@ -50,7 +50,7 @@ def positive(name: str, value: object) -> float:
 
 
 def whole(name: str, value: object, most: int, least: int = 1) -> int:
-    """`value` as an int from `least` to `most`, or `BadInput`."""
+    """Return `value` as an int from `least` to `most`, or `BadInput`."""
     number = 0.0 if isinstance(value, bool) else finite(name, value)
     if not least <= number <= most or number != int(number):
         refuse(name, value, f"a whole number ≥ {least}, at most {most:g}")
@@ -58,7 +58,7 @@ def whole(name: str, value: object, most: int, least: int = 1) -> int:
 
 
 def real_array(name: str, value: object, wanted: str) -> np.ndarray:
-    """`value` as an array of floats, itself if it is one, or `BadInput` (for complex numbers and dates, too)."""
+    """Return `value` as an array of floats, itself if it is one, or `BadInput` (for complex numbers and dates, too)."""
     try:
         given = np.asarray(value)
         if given.dtype.kind in "fiubO" and (given.dtype.kind != "O" or all(map(is_real, given.flat))):
@@ -69,7 +69,7 @@ def real_array(name: str, value: object, wanted: str) -> np.ndarray:
 
 
 def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...]:
-    """`value` as a tuple of finite floats (of the given length), or `BadInput`."""
+    """Return `value` as a tuple of finite floats (of the given length), or `BadInput`."""
     try:
         items = () if isinstance(value, str | bytes | dict | set) else tuple(value)
     except TypeError:
@@ -80,7 +80,7 @@ def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...
 
 
 def items_of(name: str, value: Any, wanted: str) -> list[Any]:
-    """The items of `value`, or `BadInput`, which says what is `wanted`; a string is no list of letters."""
+    """Return the items of `value`, or `BadInput`, which says what is `wanted`; a string is no list of letters."""
     try:
         return refuse(name, value, wanted) if isinstance(value, str | bytes) else list(value)
     except TypeError:

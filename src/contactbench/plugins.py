@@ -78,12 +78,12 @@ def load_file(path: Path | str) -> None:
 
 
 def _registered() -> dict[tuple[str, int], object]:
-    """What is registered at the moment, by names and identity: a file may replace some."""
+    """Return what is registered at the moment, by names and identity: a file may replace some."""
     return {(name, id(item)): item for registry in Registry.every for name, item in registry.items()}
 
 
 def _run(path: Path) -> None:
-    """The file as a module of its own name, its neighbours importable as from a script."""
+    """Run the file as a module of its own name, its neighbours importable as from a script."""
     name = f"contactbench_plugin_{path.stem}"
     loader = SourceFileLoader(name, str(path))
     spec = importlib.util.spec_from_loader(name, loader)

@@ -395,11 +395,11 @@ def terms_of(scene: Scene | str) -> Terms:
     (1,)
     """
     scene = scene_of(scene)
-    if scene.kind not in ("mechanical", "driven"):
+    if not scene.canonical:
         raise BadInput(
             f"scene {scene.name!r} has no terms on (q, p), being of kind {scene.kind!r}; cb.step_map takes it"
         )
-    if scene.nonlinear_damping:  # type: ignore[attr-defined]
+    if scene.nonlinear_damping:
         raise BadInput(
             f"scene {scene.name!r} has no terms on (q, p) alone: its damping depends on s; cb.step_map takes it"
         )
@@ -425,7 +425,6 @@ def terms_of(scene: Scene | str) -> Terms:
         return -jnp.stack(twin(args).gradient_at(state(t, q, q)))
 
     def damping(t: Real, p: PyTree, args: PyTree) -> PyTree:
-        rate = twin(args).rate_at(t) if scene.kind == "driven" else twin(args).gamma
-        return -rate * p
+        return -twin(args).damping_at(state(t, p, p)) * p
 
     return diffrax.ODETerm(velocity), diffrax.MultiTerm(diffrax.ODETerm(force), diffrax.ODETerm(damping))

@@ -21,6 +21,7 @@ from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene import Cache, Scene, Vector, key, verify
+from contactbench.scene.algebra import AnyState
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.compiled import COMPILES
 from contactbench.trace.program import record
@@ -71,7 +72,8 @@ def compiled(step: OneStep, h: float, which: int) -> Callable[[np.ndarray], np.n
         twin, x = scene.with_numbers(numbers), scene.unpack(y, carry)
         if which not in LOOPED:
             return scene.pack(piece(twin, x, h, xp, repeat))
-        return scene.pack(repeat(n, lambda x: piece(twin, x, h, xp, repeat), x))
+        moved: AnyState = repeat(n, lambda x: piece(twin, x, h, xp, repeat), x)
+        return scene.pack(moved)
 
     def make() -> Loop:
         return Loop(record(some, len(scene.numbers()), d, d, DIVERGENCE), 0.0)

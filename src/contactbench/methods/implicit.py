@@ -137,7 +137,7 @@ def gauss(stages: int) -> Callable[[Any, State, Arithmetic, Namespace], tuple[St
 # -- a discrete gradient -------------------------------------------------------------------------------
 class DiscreteGradient(Implicit):
     def refuses(self, scene: Scene) -> str | None:
-        fits = scene.kind in ("mechanical", "general damping")
+        fits = scene.canonical and scene.clock is None
         return unfit(self, scene, fits, "forces that depend on q alone")
 
 

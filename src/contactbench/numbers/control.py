@@ -1,38 +1,53 @@
-"""Choices and loops: plain numbers may be looked at, arrays and traced numbers may not (see `Abilities`)."""
+"""Choices and loops on every kind of number: only plain numbers can be branched on (see `Abilities`)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Abilities, Namespace, Numbers, abilities, has_where
+from contactbench.numbers.protocol import (
+    Abilities,
+    Arithmetic,
+    Condition,
+    Namespace,
+    Numbers,
+    abilities,
+    has_where,
+)
 from contactbench.xla import jnp, lax
 
 #: turns after which a loop over plain numbers is given up: a thousand digits take forty
 ENDLESS = 200
 
 
+class Iteration(Protocol):
+    """Apply a body n times."""
+
+    def __call__[X](self, n: Any, body: Callable[[X], X], x: X, /) -> X: ...
+
+
 @dataclass(frozen=True)
 class Repeat:
-    """``repeat(n, body, x)``: n-fold application, by the kind of loop an engine has, maybe that over stages, too.
+    """Apply a body n times, ``repeat(n, body, x)``, by the loop that an engine has.
 
+    over_stages : the stages of a step are a loop, too, not written out one after the other.
     joint_first : a turn begins with the kick that joins two steps: with the drift after it, it is one loop over sites.
     """
 
-    loop: Callable[[Any, Callable[[Any], Any], Any], Any]
+    loop: Iteration
     over_stages: bool = False
     joint_first: bool = False
 
-    def __call__(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+    def __call__[X](self, n: Any, body: Callable[[X], X], x: X) -> X:
         return self.loop(n, body, x)
 
 
-def turns(n: int, body: Callable[[Any], Any], x: Any) -> Any:
+def turns[X](n: Any, body: Callable[[X], X], x: X) -> X:
     for _ in range(n):
         x = body(x)
     return x
@@ -42,23 +57,26 @@ def turns(n: int, body: Callable[[Any], Any], x: Any) -> Any:
 repeat = Repeat(turns)
 
 
-def choose(condition: Any, yes: Any, no: Any, xp: Namespace) -> Any:
-    """yes or no, entry by entry for arrays.  Both have been computed: neither may divide by zero."""
+def choose(condition: Condition, yes: Arithmetic, no: Arithmetic, xp: Namespace) -> Arithmetic:
+    """Return yes or no, entry by entry for arrays.  Both have been computed: neither may divide by zero."""
     if has_where(xp):
         return xp.where(condition, yes, no)
     return yes if condition else no
 
 
-def settle(x: Any, xp: Namespace) -> Any:
-    """x, computed once: XLA would redo divisions and sines for every later component that reads them,
-    which grows exponentially along a chain of flows."""
+def settle[X](x: X, xp: Namespace) -> X:
+    """Return x, computed once.
+
+    XLA would redo divisions and sines for every later component that reads them, which grows exponentially along a
+    chain of flows.
+    """
     return lax.optimization_barrier(x) if abilities(xp).traced else x
 
 
-def scan(
-    body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int, rest: Callable[[Any], Any], xp: Namespace
-) -> tuple[Any, Any]:
-    """x after `turns` of ``x, out = body(x)``, and the outs; of plain numbers until ``rest(x)`` is negligible."""
+def scan[X](
+    body: Callable[[X], tuple[X, Any]], x: X, turns: int, rest: Callable[[X], Arithmetic], xp: Namespace
+) -> tuple[X, Any]:
+    """Return x after `turns` of ``x, out = body(x)``, and the outs; of plain numbers until rest(x) is negligible."""
     can = abilities(xp)
     if can.traced:
         return lax.scan(lambda x, _: body(x), x, None, length=turns)
@@ -73,35 +91,38 @@ def scan(
     return x, outs
 
 
-def iterate(body: Callable[[Any], Any], x: Any, turns: int, xp: Namespace) -> Any:
-    """x after so many turns of ``x = body(x)``: a loop where one is compiled, which would take seconds unrolled."""
-    if (recorded := getattr(xp, "iterate", None)) is not None:
+def iterate[X](body: Callable[[X], X], x: X, turns: int, xp: Namespace) -> X:
+    """Return x after so many turns of ``x = body(x)``: a loop where one is compiled, not to be unrolled for seconds."""
+    recorded: Callable[..., X] | None = getattr(xp, "iterate", None)
+    if recorded is not None:
         return recorded(turns, body, x)
     return scan(lambda x: (body(x), 0.0), x, turns, lambda _: math.inf, xp)[0]
 
 
-def repeat_while(condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any, xp: Namespace) -> Any:
-    """x after ``x = body(x)`` for as long as the condition holds at it, entry by entry for arrays."""
+def repeat_while[X](condition: Callable[[X], Condition], body: Callable[[X], X], x: X, xp: Namespace) -> X:
+    """Return x after ``x = body(x)`` for as long as the condition holds at it, entry by entry for arrays."""
     can = abilities(xp)
     if can.branch:
         while condition(x):
             x = body(x)
         return x
 
-    def turn(x: Any) -> Any:
+    def turn(x: X) -> X:
         going, after = condition(x), leaves(body(x))
         return rebuild(x, [choose(going, new, old, xp) for new, old in zip(after, leaves(x), strict=True)])
 
     if can.traced:
         return lax.while_loop(lambda x: jnp.any(condition(x)), turn, x)
-    if (recorded := getattr(xp, "repeat_while", None)) is not None:
+    recorded: Callable[..., X] | None = getattr(xp, "repeat_while", None)
+    if recorded is not None:
         return recorded(condition, turn, x)
     while np.any(condition(x)):
         x = turn(x)
     return x
 
 
-def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Namespace) -> Any:
+def unwind[X](body: Callable[[X, Any], X], x: X, outs: Any, xp: Namespace) -> X:
+    """Return x after ``x = body(x, out)`` for the outs of `scan`, the last first."""
     if abilities(xp).traced:
         return lax.scan(lambda x, out: (body(x, out), None), x, outs, reverse=True)[0]
     for out in reversed(outs):

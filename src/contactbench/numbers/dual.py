@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Sequence
+from functools import wraps
 from typing import Any
 
 from contactbench.numbers.functions import namespace, where
-from contactbench.numbers.protocol import Abilities, ChoosingNumbers, Number, abilities
+from contactbench.numbers.protocol import (
+    Abilities,
+    Arithmetic,
+    ChoosingNamespace,
+    ChoosingNumbers,
+    Condition,
+    Number,
+    abilities,
+)
 
 
-def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Dual, Any], Any]:
+def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Dual, Arithmetic], Any]:
     return lambda self, other: compare(self.a, value(other))
 
 
@@ -25,34 +34,37 @@ class Dual(Number):
     def numbers(self) -> DualNumbers:
         return DualNumbers(namespace(self.a))
 
-    def __add__(self, other: Any) -> Dual:
+    def __add__(self, other: Arithmetic) -> Dual:
         return Dual(self.a + value(other), self.b + slope(other))
+
+    def __float__(self) -> float:
+        raise TypeError(f"a number is expected, not {type(self).__name__!r}")
 
     def __neg__(self) -> Dual:
         return Dual(-self.a, -self.b)
 
-    def __sub__(self, other: Any) -> Dual:
+    def __sub__(self, other: Arithmetic) -> Dual:
         return Dual(self.a - value(other), self.b - slope(other))
 
-    def __rsub__(self, other: Any) -> Dual:
+    def __rsub__(self, other: Arithmetic) -> Dual:
         return -self + other
 
-    def __mul__(self, other: Any) -> Dual:
+    def __mul__(self, other: Arithmetic) -> Dual:
         if isinstance(other, Dual):
             return Dual(self.a * other.a, self.a * other.b + self.b * other.a)
         return Dual(self.a * other, self.b * other)
 
-    def __truediv__(self, other: Any) -> Dual:
+    def __truediv__(self, other: Arithmetic) -> Dual:
         if isinstance(other, Dual):
             ratio = self.a / other.a
             return Dual(ratio, (self.b - ratio * other.b) / other.a)
         return Dual(self.a / other, self.b / other)
 
-    def __rtruediv__(self, other: Any) -> Dual:
+    def __rtruediv__(self, other: Arithmetic) -> Dual:
         ratio = other / self.a
         return Dual(ratio, -ratio * self.b / self.a)
 
-    def __pow__(self, exponent: Any) -> Dual:
+    def __pow__(self, exponent: Arithmetic) -> Dual:
         return Dual(self.a**exponent, exponent * self.a ** (exponent - 1) * self.b)
 
     def __abs__(self) -> Dual:
@@ -68,16 +80,29 @@ class Dual(Number):
     __hash__ = None  # type: ignore[assignment]
 
 
-def value(x: Any) -> Any:
+def value(x: Arithmetic) -> Arithmetic:
     return x.a if isinstance(x, Dual) else x
 
 
-def slope(x: Any) -> Any:
+def slope(x: Arithmetic) -> Arithmetic:
     return x.b if isinstance(x, Dual) else 0.0
 
 
+def linear(function: Callable[..., Any]) -> Callable[..., Arithmetic]:
+    """Let a linear function of its first argument take dual numbers, too."""
+
+    @wraps(function)
+    def apply(x: Arithmetic, *rest: object) -> Arithmetic:
+        if isinstance(x, Dual):
+            return Dual(apply(x.a, *rest), apply(x.b, *rest))
+        made: Arithmetic = function(x, *rest)
+        return made
+
+    return apply
+
+
 #: derivatives of functions of one number: of (namespace, x, f(x))
-DERIVATIVES: dict[str, Callable[[Any, Any, Any], Any]] = {
+DERIVATIVES: dict[str, Callable[[Any, Arithmetic, Arithmetic], Arithmetic]] = {
     "exp": lambda xp, x, f: f,
     "expm1": lambda xp, x, f: f + 1,
     "log": lambda xp, x, f: 1 / x,
@@ -104,7 +129,7 @@ DERIVATIVES: dict[str, Callable[[Any, Any, Any], Any]] = {
 
 
 class DualNumbers(ChoosingNumbers):
-    def __init__(self, base: Any) -> None:
+    def __init__(self, base: ChoosingNamespace) -> None:
         self.base = base
 
     @property
@@ -112,11 +137,11 @@ class DualNumbers(ChoosingNumbers):
         return abilities(self.base)
 
     def __getattr__(self, name: str) -> Any:
-        function = getattr(self.base, name)
+        function: Callable[..., Arithmetic] = getattr(self.base, name)
         if name not in DERIVATIVES:
             return function
 
-        def lifted(x: Any) -> Any:
+        def lifted(x: Arithmetic) -> Arithmetic:
             if not isinstance(x, Dual):
                 return function(x)
             y = function(x.a)
@@ -124,36 +149,37 @@ class DualNumbers(ChoosingNumbers):
 
         return lifted
 
-    def where(self, condition: Any, a: Any, b: Any) -> Any:
+    def where(self, condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
         if not isinstance(a, Dual) and not isinstance(b, Dual):
             return self.base.where(condition, a, b)
         values = self.base.where(condition, value(a), value(b))
         return Dual(values, self.base.where(condition, slope(a), slope(b)))
 
-    def atan2(self, y: Any, x: Any) -> Any:
+    def atan2(self, y: Arithmetic, x: Arithmetic) -> Dual:
         a, b = value(y), value(x)
         square = a * a + b * b
         return Dual(self.base.atan2(a, b), (b * slope(y) - a * slope(x)) / square)
 
-    def hypot(self, x: Any, y: Any) -> Any:
+    def hypot(self, x: Arithmetic, y: Arithmetic) -> Dual:
         length = self.base.hypot(value(x), value(y))
         return Dual(length, (value(x) * slope(x) + value(y) * slope(y)) / length)
 
     arctan2 = atan2
 
 
-# -- the numbers in a nested state, taken out and put back ------------------------------------------
-def leaves(x: Any) -> list[Any]:
+def leaves(x: object) -> list[Any]:
+    """Return the numbers in nested tuples, lists and dual numbers, in their order; None has none."""
     if x is None:
         return []
     if isinstance(x, Dual):
         return leaves(x.a) + leaves(x.b)
     if isinstance(x, tuple | list):
-        return [leaf for part in x for leaf in leaves(part)]
+        return [leaf for each in x for leaf in leaves(each)]
     return [x]
 
 
-def rebuild(x: Any, values: Sequence[Any]) -> Any:
+def rebuild[X](x: X, values: Sequence[object]) -> X:
+    """Return x with other numbers in the places of its own."""
     supply = iter(values)
 
     def again(x: Any) -> Any:
@@ -162,8 +188,9 @@ def rebuild(x: Any, values: Sequence[Any]) -> Any:
         if isinstance(x, Dual):
             return Dual(again(x.a), again(x.b))
         if isinstance(x, tuple | list):
-            parts = [again(part) for part in x]
-            return type(x)(*parts) if hasattr(x, "_fields") else type(x)(parts)
+            inner = [again(each) for each in x]
+            return type(x)(*inner) if hasattr(x, "_fields") else type(x)(inner)
         return next(supply)
 
-    return again(x)
+    made: X = again(x)
+    return made

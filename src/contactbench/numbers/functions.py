@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.protocol import Number
+from contactbench.numbers.protocol import Arithmetic, ChoosingNamespace, Condition, Number
 
 __all__ = ["acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "hypot"]
 __all__ += ["log", "pi", "sin", "sinh", "sqrt", "tan", "tanh", "where"]
@@ -26,7 +26,8 @@ __all__ += ["log", "pi", "sin", "sinh", "sqrt", "tan", "tanh", "where"]
 pi = math.pi
 
 
-def namespace(x: Any) -> Any:
+def namespace(x: object) -> Any:
+    """Return the namespace of a number: what its functions are attributes of."""
     if isinstance(x, int | float):
         return math
     if isinstance(x, Number):
@@ -39,7 +40,7 @@ def namespace(x: Any) -> Any:
 
         return jnp
     if package == "mpmath":
-        return x.context
+        return x.context  # type: ignore[attr-defined]
     if package == "heyoka" and type(x).__name__ == "expression":
         import heyoka
 
@@ -47,10 +48,21 @@ def namespace(x: Any) -> Any:
     return np
 
 
-def function(name: str) -> Callable[[Any], Any]:
-    plain = getattr(math, name)
+def call(name: str, own: Callable[..., Arithmetic], *numbers: Arithmetic) -> Arithmetic:
+    """Call the function of that name of the numbers' own namespace, or ``own`` entry by entry of arrays of objects."""
+    first = leading(*numbers)
+    if isinstance(first, np.ndarray) and first.dtype == object:  # of mpmath numbers
+        own = np.frompyfunc(own, len(numbers), 1)
+    else:
+        own = getattr(namespace(first), name)
+    return own(*numbers)
 
-    def apply(x: Any) -> Any:
+
+def function(name: str) -> Callable[[Arithmetic], Arithmetic]:
+    """Return the function of that name of whatever number it is given."""
+    plain: Callable[[Any], float] = getattr(math, name)
+
+    def apply(x: Arithmetic) -> Arithmetic:
         if isinstance(x, float):  # the common case, and the only one that raises
             try:
                 return plain(x)
@@ -58,9 +70,7 @@ def function(name: str) -> Callable[[Any], Any]:
                 return -math.inf if name == "log" and x == 0 else math.nan
             except OverflowError:
                 return math.copysign(math.inf, x) if name == "sinh" else math.inf
-        if isinstance(x, np.ndarray) and x.dtype == object:  # of mpmath numbers
-            return np.frompyfunc(apply, 1, 1)(x)
-        return getattr(namespace(x), name)(x)
+        return call(name, apply, x)
 
     apply.__name__ = apply.__qualname__ = name
     apply.__doc__ = f"{name}(x) of any number a scene runs on."
@@ -75,23 +85,23 @@ sinh, cosh, tanh = map(function, ("sinh", "cosh", "tanh"))
 asinh, acosh, atanh = map(function, ("asinh", "acosh", "atanh"))
 
 
-def where(condition: Any, a: Any, b: Any) -> Any:
-    """a where a condition holds, else b, entry by entry of arrays.  Both are computed, and neither may fail."""
+def where(condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
+    """Return a where a condition holds, else b, entry by entry of arrays.  Both are computed, and neither may fail."""
     if isinstance(condition, bool | np.bool_):
         return a if condition else b
-    return namespace(next((x for x in (a, b) if isinstance(x, Number)), condition)).where(condition, a, b)
+    decides = next((x for x in (a, b, condition) if isinstance(x, Number)), leading(a, b, condition))
+    xp: ChoosingNamespace = namespace(decides)
+    return xp.where(condition, a, b)
 
 
-def leading(*numbers: Any) -> Any:
+def leading(*numbers: Arithmetic) -> Arithmetic:
+    """Return the first that is no plain number, and so decides what functions apply; else the first."""
     return next((x for x in numbers if not isinstance(x, int | float)), numbers[0])
 
 
-def function_of_two(name: str, about: str) -> Callable[[Any, Any], Any]:
-    def apply(x: Any, y: Any) -> Any:
-        first = leading(x, y)
-        if isinstance(first, np.ndarray) and first.dtype == object:
-            return np.frompyfunc(apply, 2, 1)(x, y)
-        return getattr(namespace(first), name)(x, y)
+def function_of_two(name: str, about: str) -> Callable[[Arithmetic, Arithmetic], Arithmetic]:
+    def apply(x: Arithmetic, y: Arithmetic) -> Arithmetic:
+        return call(name, apply, x, y)
 
     apply.__name__ = apply.__qualname__ = name
     apply.__doc__ = about

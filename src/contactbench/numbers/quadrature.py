@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.protocol import Namespace, has_digits
+from contactbench.numbers.protocol import Arithmetic, Namespace, has_digits
 
 STAGES = 8
 #: of the coefficients on doubles
@@ -21,7 +21,10 @@ DIGITS = 30
 #: halvings of a span before its integral is taken as it is
 HALVINGS = 12
 
-Rule = tuple[list[Any], list[Any], list[list[Any]]]
+#: γ(t)
+Rate = Callable[[Any], Arithmetic]
+#: nodes, weights, matrix
+Rule = tuple[list[Arithmetic], list[Arithmetic], list[list[Arithmetic]]]
 
 
 @cache
@@ -35,7 +38,7 @@ def gauss(digits: int, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) ->
     nodes = [(1 + xp.findroot(lambda x: xp.legendre(stages, x), x)) / 2 for x in near.tolist()]
     powers = xp.matrix([[c**k for c in nodes] for k in range(stages)])
 
-    def weights(end: Any) -> list[Any]:
+    def weights(end: Arithmetic) -> list[Arithmetic]:
         """∫₀^end of the interpolating polynomials: exact on as many powers as there are nodes."""
         return list(xp.lu_solve(powers, xp.matrix([end ** (k + 1) / (k + 1) for k in range(stages)])))
 
@@ -46,19 +49,20 @@ def gauss(digits: int, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) ->
 @cache
 def gauss_on_doubles(stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
     nodes, weights, matrix = gauss(DIGITS, stages, ends)
-    return [*map(float, nodes)], [*map(float, weights)], [[*map(float, row)] for row in matrix]
+    numbers = np.array([nodes, weights, *matrix], dtype=float).tolist()
+    return numbers[0], numbers[1], numbers[2:]
 
 
 def rule(xp: Namespace, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
     return gauss(xp.dps, stages, ends) if has_digits(xp) else gauss_on_doubles(stages, ends)
 
 
-def weigh(weights: list[Any], values: list[Any]) -> Any:
+def weigh(weights: list[Arithmetic], values: list[Arithmetic]) -> Arithmetic:
     return sum(w * v for w, v in zip(weights, values, strict=True))
 
 
-def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> tuple[Any, Any]:
-    """G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ of a rate γ(t), by one step on G' = γ, φ' = e^{−G}."""
+def integrals(rate: Rate, t: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
+    """Return G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ of a rate γ(t), by one step on G' = γ, φ' = e^{−G}."""
     nodes, weights, matrix = rule(xp)
     values = [rate(t + c * h) for c in nodes]
     kept = [xp.exp(-h * weigh(row, values)) for row in matrix]
@@ -66,24 +70,25 @@ def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> tupl
 
 
 def running(
-    rate: Callable[[Any], Any], t: Any, h: Any, ends: tuple[Fraction, ...], stages: int, xp: Namespace
-) -> list[Any]:
-    """∫_t^{t+ch} of a rate for every c of some ends, to an error O(h^{stages + 1})."""
+    rate: Rate, t: Arithmetic, h: Arithmetic, ends: tuple[Fraction, ...], stages: int, xp: Namespace
+) -> list[Arithmetic]:
+    """Return ∫_t^{t+ch} of a rate for every c of some ends, to an error O(h^{stages + 1})."""
     nodes, _, matrix = rule(xp, stages, ends)
     values = [rate(t + c * h) for c in nodes]
     return [h * weigh(row, values) for row in matrix]
 
 
-def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Namespace) -> Any:
-    """∫_t^{t+h} γ over a span of any length, on plain numbers or arrays: halved until it no longer changes."""
+def integral(rate: Rate, t: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
+    """Return ∫_t^{t+h} γ over a span of any length, on plain numbers or arrays: halved until it no longer changes."""
     nodes, weights, _ = rule(xp)
-    before = None
+    before: Any = None
     for k in range(HALVINGS):
-        parts, width = 2**k, h / 2**k
-        total = 0 * h
-        for j in range(parts):
+        width = h / 2**k
+        total: Any = 0 * h
+        for j in range(2**k):
             total = total + width * weigh(weights, [rate(t + (j + c) * width) for c in nodes])
         if before is not None and bool(abs(total - before).max() <= 1e-15 * abs(total).max()):
             break
         before = total
-    return total
+    found: Arithmetic = total
+    return found

@@ -29,16 +29,17 @@ class Series(Unknown):
     def numbers(self) -> SeriesNumbers:
         return SeriesNumbers()
 
-    def __pow__(self, exponent: Any) -> Series:
+    def __pow__(self, exponent: float | Series) -> Series:
         if isinstance(exponent, Series):
             return Series(self.expression**exponent.expression)
         n = float(exponent)
         if n != int(n) or not 3 <= n <= LARGEST_POWER:  # a square has a recurrence of its own
             return Series(self.expression**exponent)
         half: Any = self ** (n // 2) if n >= 4 else self
-        return half * half * self if n % 2 else half * half
+        power: Series = half * half * self if n % 2 else half * half
+        return power
 
-    def __rpow__(self, base: Any) -> Series:
+    def __rpow__(self, base: float) -> Series:
         import heyoka
 
         return Series(heyoka.expression(base) ** self.expression)
@@ -53,15 +54,16 @@ class Series(Unknown):
         raise CannotRecord("heyoka has no |x|")
 
 
-def bare(x: Any) -> Any:
+def expression_of(x: object) -> Any:
+    """Return heyoka's expression, of a number the number itself."""
     return x.expression if isinstance(x, Series) else x
 
 
-def _arithmetic(apply: Callable[[Any, Any], Any]) -> tuple[Callable[..., Series], Callable[..., Series]]:
-    def forward(self: Series, other: Any) -> Series:
-        return Series(apply(self.expression, bare(other)))
+def _arithmetic(apply: Callable[..., object]) -> tuple[Callable[..., Series], Callable[..., Series]]:
+    def forward(self: Series, other: float | Series) -> Series:
+        return Series(apply(self.expression, expression_of(other)))
 
-    def reflected(self: Series, other: Any) -> Series:
+    def reflected(self: Series, other: float | Series) -> Series:
         return Series(apply(other, self.expression))
 
     return forward, reflected
@@ -80,9 +82,10 @@ class SeriesNumbers(Numbers):
         function = getattr(heyoka, name, None)
         if function is None:
             raise CannotRecord(f"heyoka has no function {name!r}")
-        return lambda *numbers: Series(function(*map(bare, numbers)))
+        return lambda *numbers: Series(function(*map(expression_of, numbers)))
 
 
-def equations(system: Any, variables: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:
+def equations(system: Any, variables: Sequence[object], carry: tuple[str, ...]) -> list[Any]:
+    """Return the right-hand side of a scene as heyoka's expressions, on its variables."""
     x = system.unpack([Series(variable) for variable in variables], carry)
-    return [bare(slope) for slope in system.pack(system.rhs(x))]
+    return [expression_of(slope) for slope in system.pack(system.rhs(x))]

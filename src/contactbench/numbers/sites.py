@@ -10,30 +10,27 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.dual import Dual, slope, value
+from contactbench.numbers.dual import linear, value
 from contactbench.numbers.functions import namespace
-from contactbench.numbers.protocol import Unknown
+from contactbench.numbers.protocol import Arithmetic, Unknown, Vector
 
 #: what is beyond the ends
 BOUNDARIES = ("ring", "fixed", "free")
 
 
+@linear
 def total(x: Any) -> Any:
     """Return the sum over all sites, pairwise: its round-off hardly grows with their number."""
-    if isinstance(x, Dual):
-        return Dual(total(x.a), total(x.b))
     if isinstance(x, Unknown):
         return x.tape.total(x)  # type: ignore[attr-defined]
-    if namespace(x) is np and x.ndim > 1:
-        x = np.ascontiguousarray(np.moveaxis(x, 0, -1))  # NumPy sums in pairs along the last axis alone
-        return x.sum(axis=-1)
+    if namespace(x) is np and x.ndim > 1:  # NumPy sums in pairs along the last axis alone
+        return np.ascontiguousarray(np.moveaxis(x, 0, -1)).sum(axis=-1)
     return x.sum(axis=0)
 
 
+@linear
 def neighbour(x: Any, places: int, boundary: str) -> Any:
     """Return the value at the next site (places = 1) or the one before (−1); beyond an end 0, or the last if free."""
-    if isinstance(x, Dual):
-        return Dual(neighbour(x.a, places, boundary), neighbour(x.b, places, boundary))
     if isinstance(x, Unknown):
         return x.tape.shift(x, places)  # type: ignore[attr-defined]
     xp = namespace(x)
@@ -44,20 +41,20 @@ def neighbour(x: Any, places: int, boundary: str) -> Any:
     return xp.concatenate([x[1:], end] if places > 0 else [end, x[:-1]])
 
 
-def pairs(function: Callable[..., tuple[Any, ...]], x: tuple[Any, ...], *weights: Any) -> tuple[Any, ...]:
+def pairs(function: Callable[..., Vector], x: Vector, *weights: Arithmetic) -> Vector:
     """Return Σ_{j ≠ i} function(x_i − x_j, w_i, w_j, …) at every site i, for each of its results; nothing at r = 0."""
-    first = value(x[0])
+    first: Any = value(x[0])
     if isinstance(first, Unknown):
-        return first.tape.pairs(function, x, weights)  # type: ignore[attr-defined]
+        recorded: Vector = first.tape.pairs(function, x, weights)  # type: ignore[attr-defined]
+        return recorded
     xp = namespace(first)
 
-    def against(f: Any) -> tuple[Any, Any]:
+    def against(f: Any) -> Vector:
         f = f.reshape(*f.shape, *(1,) * (first.ndim - f.ndim))
         return f[:, None], f[None]
 
-    def difference(f: Any) -> Any:
-        if isinstance(f, Dual):
-            return Dual(difference(f.a), difference(f.b))
+    @linear
+    def difference(f: Arithmetic) -> Arithmetic:
         mine, other = against(f)
         return mine - other
 
@@ -70,14 +67,8 @@ def pairs(function: Callable[..., tuple[Any, ...]], x: tuple[Any, ...], *weights
     apart = (apart[0] + xp.where(same, 1.0, 0.0), *apart[1:])
     found = function(apart, *(side for w in weights for side in against(w)))
 
-    def summed(f: Any) -> Any:
-        if isinstance(f, Dual):
-            return Dual(summed(f.a), summed(f.b))
+    @linear
+    def summed(f: Arithmetic) -> Any:
         return xp.where(same, 0.0, f).sum(axis=1)
 
     return tuple(map(summed, found))
-
-
-def parts(x: Any) -> tuple[Any, ...]:
-    """Return a number, or value and derivative of a dual one."""
-    return (value(x), slope(x)) if isinstance(x, Dual) else (x,)

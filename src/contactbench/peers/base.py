@@ -161,7 +161,7 @@ class PeerRun(Prepared):
         self.sensitivity_source = self.call.derivative or equations
 
     def __call__(self, **data: Any) -> Solution:
-        """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
+        """Run as `Prepared` does; an atol that is not the user's follows the scale of the motion."""
         r = self.request
         if data and r.scales is not None:
             given = r.to_scale(self.method_.takes_atol, **r.scene.checked(data))
@@ -325,7 +325,7 @@ class Variational(System):
         return Bundle(base.rhs(z.x), tuple(v))
 
     def jacobian(self, z: Bundle) -> list[list[Arithmetic]]:
-        """diag(Df, …, Df), without the coupling D²f(y) v_j of tangents to the state, strictly block triangular.
+        """Return diag(Df, …, Df), without the coupling D²f(y) v_j of tangents to the state, strictly block triangular.
 
         So Newton's iteration converges all the same, the tangents one turn later, and the solver's test sees both.
         """
@@ -343,7 +343,7 @@ class Variational(System):
 
 
 def derivative(scene: Scene, x: AnyState, carry: tuple[str, ...]) -> list[list[Arithmetic]]:
-    """Df at x, rows in packed order: the scene's own Jacobian, or its right-hand side on dual numbers."""
+    """Return Df at x, rows in packed order: the scene's own Jacobian, or its right-hand side on dual numbers."""
     rows: list[list[Arithmetic]] | None = scene.jacobian(x)
     if rows is not None:
         return rows

@@ -66,7 +66,7 @@ _compiled: Cache[CFunctions] = Cache(256)
 
 
 def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions | FieldFunctions:
-    """The C functions of a scene, once for its identity and fields; `CannotRecord` where it branches on values."""
+    """Return the C functions of a scene, made once; raises `CannotRecord` where it branches on values."""
 
     if scene.by_sites:
         return FieldFunctions(cast(Many, scene), carry)
@@ -99,7 +99,7 @@ class FieldFunctions:
 
 
 def functions(scene: Scene, carry: tuple[str, ...]) -> tuple[Function, dict[str, Function]]:
-    """`constants(numbers)`, which Python runs, and the C functions: `rhs` and, where it exists, `jacobian`."""
+    """Return `constants(numbers)`, which Python runs, and the C functions: `rhs` and, where it exists, `jacobian`."""
     tape = Tape()
     numbers = [tape.assign(Element("numbers", (i,)), "f", tape.root) for i in range(len(scene.numbers()))]
     twin = scene.with_numbers(numbers)
@@ -161,11 +161,11 @@ class Compiled(Call):
 
     @abstractmethod
     def connect(self, clock: int) -> Connection:
-        """The library's compiled `to_end`, `at_times` and `in_a_loop`, and their arguments but states and times."""
+        """Return the compiled `to_end`, `at_times` and `in_a_loop`, and their arguments but states and times."""
 
     @abstractmethod
     def ending(self, flag: int) -> tuple[Status, str]:
-        """How a run ended, by the flag that the library returned, and its message."""
+        """Return how a run ended, by the flag that the library returned, and its message."""
 
     def counts(self, steps: int, evaluations: int, jacobians: int, rejected: float) -> Counts:
         return Counts(steps, evaluations, jacobians, int(rejected))
@@ -175,12 +175,12 @@ class Compiled(Call):
         return found[KNOWN:]
 
     def many(self, starts: np.ndarray) -> np.ndarray:
-        """`FACTS` and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
+        """Return `FACTS` and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
         found: np.ndarray = self.library.in_a_loop(np.ascontiguousarray(starts), *self.arguments)
         return found
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`FACTS` and the state reached, and the saved states, of which those reached are filled."""
+        """Return `FACTS` and the state reached, and the saved states, of which those reached are filled."""
         if self.final_only:
             facts = self.library.to_end(y0, *self.arguments)
             return facts, facts[None, KNOWN:]

@@ -36,7 +36,7 @@ class Cyrk(Compiled):
         return cyrk, (*where, np.array([r.rtol]), np.array(r.atol, ndmin=1), r.max_steps)
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """By one call of C++, which nothing ends; a long one by another thread, which Ctrl-C leaves to itself."""
+        """Run by one call of C++, which nothing ends; a long one by another thread, which Ctrl-C leaves to itself."""
         *given, most = self.arguments
         self.arguments = (*given, min(PIECE, most))
         try:
@@ -60,7 +60,7 @@ class Cyrk(Compiled):
         return Status.failed, str(self.library.get_error_message(flag)).rstrip(".")
 
     def counts(self, steps: int, evaluations: int, jacobians: int, rejected: float) -> Counts:
-        """Rejected steps follow from the evaluations, unless an interpolation asks for some of its own."""
+        """Return the counts; rejected steps follow from the evaluations, unless interpolations take some."""
         if (stages := self.method.stages) is None or not self.final_only:
             return Counts(steps, evaluations, 0, None)
         return Counts(steps, evaluations, 0, (evaluations - BEFORE) // stages - steps)

@@ -6,7 +6,7 @@ and parameters are traced (one program for all of them), `throw=False` with the 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from contactbench.methods.jax_engine import Xla
 from contactbench.methods.prepared import Request
 from contactbench.peers.base import Call, Ending, Peer
 from contactbench.solution import Counts, Status
+
+if TYPE_CHECKING:
+    import jax
 
 
 class Diffrax(Call):
@@ -32,7 +35,7 @@ class Diffrax(Call):
         xla.compile(self._flat, xla.place(fixed), xla.room(self.saves))
         self.seconds = xla.seconds
 
-    def _flat(self, y0: Any, fixed: Any) -> Any:
+    def _flat(self, y0: jax.Array, fixed: jax.Array) -> jax.Array:
         """Return saved states, facts about the run, and its last state, all in one vector."""
         from contactbench.xla import jnp
 
@@ -43,7 +46,7 @@ class Diffrax(Call):
         columns = [self.xla.derivative(states, y0, v, self.xla.fixed) for v in tangents]
         return np.stack(columns, axis=-1)[: self.saves]
 
-    def _solve(self, y0: Any, fixed: Any) -> Any:
+    def _solve(self, y0: jax.Array, fixed: jax.Array) -> tuple[jax.Array, ...]:
         import diffrax
         import optimistix
 
@@ -61,7 +64,7 @@ class Diffrax(Call):
         as_array = implicit or len(y) > 3 or len(atol) > 1
         atol = atol if len(atol) > 1 else atol[0]
 
-        def field(t: Any, x: Any, args: Any) -> Any:
+        def field(t: jax.Array, x: Any, args: object) -> Any:
             slopes = scene.slopes(start + t, scene.entries(x) if as_array else list(x), r.carry)
             return jnp.stack(slopes) if as_array else tuple(slopes)
 
@@ -99,7 +102,7 @@ class Diffrax(Call):
             ]
         )
 
-        def packed(y: Any, t: Any) -> Any:
+        def packed(y: Any, t: jax.Array) -> Any:
             if r.scene.by_sites:
                 return y
             components = list(y.T) if as_array else list(y)

@@ -22,7 +22,7 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING
 from contactbench.methods.prepared import Request, stopwatch
-from contactbench.numbers.series import NO_SERIES, Series, bare
+from contactbench.numbers.series import NO_SERIES, Series, expression_of
 from contactbench.peers.base import Call, Ending, Peer
 from contactbench.scene import Cache, Scene, key
 from contactbench.solution import Counts, Status
@@ -41,7 +41,7 @@ def taylor_system(
     units = [1.0] * len(names) if units is None else units
     series: list[Any] = [Series(v) for v in variables]
     given = [y if unit == 1 else y * unit for y, unit in zip(series, units, strict=True)]
-    slopes = map(bare, scene.slopes(Series(heyoka.time), given, carry))
+    slopes = map(expression_of, scene.slopes(Series(heyoka.time), given, carry))
     expressions = (heyoka.expression(s) if isinstance(s, float) else s for s in slopes)
     own = (s if unit == 1 else s / unit for s, unit in zip(expressions, units, strict=True))
     return list(zip(variables, own, strict=True))

@@ -94,7 +94,7 @@ class Cvode(Compiled):
         return cvode, (*place, self.data, clock, self.end, r.max_steps)
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """In pieces, of the same steps: between two of them Python looks at signals."""
+        """Run in pieces, of the same steps: between two of them Python looks at signals."""
         *place, most = self.arguments
         piece = max(1, PIECE // len(y0))
         rows, taken, facts = np.empty((len(self.later), len(y0))), 0, np.zeros(KNOWN)

@@ -31,6 +31,15 @@ class State(NamedTuple):
     s: Any = None
 
 
+class DrivenState(NamedTuple):
+    """State of a driven scene: that of a mechanical one, and the time t."""
+
+    q: Vector
+    p: Vector
+    t: Arithmetic
+    s: Any = None
+
+
 class BodyState(NamedTuple):
     """State of a rigid body: momentum M, attitude R as a quaternion (w, x, y, z), s; R, s None if not carried."""
 
@@ -69,28 +78,28 @@ def shifted[X: AnyState](x: X, h: Arithmetic, slope: X) -> X:
     >>> cb.shifted(x, 0.0, scene.rhs(x)) == x
     True
     """
-    parts: list[Any] = []
+    moved: list[Any] = []
     for part, rate in zip(x, slope, strict=True):
         if isinstance(part, tuple):
-            parts.append(tuple(a + h * b for a, b in zip(part, rate, strict=True)))
+            moved.append(tuple(a + h * b for a, b in zip(part, rate, strict=True)))
         else:
-            parts.append(None if part is None else part + h * rate)
-    return type(x)(*parts)
+            moved.append(None if part is None else part + h * rate)
+    return type(x)(*moved)
 
 
-def scaled(c: Any, v: Sequence[Any]) -> Vector:
+def scaled(c: Arithmetic | Vector, v: Sequence[Arithmetic]) -> Vector:
     """Return c v; component by component where c is a tuple."""
     if isinstance(c, tuple):
         return tuple(a * b for a, b in zip(c, v, strict=True))
     return tuple(c * b for b in v)
 
 
-def times(c: Any, factor: Any) -> Any:
+def times(c: Arithmetic | Vector, factor: Arithmetic) -> Arithmetic | Vector:
     """Return c · factor of a number c, or of each in a tuple."""
     return tuple(a * factor for a in c) if isinstance(c, tuple) else c * factor
 
 
-def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+def dot(a: Sequence[Arithmetic], b: Sequence[Arithmetic]) -> Arithmetic:
     """Return a·b, summed left to right."""
     total = a[0] * b[0]
     for x, y in zip(a[1:], b[1:], strict=True):
@@ -133,7 +142,7 @@ def rotate(R: Vector, v: Vector) -> Vector:
     return tuple(dot(row, v) for row in rotation_matrix(R))
 
 
-def quaternion_of(value: Any) -> Vector:
+def quaternion_of(value: object) -> Vector:
     """Return an attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion."""
     wanted = "1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix"
     matrix = real_array("R", value, wanted)

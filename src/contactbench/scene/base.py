@@ -7,11 +7,13 @@ import dataclasses
 import inspect
 import math
 import pickle
+import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -21,9 +23,9 @@ from contactbench.checks import finite, function, items_of, positive, switch, te
 from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.notebook import html_table
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import CannotRecord, Namespace
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace, Vector
 from contactbench.registry import Registry
-from contactbench.scene.algebra import shifted
+from contactbench.scene.algebra import AnyState, shifted
 from contactbench.scene.flow import Flow
 from contactbench.scene.scales import in_order
 from contactbench.trace.formula import Formula, formula
@@ -36,27 +38,34 @@ EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability
 ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time
 TRIED = 1e-3
+#: a state of the kind of scene at hand: `State`, `DrivenState`, `BodyState`, or that of a user's own kind
+OwnState = Any
+#: a number, or an array of them where the state is one of arrays: the caller knows which
+Numeric = Any
+#: a packed state: a sequence of numbers, or an array with one component after the other along its first axis
+Packed = Any
 #: what returns the value of a field as it is kept, or raises `BadInput`; called with its name and the value given
-Check = Callable[[str, Any], Any]
+Check = Callable[[str, object], Any]
 
 
 def optional(check: Check) -> Check:
     return lambda name, value: None if value is None else check(name, value)
 
 
-def experiment_names(name: str, value: Any) -> tuple[str, ...]:
+def experiment_names(name: str, value: object) -> tuple[str, ...]:
     if isinstance(value, tuple) and all(isinstance(e, str) and e in EXPERIMENTS for e in value):
         return value
     raise BadInput(f"{name} = {excerpt(value)}: must be a tuple of names among {', '.join(EXPERIMENTS)}")
 
 
-def named_numbers(name: str, value: Any) -> dict[str, float]:
+def named_numbers(name: str, value: object) -> dict[str, float]:
     if isinstance(value, Mapping) and all(isinstance(key, str) and key.isidentifier() for key in value):
         return {key: finite(key, number) for key, number in value.items()}
     raise BadInput(f"{name} = {excerpt(value)}: must be a dict of numbers by name")
 
 
-def reciprocal(value: Any) -> Any:
+def reciprocal[X](value: X) -> X:
+    """Return 1/value, of each number in a tuple."""
     return rebuild(value, [1 / number for number in leaves(value)])
 
 
@@ -78,7 +87,7 @@ class Cache[Made]:
         return made
 
 
-def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
+def key(identity: Hashable | None, *rest: Hashable) -> Hashable | None:
     """Return the key of what depends on a scene or a method, and more; None where the first of them is."""
     return None if identity is None else (identity, *rest)
 
@@ -91,25 +100,10 @@ def written_anew(kind: type) -> str:
     return ", ".join(name for name in names if getattr(kind, name, None) is not getattr(base, name, None))
 
 
-#: what no scene of a kind takes, and the nearest way to it; the table is in docs/compare.md
-INSTEAD = {
-    "kinetic": "it is ‖p‖²/2m, of a mass for every component: mass=(1., 2., 5.); of one that depends on q, solve_ivp",
-    "hamiltonian": "it is ‖p‖²/2m + V(q): potential=lambda q: …, mass=(1., 2., 5.); of any other, SciPy's solve_ivp",
-    "potential": "of a body in a potential cb.HeavyTop(potential=lambda u: …) has it; a lattice has onsite=, bond=, "
-    "particles pair=",
-    "force": "forces are those of a potential: potential=lambda q: …; SciPy's solve_ivp takes any right-hand side",
-    "constraint": "q are free coordinates, as many as degrees of freedom; SciPy's solve_ivp takes any equations",
-    "magnetic": "no force may depend on p but for damping; SciPy's solve_ivp takes any right-hand side",
-    "torque": "of a weight cb.HeavyTop(weight=…, axis=…), of a potential of the vertical cb.HeavyTop(potential=lambda "
-    "u: …) has it; one without a potential SciPy's solve_ivp",
-    "friction": "damping is −γ p, or −Γ'(s) p (cb.GeneralDamping): friction with a jump has no smooth flow; "
-    "stop where p = 0 by an event of cb.scipy.Contact",
-    "rate": "a damping that depends on time is cb.Driven(rate=lambda t: …, potential=lambda q, t: …)",
-    "damping": "a damping Γ(s) is cb.GeneralDamping(damping=…, damping_slope=…); −γ p is gamma=0.1; of one that "
-    "depends on q, SciPy's solve_ivp",
-}
-INSTEAD |= {"metric": INSTEAD["kinetic"], "B": INSTEAD["magnetic"], "mu": INSTEAD["friction"]}
-INSTEAD |= {"lagrangian": INSTEAD["hamiltonian"], "drag": INSTEAD["damping"]}
+@cache
+def instead() -> dict[str, str]:
+    """Return what no kind of scene takes, by name, and the nearest way to it."""
+    return tomllib.loads(Path(__file__).with_name("instead.toml").read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +155,7 @@ class System(ABC):
         return len(self.without_clock(self.labels(())))
 
     @abstractmethod
-    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+    def initial(self, carry: Sequence[str], **data: object) -> OwnState:
         """Return the initial state; `data` overrides the scene's own initial values."""
 
     @property
@@ -173,23 +167,23 @@ class System(ABC):
         """Return times since the start, from 0 to an end, that no step straddles, and how exact they are."""
         return []
 
-    def without_clock(self, y: Sequence[Any]) -> Sequence[Any]:
+    def without_clock[X](self, y: Sequence[X]) -> Sequence[X]:
         """Return a packed state less the time, as a solver integrates it that has a time of its own."""
         return y if self.clock is None else [*y[: self.clock], *y[self.clock + 1 :]]
 
-    def with_clock(self, y: Sequence[Any], t: Any) -> Sequence[Any]:
+    def with_clock(self, y: Packed, t: Numeric) -> Sequence[Numeric]:
         """Return the packed state again."""
         return y if self.clock is None else [*y[: self.clock], t, *y[self.clock :]]
 
     @abstractmethod
-    def unpack(self, y: Any, carry: Sequence[str]) -> Any:
+    def unpack(self, y: Packed, carry: Sequence[str]) -> OwnState:
         """Return a packed state as a NamedTuple of components."""
 
-    def entries(self, y: Any) -> Any:
+    def entries(self, y: Packed) -> Sequence[Numeric]:
         """Return the numbers of a packed state, an array, as `unpack` is to get them."""
         return y.tolist() if isinstance(y, np.ndarray) else list(y)
 
-    def components(self, y: Any) -> Any:
+    def components(self, y: Packed) -> Sequence[Numeric]:
         """Return packed states, an array (d, …), as `unpack` is to get them."""
         return tuple(y)
 
@@ -197,12 +191,16 @@ class System(ABC):
     def pack(state: Iterable[Any]) -> list[Any]:
         """Return a state, numbers and tuples of them, as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
-        for part in state:
-            if isinstance(part, tuple):
-                flat.extend(part)
-            elif part is not None:
-                flat.append(part)
+        for each in state:
+            if isinstance(each, tuple):
+                flat.extend(each)
+            elif each is not None:
+                flat.append(each)
         return flat
+
+    def unrolled(self) -> Any:
+        """Return the scene component by component, for solvers that know no arrays: itself, but of many sites."""
+        return self
 
     # -- numbers -------------------------------------------------------------------------------
     @abstractmethod
@@ -210,33 +208,35 @@ class System(ABC):
         """Return the scene's parameters as a flat list (initial data and end time are not among them)."""
 
     @abstractmethod
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
         """Return the same scene with its parameters replaced, unchecked: tracers, mpmath numbers, …"""
 
     @property
     @abstractmethod
-    def structure(self) -> tuple[Any, ...]:
+    def structure(self) -> tuple[Hashable, ...]:
         """Return everything but the numbers."""
+
+    @property
+    def given(self) -> dict[str, Callable[..., Any]]:
+        """Return the functions that it has, by name."""
+        return {name: f for name in self.functions if (f := getattr(self, name)) is not None}
 
     @cached_property
     def identity(self) -> Hashable | None:
         """What compiled code depends on besides the numbers, functions by their operations; None: nobody can tell."""
-        given = (getattr(self, name) for name in self.functions)
-        known = is_ours(type(self)) and all(f is None or isinstance(f, Formula) or is_ours(f) for f in given)
-        return self.structure if known else None
+        known = all(isinstance(f, Formula) or is_ours(f) for f in self.given.values())
+        return self.structure if known and is_ours(type(self)) else None
 
     @cached_property
     def has_users_functions(self) -> bool:
         """Return whether any of its functions, or of their derivatives, is not of this package."""
-        given = (getattr(self, name) for name in self.functions)
-        return not all(part is None or is_ours(part) for part in given)
+        return not all(map(is_ours, self.given.values()))
 
     @property
     def functions_of_floats(self) -> list[str]:
         """Return the names of its user's functions that cannot be recorded, as SciPy's splines cannot."""
-        given = ((name, getattr(self, name)) for name in self.functions)
-        plain = (name for name, f in given if not (f is None or is_ours(f) or isinstance(f, Formula)))
-        return [name for name in plain if self._formula(name) is None]
+        theirs = (name for name, f in self.given.items() if not (is_ours(f) or isinstance(f, Formula)))
+        return [name for name in theirs if self._formula(name) is None]
 
     @property
     def own_equations(self) -> str | None:
@@ -299,7 +299,7 @@ class System(ABC):
                 )
         return made
 
-    def _replaced(self, **attributes: Any) -> Self:
+    def _replaced(self, **attributes: object) -> Self:
         twin = object.__new__(type(self))
         twin.__dict__.update(self.__dict__ | attributes)
         for derived in ("identity", "has_users_functions", "motion"):
@@ -313,14 +313,14 @@ class System(ABC):
 
     # -- equations -----------------------------------------------------------------------------
     @abstractmethod
-    def rhs(self, x: Any) -> Any:
+    def rhs(self, x: OwnState) -> OwnState:
         """Return the time derivative of the state, a state of the same fields."""
 
-    def jacobian(self, x: Any) -> Any:
+    def jacobian(self, x: OwnState) -> Any:
         """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
         return None
 
-    def slopes(self, t: Any, y: Any, carry: Sequence[str]) -> Sequence[Any]:
+    def slopes(self, t: Numeric, y: Packed, carry: Sequence[str]) -> Sequence[Numeric]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
 
@@ -374,7 +374,7 @@ class Scene(System):
     """
 
     s: float = 0.0
-    exact: Callable[[Any, Any, Any], Any] | None = None
+    exact: Callable[..., OwnState] | None = None
     about: str = ""
     slows_after: float | None = None
     hard: bool = False
@@ -405,10 +405,12 @@ class Scene(System):
     parts: ClassVar[tuple[str, ...]] = ()
     #: its flows for the paper's A, B and C, where they are not `drift`, `kick` and `damp`
     paper_flows: ClassVar[Mapping[str, str]] = {}
-    #: its state has coordinates q and p of the same number, and η = ds − p dq
+    #: its components are numbers, coordinates q and momenta p as many of each, and η = ds − p dq
     canonical: ClassVar[bool] = False
+    #: Γ(s) is not γ s
+    nonlinear_damping: ClassVar[bool] = False
     #: what its equations or flows choose by, computed once of the numbers it was made with
-    decided: ClassVar[tuple[Any, ...]] = ()
+    decided: ClassVar[tuple[Hashable, ...]] = ()
     #: φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant
     rate_changes: ClassVar[bool] = False
     #: J' = −Γ'(s) J
@@ -418,11 +420,11 @@ class Scene(System):
     #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
     may_gain_energy: ClassVar[bool] = False
 
-    def __new__(cls, *_: Any, **given: Any) -> Self:
+    def __new__(cls, *_: object, **given: object) -> Self:
         for name in given.keys() - cls.__dataclass_fields__.keys():
             taken = inspect.signature(cls.__init__).parameters  # a class of a user's may have its own
             if name not in taken and not any(p.kind is p.VAR_KEYWORD for p in taken.values()):
-                near = INSTEAD.get(name, f"choose from {', '.join([*taken][1:])}")
+                near = instead().get(name, f"choose from {', '.join([*taken][1:])}")
                 raise BadInput(f"{name}: {cls.__name__} takes none: {near}")
         return super().__new__(cls)
 
@@ -440,7 +442,7 @@ class Scene(System):
             if not all(map(math.isfinite, leaves(getattr(self, kept)))):
                 raise BadInput(f"{name} = {excerpt(value)}: 1/{name} must be finite")
 
-    def _fix(self, name: str, value: Any) -> None:
+    def _fix(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
 
     def with_(self, **changes: Any) -> Self:
@@ -476,7 +478,7 @@ class Scene(System):
             names += [""] * len(leaves(value)) if isinstance(value, tuple) else [name]
         return [*names, *getattr(self, "parameters", {})]
 
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
         own = [getattr(self, name) for name in self.coefficients]
         changed = dict(zip(self.coefficients, rebuild(own, numbers), strict=True))
         changed |= {kept: reciprocal(changed[name]) for name, kept in self.reciprocals.items()}
@@ -500,15 +502,15 @@ class Scene(System):
         """
         own = [getattr(self, name) for name in self.coefficients]
         ends = np.cumsum([0, *(len(leaves(value)) for value in own)]).tolist()
-        parts = zip(self.coefficients, pairwise(ends), strict=True)
+        spans = zip(self.coefficients, pairwise(ends), strict=True)
         zero = len(self.numbers())
-        return [(zero, i, True) for name, part in parts if name in self.reciprocals for i in range(*part)]
+        return [(zero, i, True) for name, span in spans if name in self.reciprocals for i in range(*span)]
 
-    def decided_by(self, numbers: Sequence[Any]) -> Self:
+    def decided_by(self, numbers: Sequence[Arithmetic]) -> Self:
         """Return the scene with other numbers, arrays too, and what they decide; `BadInput` for any not allowed."""
         own, ends = [getattr(self, name) for name in self.coefficients], []
         for end in (np.min, np.max):
-            extreme = [float(end(number)) for number in numbers]
+            extreme = [float(end(np.asarray(number))) for number in numbers]
             for name, value in zip(self.coefficients, rebuild(own, extreme), strict=True):
                 self.checks.get(name, lambda *_: None)(name, value)
             ends.append(self.with_numbers(extreme)._decide())
@@ -517,23 +519,23 @@ class Scene(System):
             raise BadInput(f"numbers: {both} make two problems of scene {self.name!r}: one call for each")
         return self.with_numbers(numbers)._decide(ends[0])
 
-    def _decide(self, like: Any = None) -> Self:
+    def _decide(self, like: Self | None = None) -> Self:
         """Return the scene with what its numbers decide anew, or as another one has it."""
         return self
 
     @property
-    def structure(self) -> tuple[Any, ...]:
+    def structure(self) -> tuple[Hashable, ...]:
         functions = (getattr(self, name) for name in self.functions)
         values = ((name, getattr(self, name)) for name in (*self.initial_fields, *self.coefficients))
         sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
         return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
-    def sizes(self, x: Any, end: float) -> tuple[np.ndarray, Any]:
+    def sizes(self, x: OwnState, end: float) -> tuple[np.ndarray, np.ndarray]:
         """Return how large every component of the motion from x becomes until `end`, and the action: see `scales`."""
         most = np.linalg.norm(np.array(x.M, dtype=float), axis=0)
         return np.array([most] * 3), most
 
-    def scales(self, x: Any, end: float) -> np.ndarray:
+    def scales(self, x: OwnState, end: float) -> np.ndarray:
         """Return the scale of every component of a packed state but the time, from x on: one where of order one."""
         with np.errstate(all="ignore"):
             motion, action = self.sizes(x, end)
@@ -553,17 +555,17 @@ class Scene(System):
             found += [f"{name}{i + 1}" for i in range(len(value))] if isinstance(value, tuple) else [name]
         return found
 
-    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+    def initial(self, carry: Sequence[str], **data: object) -> OwnState:
         values = {name: getattr(self, name) for name in self.initial_fields} | data
         vectors = {name for name in values if isinstance(getattr(self, name), tuple)}
         kept = self.fields_in(carry)
         return self.state(**{name: tuple(values[name]) if name in vectors else values[name] for name in kept})
 
-    def data(self, x: Any) -> dict[str, Any]:
+    def data(self, x: OwnState) -> dict[str, Any]:
         """Return the initial data that a state is, by name, as `with_` takes them."""
         return {name: value for name, value in x._asdict().items() if value is not None}
 
-    def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:
+    def checked(self, data: Mapping[str, object]) -> dict[str, Any]:
         """Return the initial data given by keyword, validated against the scene's own."""
         for key in data:
             if key not in self.initial_fields:
@@ -573,53 +575,53 @@ class Scene(System):
 
     # -- physics -------------------------------------------------------------------------------
     @abstractmethod
-    def energy(self, x: Any) -> Any:
+    def energy(self, x: OwnState) -> Numeric:
         """Return the mechanical energy H0."""
 
     @abstractmethod
-    def hamiltonian(self, x: Any) -> Any:
+    def hamiltonian(self, x: OwnState) -> Numeric:
         """Return the contact Hamiltonian H = H0 + Γ(s); needs s."""
 
     @abstractmethod
-    def momentum(self, x: Any) -> tuple[Any, ...] | None:
+    def momentum(self, x: OwnState) -> Vector | None:
         """Return the momentum map J of the rotations, None where there is none."""
 
-    def tangents(self, x: Any) -> list[Any]:
+    def tangents(self, x: OwnState) -> Sequence[OwnState]:
         """Return a basis of the tangent space at x, as states: the coordinates', the time left out."""
         size = len(self.pack(x))
         carry = [name for name in self.optional if getattr(x, name) is not None]
         units = ([1.0 if i == j else 0.0 for j in range(size)] for i in range(size) if i != self.clock)
         return [self.unpack(unit, carry) for unit in units]
 
-    def displaced(self, x: Any, v: Any, amount: float) -> Any:
+    def displaced[X: AnyState](self, x: X, v: X, amount: float) -> X:
         """Return the state at `amount` along a curve that leaves x with tangent v."""
         return shifted(x, amount, v)
 
     @abstractmethod
-    def contact_form(self, x: Any, dx: Any) -> Any:
+    def contact_form(self, x: OwnState, dx: OwnState) -> Numeric:
         """Return η(dx) at x."""
 
     @abstractmethod
-    def contact_terms(self, x: Any, dx: Any) -> Any:
+    def contact_terms(self, x: OwnState, dx: OwnState) -> Numeric:
         """Return the size of the terms that η(dx) is the difference of."""
 
-    def energy_terms(self, x: Any) -> Any:
+    def energy_terms(self, x: OwnState) -> Numeric:
         return abs(self.energy(x))
 
     @abstractmethod
-    def hamiltonian_terms(self, x: Any) -> Any:
+    def hamiltonian_terms(self, x: OwnState) -> Numeric:
         """Return the size of the terms that H is the sum of."""
 
     @abstractmethod
-    def momentum_terms(self, x: Any) -> Any:
+    def momentum_terms(self, x: OwnState) -> Numeric:
         """Return the size of the terms that J is the sum of."""
 
     @property
     @abstractmethod
-    def conformal_rate(self) -> Any:
+    def conformal_rate(self) -> Numeric:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
 
-    def damped_by(self, x: Any, t: Any, xp: Namespace) -> Any | None:
+    def damped_by(self, x: OwnState, t: Arithmetic, xp: Namespace) -> Numeric:
         """Return ∫Γ' over the time t from x, None where it depends on the motion."""
         return None if self.conformal_rate is None else self.conformal_rate * t
 

@@ -1,9 +1,7 @@
-"""Verification of a user's scene: its gradient is the potential's, its Hessian the gradient's, its damping's slope
-and flow and its rate's integrals are right, its symmetry is there.  A wrong one would be integrated without a word,
-the reference included.
+"""Verification that a user's functions fit each other: derivatives, flows, integrals, a symmetry.
 
-Derivatives are compared with differences near the initial data and along the motion, not with dual numbers, since a
-user's functions may be ones that these cannot pass through.
+Derivatives are compared with differences near the initial data and along the motion, not with dual numbers, which a
+user's functions may not take.
 """
 
 from __future__ import annotations
@@ -163,7 +161,7 @@ def _time(scene: Mechanical, y: np.ndarray) -> list[float]:
 
 
 def _potential(scene: Mechanical, q: np.ndarray, time: list[float]) -> float:
-    value = scene.V(tuple(q.tolist()), *time)
+    value: Any = scene.V(tuple(q.tolist()), *time)
     if not is_number(value):
         there = f"{excerpt(value)} at q = {_at(q)}"
         raise BadInput(f"scene {scene.name!r}: its potential is {there}: must be a number")
@@ -194,13 +192,9 @@ def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
     if not is_ours(type(scene)) and scene.has_jacobian:
         carry = scene.carry(("s",))
         rhs = lambda y: scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))  # noqa: E731
-        rows, says = (
-            scene.jacobian(scene.unpack(y.tolist(), carry)),
-            "its jacobian is wrong: entry ({i}, {j}) is",
-        )
-        yield Claim(
-            rhs, y, rows, _size(y), says, "the derivative of the right-hand side", f"the state {_at(y)}"
-        )
+        rows, of = scene.jacobian(scene.unpack(y.tolist(), carry)), "the derivative of the right-hand side"
+        says = "its jacobian is wrong: entry ({i}, {j}) is"
+        yield Claim(rhs, y, rows, _size(y), says, of, f"the state {_at(y)}")
 
 
 def _flow(scene: GeneralDamping, s: float) -> Iterator[Claim]:
@@ -216,17 +210,15 @@ def _flow(scene: GeneralDamping, s: float) -> Iterator[Claim]:
 
 def _span(scene: Driven, t: float) -> Iterator[Claim]:
     """Yield what the integrals of a rate claim; raise `BadInput` unless they begin at 0."""
-    pair = lambda h: scene.spent(t, float(h), math)  # noqa: E731
+    pair: Any = lambda h: scene.spent(t, float(h), math)  # noqa: E731
     for value, name in zip(pair(0.0), ("G", "φ"), strict=True):
         _starts(scene, f"span's {name}", value, 0.0, f"t = {t:.6g}, h = 0")
     for h in (part * scene.t_end for part in TRIED):
         with _within_the_domain():
             slopes = (scene.rate_at(t + h), "G", "its rate"), (math.exp(-pair(h)[0]), "φ", "e^{−G}")
+            where = f"t = {t:.6g}, h = {h:.6g}"
             for k, (slope, name, of) in enumerate(slopes):
-                says, where = (
-                    f"span is not its rate's: the slope of its {name} is",
-                    f"t = {t:.6g}, h = {h:.6g}",
-                )
+                says = f"span is not its rate's: the slope of its {name} is"
                 part = lambda h, k=k: [pair(h[0])[k]]  # noqa: E731
                 yield Claim(part, [h], [[slope]], [h], says, of, where, True)
 

@@ -6,58 +6,50 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import signature
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
 from contactbench.checks import finite, function, is_number, real_array, require_number
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers import quadrature
-from contactbench.numbers.protocol import Namespace
-from contactbench.scene.algebra import Vector, scaled, times
-from contactbench.scene.base import Check, optional
-from contactbench.scene.flow import Flow, plain
+from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.scene.algebra import AnyState, DrivenState, Vector, scaled, times
+from contactbench.scene.base import Check, Numeric, optional
+from contactbench.scene.flow import Constants, Flow, plain
 from contactbench.scene.mechanical import Mechanical, _drift_damp_constants, drift_damp
-
-
-class DrivenState(NamedTuple):
-    """State of a driven scene: that of a mechanical one, and the time t."""
-
-    q: Vector
-    p: Vector
-    t: Any
-    s: Any = None
 
 
 # A is T, B is V(q, t) at a fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact
 # however they alternate.  Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the
 # clock depend on neither p nor s: Nyström tables keep their order.
-def driven_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Namespace) -> Any:
+def driven_log_factor(scene: Driven, x: DrivenState, h: Arithmetic, xp: Namespace) -> Arithmetic:
     return -(scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0])
 
 
-def driven_damp(scene: Driven, x: DrivenState, h: Any, xp: Namespace) -> DrivenState:
+def driven_damp(scene: Driven, x: DrivenState, h: Arithmetic, xp: Namespace) -> DrivenState:
     """C: p *= e^{−G}, s *= e^{−G}, t += h."""
     decay = xp.exp(driven_log_factor(scene, x, h, xp))
     s = None if x.s is None else decay * x.s
     return DrivenState(x.q, tuple(decay * p for p in x.p), x.t + h, s)
 
 
-def _driven_constants(scene: Driven, h: Any, xp: Namespace) -> Any:
+def _driven_constants(scene: Driven, h: Arithmetic, xp: Namespace) -> Constants:
     """Return h, and the constants of `drift_damp` where γ is constant."""
     return (h,) if scene.rate_changes else (h, *_drift_damp_constants(scene, h, xp))
 
 
-def driven_drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Namespace) -> DrivenState:
+def driven_drift_damp(scene: Driven, x: DrivenState, constants: Constants, xp: Namespace) -> DrivenState:
     """AC over (t, t + h), with φ and ∫γ of that time."""
     h, *constant = constants
     if not constant:
         total, phi = scene.spent(x.t, h, xp)
         constant = times(scene.inverse_mass, phi), phi, 1.0, -xp.expm1(-total)
-    return drift_damp(scene, x, constant, xp)._replace(t=x.t + h)
+    moved: DrivenState = drift_damp(scene, x, constant, xp)
+    return moved._replace(t=x.t + h)
 
 
-def increasing(name: str, value: Any) -> tuple[float, ...]:
+def increasing(name: str, value: object) -> tuple[float, ...]:
     """Return increasing finite numbers as a tuple; a single number is one of them."""
     times = np.array(real_array(name, value, "increasing finite times"), ndmin=1)
     if times.ndim != 1 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
@@ -112,17 +104,17 @@ class Driven(Mechanical):
     """
 
     t: float = 0.0
-    rate: Callable[..., Any] | None = None
-    span: Callable[..., tuple[Any, Any]] | None = None
+    rate: Callable[..., Arithmetic] | None = None
+    span: Callable[..., tuple[Arithmetic, Arithmetic]] | None = None
     breaks: tuple[float, ...] = ()
 
-    kind: ClassVar[str] = "driven"
+    kind = "driven"
     functions: ClassVar[dict[str, tuple[str, ...]]] = {
         **dict.fromkeys(("potential", "gradient"), ("q", "t", "**")),
         "rate": ("t", "**"),
         "span": ("t", "h", "xp", "**"),
     }
-    state: ClassVar[Any] = DrivenState
+    state: ClassVar[type[AnyState]] = DrivenState
     flows: ClassVar[Mapping[str, Flow]] = {
         **Mechanical.flows,
         "damp": Flow(plain, driven_damp, {}, driven_log_factor),
@@ -176,7 +168,7 @@ class Driven(Mechanical):
     def clock(self) -> int:
         return 2 * len(self.q)
 
-    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
+    def unpack(self, y: Sequence[Arithmetic], carry: Sequence[str]) -> DrivenState:  # type: ignore[override]
         n = len(self.q)
         s = y[2 * n + 1] if "s" in carry else None
         return DrivenState(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n], s)
@@ -185,27 +177,26 @@ class Driven(Mechanical):
     def coefficients(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("mass",) if self.rate else ("gamma", "mass")
 
-    def V(self, q: Vector, t: Any = None) -> Any:
+    def V(self, q: Vector, t: Arithmetic | None = None) -> Arithmetic:
         """Return V(q, t), at the start where no time is given."""
         return self.potential(q, self.t if t is None else t, **self.parameters)
 
-    def dV(self, q: Vector, t: Any = None) -> Vector:
-        gradient: Any = self.gradient or self.recorded().gradient
-        return gradient(q, self.t if t is None else t, **self.parameters)
+    def dV(self, q: Vector, t: Arithmetic | None = None) -> Vector:
+        return (self.gradient or self.recorded().gradient)(q, self.t if t is None else t, **self.parameters)  # type: ignore[misc]
 
-    def potential_at(self, x: Any) -> Any:
+    def potential_at(self, x: DrivenState) -> Arithmetic:
         return self.V(x.q, x.t)
 
-    def gradient_at(self, x: Any) -> Vector:
+    def gradient_at(self, x: DrivenState) -> Vector:
         return self.dV(x.q, x.t)
 
-    def damping_at(self, x: Any) -> Any:
+    def damping_at(self, x: DrivenState) -> Arithmetic:
         return self.rate_at(x.t)
 
-    def hamiltonian(self, x: Any) -> Any:
+    def hamiltonian(self, x: DrivenState) -> Numeric:  # type: ignore[override]
         return self.energy(x) + self.damping_at(x) * x.s
 
-    def rhs(self, x: Any) -> Any:
+    def rhs(self, x: DrivenState) -> DrivenState:  # type: ignore[override]
         rate = self.damping_at(x)
         velocity = scaled(self.inverse_mass, x.p)
         force = tuple(-g - rate * p for g, p in zip(self.gradient_at(x), x.p, strict=True))
@@ -220,23 +211,23 @@ class Driven(Mechanical):
     bounds_energy = False
 
     @property
-    def conformal_rate(self) -> Any:
+    def conformal_rate(self) -> Numeric:
         return self.gamma if self.rate is None else None
 
     @property
     def rate_changes(self) -> bool:  # type: ignore[override]
         return self.rate is not None
 
-    def rate_at(self, t: Any) -> Any:
+    def rate_at(self, t: Arithmetic) -> Arithmetic:
         return self.gamma if self.rate is None else self.rate(t, **self.parameters)
 
-    def spent(self, t: Any, h: Any, xp: Namespace) -> tuple[Any, Any]:
+    def spent(self, t: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
         """Return (G, φ) of the damping from t to t + h, a step."""
         if self.span is not None:
             return self.span(t, h, xp, **self.parameters)
         return quadrature.integrals(self.rate_at, t, h, xp)
 
-    def damped_by(self, x: Any, t: Any, xp: Namespace) -> Any:
+    def damped_by(self, x: DrivenState, t: Numeric, xp: Namespace) -> Numeric:
         if self.rate is None:
             return self.gamma * t
         if self.span is not None:

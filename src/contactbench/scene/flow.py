@@ -1,35 +1,43 @@
-"""What an exact subflow is: every contact integrator is composed of those that its scene has.
+"""Exact subflows, of which every contact integrator is composed: each an exact (conformal) contact map.
 
-Each is the time-h flow of one part of the Hamiltonian, and an exact (conformal) contact map.  A flow is split in two so
-that its transcendental coefficients leave the time loop: ``constants(scene, h, xp)`` once per step size,
-``apply(scene, x, constants, xp)`` once per step; `xp` is the namespace of the numbers.
-
-For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  H_A + H_C has a flow of its own
-(`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.  On these Nyström tables keep
-their order: {V, {V, {V, T + Γ}}} = 0, since V lowers the degree in (p, s) by one and T + Γ is of degree two
-(docs/mathematics.md).  A cubic term in Γ would break it.
+Each is the time-h flow of one part of the Hamiltonian; for T, V and Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.
+T + Γ has a flow of its own (`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.  On
+these Nyström tables keep their order: {V, {V, {V, T + Γ}}} = 0, since V lowers the degree in (p, s) by one and T + Γ is
+of degree two (docs/mathematics.md).  A cubic term in Γ would break it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from contactbench.numbers.control import choose
-from contactbench.numbers.protocol import Namespace
+from contactbench.numbers.protocol import Arithmetic, Namespace, Vector
 
 
-def plain(scene: Any, h: Any, xp: Namespace) -> Any:
+def plain(scene: object, h: Arithmetic, xp: Namespace) -> Arithmetic:
     """Return the step itself, of flows without other constants."""
     return h
 
 
-def no_damping(scene: Any, x: Any, h: Any, xp: Namespace) -> Any:
+def no_damping(scene: object, x: object, h: Arithmetic, xp: Namespace) -> Arithmetic:
+    """Return 0, the log of the factor of flows that keep η."""
     return 0.0
 
 
+#: what `Flow.constants` returns and `Flow.apply` takes
+Constants = Any
+
+
+class Damped(Protocol):
+    """A scene with the linear damping γ."""
+
+    @property
+    def gamma(self) -> Arithmetic: ...
+
+
 class Flow(NamedTuple):
-    """Define one exact subflow φ_h.
+    """Define one exact subflow φ_h, in two functions: what depends on h alone is computed once, outside the time loop.
 
     Flows for h1 and h2 compose to the flow for h1 + h2, so that neighbours may be merged.
 
@@ -46,18 +54,18 @@ class Flow(NamedTuple):
         ``(scene, x, h, xp) -> log c`` with φ_h*η = c η at x.
     """
 
-    constants: Callable[[Any, Any, Any], Any]
-    apply: Callable[[Any, Any, Any, Any], Any]
+    constants: Callable[..., Constants]
+    apply: Callable[..., Any]
     costs: dict[str, int]
-    log_factor: Callable[[Any, Any, Any, Any], Any] = no_damping
+    log_factor: Callable[..., Arithmetic] = no_damping
 
 
-def linear_log_factor(scene: Any, x: Any, h: Any, xp: Namespace) -> Any:
+def linear_log_factor(scene: Damped, x: object, h: Arithmetic, xp: Namespace) -> Arithmetic:
     """Return −γh, the log of the factor under linear damping."""
     return -scene.gamma * h
 
 
-def damped_time(gamma: Any, h: Any, xp: Namespace) -> Any:
+def damped_time(gamma: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
     """Return φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
     undamped, z = gamma == 0, gamma * h
     small = h * (1 - z / 2 * (1 - z / 3))  # its derivatives by γ are those at 0
@@ -68,7 +76,7 @@ def damped_time(gamma: Any, h: Any, xp: Namespace) -> Any:
 STRONG = 1.5
 
 
-def damping(gamma: Any, h: Any, xp: Namespace) -> tuple[Any, Any]:
+def damping(gamma: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
     """Return e^{−γh} as a pair (keep, lose): damped(p) = keep·p − lose·p.
 
     With keep = 1 and lose = 1 − e^{−γh} the rounding of the coefficient matters only through the
@@ -80,5 +88,5 @@ def damping(gamma: Any, h: Any, xp: Namespace) -> tuple[Any, Any]:
     return choose(strong, factor, 1.0, xp), choose(strong, 0.0, loss, xp)
 
 
-def time_and_damping(scene: Any, h: Any, xp: Namespace) -> Any:
+def time_and_damping(scene: Damped, h: Arithmetic, xp: Namespace) -> Vector:
     return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)

@@ -27,7 +27,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from contactbench.numbers.control import choose, scan, settle, unwind
-from contactbench.numbers.protocol import Namespace
+from contactbench.numbers.protocol import Arithmetic, Condition, Namespace
 from contactbench.scene.algebra import BodyState, Vector, dot, quaternion_product
 
 if TYPE_CHECKING:
@@ -45,17 +45,17 @@ class Course(NamedTuple):
     rate, m, m1 : λ and the moduli.  still : λ = 0, nothing changes M.
     """
 
-    first: Any
-    about_k: Any
-    i2: Any
-    k2: Any
-    ik: Any
-    V: Any
-    W: Any
-    rate: Any
-    m: Any
-    m1: Any
-    still: Any
+    first: Condition
+    about_k: Condition
+    i2: Arithmetic
+    k2: Arithmetic
+    ik: Arithmetic
+    V: Arithmetic
+    W: Arithmetic
+    rate: Arithmetic
+    m: Arithmetic
+    m1: Arithmetic
+    still: Condition
 
 
 def handedness(scene: RigidBody) -> int:
@@ -84,7 +84,7 @@ def course(scene: RigidBody, z: Vector, xp: Namespace) -> Course:
     return Course(first, about_k, i2, k2, a13, V, W, rate, m, m1, still)
 
 
-def free(scene: RigidBody, x: BodyState, t: Any, xp: Namespace) -> BodyState:
+def free(scene: RigidBody, x: BodyState, t: Arithmetic, xp: Namespace) -> BodyState:
     """Return the exact flow of ½ M·I⁻¹M for any time, up to round-off of the phase λt; ‖M‖ and J = R M are kept."""
     s = None if x.s is None else x.s + t * scene.kinetic(x)
     L, z, resting = polar(x.M, xp)
@@ -101,12 +101,12 @@ def free(scene: RigidBody, x: BodyState, t: Any, xp: Namespace) -> BodyState:
     return settle(BodyState(M, quaternion_product(x.R, moved), s), xp)
 
 
-def polar(v: Vector, xp: Namespace) -> tuple[Any, Vector, Any]:
+def polar(v: Vector, xp: Namespace) -> tuple[Arithmetic, Vector, Condition]:
     """Return ‖v‖, v/‖v‖, and whether v is zero: 1 and the first axis then, so that no derivative of √0 is taken.
 
     No square underflows, and the direction has length one where ‖v‖ itself has hardly any digits left.
     """
-    largest: Any = 0.0
+    largest: Arithmetic = 0.0
     for c in v:
         size = choose(c < 0, -c, c, xp)
         largest = choose(size > largest, size, largest, xp)
@@ -117,16 +117,20 @@ def polar(v: Vector, xp: Namespace) -> tuple[Any, Vector, Any]:
     return largest * size, tuple(c / size for c in scaled), zero
 
 
-def components(scene: RigidBody, motion: Course, z: Vector, xp: Namespace) -> tuple[Any, Any, Any]:
+def components(
+    scene: RigidBody, motion: Course, z: Vector, xp: Namespace
+) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
     z1, z2, z3 = (z[axis] for axis in scene.by_inertia)
     return choose(motion.first, z1, z3, xp), z2, choose(motion.first, z3, z1, xp)
 
 
-def clamp(v: Any, xp: Namespace) -> Any:
+def clamp(v: Arithmetic, xp: Namespace) -> Arithmetic:
     return choose(v > FARTHEST, FARTHEST, choose(v < -FARTHEST, -FARTHEST, v, xp), xp)
 
 
-def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Namespace) -> tuple[Vector, Vector]:
+def momentum(
+    scene: RigidBody, motion: Course, z: Vector, tau: Arithmetic, xp: Namespace
+) -> tuple[Vector, Vector]:
     """Return the direction of M at time tau; the argument v = λ·tau, its sn, cn and dn, and the quarter period K."""
     _, _, i2, k2, ik, _, _, rate, m, m1, still = motion
     zi, z2, zk = components(scene, motion, z, xp)
@@ -146,8 +150,14 @@ def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Namespac
 
 
 def precession(
-    scene: RigidBody, motion: Course, z: Vector, turned: Vector, tau: Any, passed: Vector, xp: Namespace
-) -> Any:
+    scene: RigidBody,
+    motion: Course,
+    z: Vector,
+    turned: Vector,
+    tau: Arithmetic,
+    passed: Vector,
+    xp: Namespace,
+) -> Arithmetic:
     """Return ψ, the angle by which the frame has turned about M.
 
     Of the bent part from u₀ to u₀ + v, that from 0 to v is an integral, and the addition theorem for Π has
@@ -175,7 +185,9 @@ def precession(
     return choose(still, steady, choose(zi == 0, steady, angle, xp), xp)
 
 
-def phase(scene: RigidBody, motion: Course, z: Vector, xp: Namespace) -> tuple[Any, Any, Any]:
+def phase(
+    scene: RigidBody, motion: Course, z: Vector, xp: Namespace
+) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
     zi, z2, zk = components(scene, motion, z, xp)
     sn, cn = z2 * xp.sqrt(motion.i2), zk * xp.sqrt(motion.ik)
     square = sn * sn + cn * cn
@@ -185,13 +197,13 @@ def phase(scene: RigidBody, motion: Course, z: Vector, xp: Namespace) -> tuple[A
     return choose(axis, 0.0, sn / size, xp), choose(axis, 1.0, cn / size, xp), dn
 
 
-def sense(motion: Course, xp: Namespace) -> Any:
+def sense(motion: Course, xp: Namespace) -> Arithmetic:
     """Return −1 where the axis e of the frame is axis 3, 1 where it is axis 1: the sign of the bent part of ψ."""
     return choose(motion.first, 1.0, -1.0, xp) * choose(motion.about_k, -1.0, 1.0, xp)
 
 
 def attitude(
-    scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle: Any, xp: Namespace
+    scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle: Arithmetic, xp: Namespace
 ) -> Vector:
     """Return C(z)⁻¹ Rot_e(angle) C(turned) as a quaternion."""
     smallest, _, largest = scene.by_inertia
@@ -224,6 +236,7 @@ def frame(z: Vector, xp: Namespace) -> Vector:
 
 
 # -- elliptic functions ----------------------------------------------------------------------------
+Three = tuple[Arithmetic, Arithmetic, Arithmetic]
 #: the smallest complement: quarter periods up to 323
 SMALLEST = 1e-280
 #: Landen steps and duplications to double precision from there; both only halve the exponent of a small
@@ -231,7 +244,7 @@ SMALLEST = 1e-280
 LANDEN_STEPS, DUPLICATIONS = 12, 13
 
 
-def jacobi(u: Any, m: Any, m1: Any, xp: Namespace) -> tuple[Any, Any, Any, Any]:
+def jacobi(u: Arithmetic, m: Arithmetic, m1: Arithmetic, xp: Namespace) -> Vector:
     """Return sn, cn, dn of (u | m), and the quarter period K(m).
 
     Descending Landen transformations, DLMF 22.7.2–22.7.4 with 22.7.1 for the moduli: k → (1 − k')/(1 + k'),
@@ -239,13 +252,13 @@ def jacobi(u: Any, m: Any, m1: Any, xp: Namespace) -> tuple[Any, Any, Any, Any]:
     accuracy where they are small.
     """
 
-    def descend(x: Any) -> tuple[Any, Any]:
+    def descend(x: Three) -> tuple[Three, Vector]:
         m, complement, scale = x
         over = 1 / (1 + complement)
         k, rest = m * over * over, 2 * complement * over  # the next modulus, and 1 less it
         return (k * k, 2 * xp.sqrt(complement) * over, scale / (2 * over)), (k, rest)
 
-    def ascend(x: Any, moduli: Any) -> Any:
+    def ascend(x: Three, moduli: Vector) -> Three:
         (sn, cn, dn), (k, rest) = x, moduli
         over = 1 / (1 + k * sn * sn)
         rising, falling, dn = (1 + k) * sn * over, cn * dn * over, (rest + k * cn * cn) * over
@@ -260,7 +273,9 @@ def jacobi(u: Any, m: Any, m1: Any, xp: Namespace) -> tuple[Any, Any, Any, Any]:
     return sn, cn, dn, xp.pi / (2 * scale)
 
 
-def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Namespace) -> Any:
+def carlson(
+    root_x: Arithmetic, root_y: Arithmetic, p: Arithmetic, excess: Arithmetic, xp: Namespace
+) -> Arithmetic:
     """Return R_J(x, y, 1, p) from √x and √y; 0 ≤ x ≤ 1, 0 < y ≤ 1 ≤ p.
 
     excess : (p − x)(p − y)(p − 1) ≥ 0, which the caller knows without cancellation.  Duplication: Carlson, Numer.
@@ -281,13 +296,15 @@ def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Namespace) -> Any
         roots = (xp.sqrt(x), xp.sqrt(y), xp.sqrt(z))
         return ((x, y, z, p, mean), roots, fourth / 4, excess / 64, total), None
 
-    def left_out(carried: Any) -> Any:
+    def left_out(carried: Any) -> Arithmetic:
         """Return the size of the first term beyond the series; that of p is at most 3/2 of the largest here."""
         (*_, mean), _, fourth, _, _ = carried
-        return (2 * fourth * max(map(abs, away)) / mean) ** 8
+        share: Arithmetic = 2 * fourth * max(map(abs, away)) / mean
+        return share**8
 
     start = ((x, y, one, p * one, mean), (root_x * one, root_y * one, one), one, excess * one, 0 * one)
-    ((*_, mean), _, fourth, _, total), _ = scan(duplicate, start, DUPLICATIONS, left_out, xp)
+    carried, _ = scan(duplicate, start, DUPLICATIONS, left_out, xp)
+    (*_, mean), _, fourth, _, total = carried
     X, Y, Z = (fourth * c / mean for c in away)
     P = -(X + Y + Z) / 2
     product = X * Y * Z
@@ -301,14 +318,16 @@ def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Namespace) -> Any
     return fourth * series / (mean * xp.sqrt(mean)) + 6 * total
 
 
-def arc(e: Any, xp: Namespace) -> Any:
+def arc(e: Arithmetic, xp: Namespace) -> Arithmetic:
     """Return R_C(1, 1 + e) = atan(√e)/√e, e ≥ 0."""
     flat = e == 0
     root = xp.sqrt(choose(flat, 1.0, e, xp))  # 1: no derivative of √0 is taken
     return choose(flat, 1.0, xp.atan(root) / root, xp)
 
 
-def bent_part(sn: Any, cn: Any, dn: Any, m: Any, bend: Any, xp: Namespace) -> Any:
+def bent_part(
+    sn: Arithmetic, cn: Arithmetic, dn: Arithmetic, m: Arithmetic, bend: Arithmetic, xp: Namespace
+) -> Arithmetic:
     """Return ∫₀ᵘ sn²/(1 + ν sn²) du at the u ∈ [−K, K] of these sn, cn ≥ 0, dn; ν = bend ≥ 0.
 
     It is (u − Π(−ν; u | m))/ν without the cancellation: sn³ R_J(cn², dn², 1, 1 + ν sn²)/3, DLMF 19.25.14.

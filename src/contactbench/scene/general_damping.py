@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from contactbench.checks import function, require_number
 from contactbench.errors import BadInput
 from contactbench.numbers.control import choose, iterate, settle
-from contactbench.numbers.protocol import Namespace, has_digits, has_where
+from contactbench.numbers.protocol import Arithmetic, Namespace, has_digits, has_where
 from contactbench.scene.algebra import State
 from contactbench.scene.base import Check, optional
 from contactbench.scene.flow import Flow, damped_time, plain
@@ -35,7 +35,7 @@ def rule() -> tuple[list[float], list[float]]:
     return ((1 + x) / 2).tolist(), (w / 2).tolist()
 
 
-def decay(scene: Any, s: Any, h: Any, xp: Namespace) -> Any:
+def decay(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
     """Return s(h) from s at 0; not finite where s reaches infinity before."""
     if scene.damping_flow is not None:
         return scene.damping_flow(s, h, xp)
@@ -44,26 +44,26 @@ def decay(scene: Any, s: Any, h: Any, xp: Namespace) -> Any:
     return s
 
 
-def by_quadrature(scene: Any, s: Any, h: Any, xp: Namespace) -> Any:
+def by_quadrature(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
     start = scene.dissipation(s)
     r = scene.dissipation_rate(s - start * damped_time(scene.dissipation_rate(s), h / 2, xp))
     resting = start == 0
 
-    def at(tau: Any) -> Any:
+    def at(tau: Arithmetic) -> Arithmetic:
         return s - start * damped_time(r, tau, xp)
 
-    def pace(tau: Any) -> Any:
+    def pace(tau: Arithmetic) -> Arithmetic:
         there = scene.dissipation(at(tau))
         gone = there == 0
         ratio = choose(resting, 1.0, start, xp) / choose(gone, 1.0, there, xp)
         return choose(resting, 1.0, choose(gone, 1.0, xp.exp(-r * tau) * ratio, xp), xp)
 
-    def elapsed(tau: Any) -> Any:
+    def elapsed(tau: Arithmetic) -> Arithmetic:
         if has_digits(xp):
             return xp.quad(pace, [0, tau])
         return tau * sum(w * pace(tau * x) for x, w in zip(*rule(), strict=True))
 
-    def nearer(tau: Any) -> Any:
+    def nearer(tau: Arithmetic) -> Arithmetic:
         return tau - (elapsed(tau) - h) / pace(tau)
 
     if has_where(xp):
@@ -76,7 +76,9 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Namespace) -> Any:
     return at(tau)
 
 
-def survival(scene: Any, s: Any, after: Any, h: Any, xp: Namespace) -> Any:
+def survival(
+    scene: GeneralDamping, s: Arithmetic, after: Arithmetic, h: Arithmetic, xp: Namespace
+) -> Arithmetic:
     """Return ∂s(h)/∂s = Γ(s(h))/Γ(s), the factor on p and on η; e^{−Γ'h} at the zeros of Γ.
 
     There Γ' is taken where s is on average, whose derivative is that of ∫Γ'(s).
@@ -90,14 +92,14 @@ def survival(scene: Any, s: Any, after: Any, h: Any, xp: Namespace) -> Any:
     return choose(resting, xp.exp(-scene.dissipation_rate(s - start * h * moved) * h), ratio, xp)
 
 
-def damp_generally(scene: Any, x: State, h: Any, xp: Namespace) -> State:
+def damp_generally(scene: GeneralDamping, x: State, h: Arithmetic, xp: Namespace) -> State:
     """C for any Γ(s): s follows s' = −Γ(s), and p the derivative of s(h), both solving p' = −Γ'(s) p."""
     s = decay(scene, x.s, h, xp)
     factor = survival(scene, x.s, s, h, xp)
     return settle(State(x.q, tuple(factor * p for p in x.p), s), xp)
 
 
-def general_log_factor(scene: Any, x: State, h: Any, xp: Namespace) -> Any:
+def general_log_factor(scene: GeneralDamping, x: State, h: Arithmetic, xp: Namespace) -> Arithmetic:
     return xp.log(survival(scene, x.s, decay(scene, x.s, h, xp), h, xp))
 
 
@@ -128,11 +130,11 @@ class GeneralDamping(Mechanical):
         As `Mechanical` does, and for a gamma or kappa beside Γ.
     """
 
-    damping: Callable[[Any], Any]
-    damping_slope: Callable[[Any], Any]
-    damping_flow: Callable[[Any, Any, Any], Any] | None = None
+    damping: Callable[[Arithmetic], Arithmetic]
+    damping_slope: Callable[[Arithmetic], Arithmetic]
+    damping_flow: Callable[..., Arithmetic] | None = None
 
-    kind: ClassVar[str] = "general damping"
+    kind = "general damping"
     functions: ClassVar[dict[str, tuple[str, ...]]] = {
         **Mechanical.functions,
         **dict.fromkeys(("damping", "damping_slope"), ("s",)),
@@ -161,14 +163,14 @@ class GeneralDamping(Mechanical):
             if getattr(self, name) is not None:
                 require_number(name, self._value(name))
 
-    required = ("s",)
+    required: ClassVar[tuple[str, ...]] = ("s",)
 
     nonlinear_damping = True
 
-    def dissipation(self, s: Any) -> Any:
+    def dissipation(self, s: Arithmetic) -> Arithmetic:
         return self.damping(s)
 
-    def dissipation_rate(self, s: Any) -> Any:
+    def dissipation_rate(self, s: Arithmetic) -> Arithmetic:
         return self.damping_slope(s)
 
     #: Γ'' is not asked for: solvers difference

@@ -10,16 +10,16 @@ import numpy as np
 
 from contactbench.checks import finite, function, require_number, vector
 from contactbench.errors import BadInput
-from contactbench.numbers.protocol import CannotRecord, Namespace
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import BodyState, Vector, cross, dot, norm, rotate
-from contactbench.scene.base import Check, optional
+from contactbench.scene.base import Check, Numeric, optional
 from contactbench.scene.flow import Flow, plain
 from contactbench.scene.mechanical import derived_gradient
 from contactbench.scene.rigid_body import BODY, RigidBody, one_rate
 from contactbench.trace.formula import Formula, formula
 
 
-def top_kick(scene: HeavyTop, x: BodyState, h: Any, xp: Namespace) -> BodyState:
+def top_kick(scene: HeavyTop, x: BodyState, h: Arithmetic, xp: Namespace) -> BodyState:
     """B: M += h w u × χ, s −= h w u·χ; R does not change."""
     M = tuple(m + h * c for m, c in zip(x.M, scene.torque(x), strict=True))
     return BodyState(M, x.R, None if x.s is None else x.s - h * scene.potential_at(x))
@@ -64,13 +64,13 @@ class HeavyTop(RigidBody):
     weight: float = 0.0
     axis: Vector = (0.0, 0.0, 1.0)
     gamma: float = 0.0
-    potential: Callable[..., Any] | None = None
+    potential: Callable[..., Arithmetic] | None = None
     #: ∂V/∂u
-    slope: Any = field(init=False, repr=False, default=None)
+    slope: Callable[..., Vector] | None = field(init=False, repr=False, default=None)
 
-    kind: ClassVar[str] = "heavy top"  # type: ignore[misc]
-    flows: ClassVar[Mapping[str, Flow]] = {**BODY, "kick": Flow(plain, top_kick, {"gradient": 1})}  # type: ignore[misc]
-    parts: ClassVar[tuple[str, ...]] = ("kick", "turn", "damp", "top")  # type: ignore[misc]
+    kind = "heavy top"
+    flows: ClassVar[Mapping[str, Flow]] = {**BODY, "kick": Flow(plain, top_kick, {"gradient": 1})}
+    parts: ClassVar[tuple[str, ...]] = ("kick", "turn", "damp", "top")
     functions: ClassVar[dict[str, tuple[str, ...]]] = {"potential": ("u",)}
     required: ClassVar[tuple[str, ...]] = ("R",)
     checks: ClassVar[dict[str, Check]] = {
@@ -120,7 +120,7 @@ class HeavyTop(RigidBody):
         w, x, y, z = R
         return rotate((w, -x, -y, -z), (0.0, 0.0, 1.0))
 
-    def potential_at(self, x: BodyState) -> Any:
+    def potential_at(self, x: BodyState) -> Arithmetic:
         u = self.vertical(x.R)
         weight = self.weight * dot(u, self.axis)
         return weight if self.potential is None else weight + self.potential(u)
@@ -130,15 +130,15 @@ class HeavyTop(RigidBody):
         u = self.vertical(x.R)
         if self.potential is None:
             return tuple(self.weight * c for c in cross(u, self.axis))
-        slope = (self.slope or self.recorded().slope)(u)
+        slope = (self.slope or self.recorded().slope)(u)  # type: ignore[misc]
         return cross(u, tuple(self.weight * c + d for c, d in zip(self.axis, slope, strict=True)))
 
-    def energy(self, x: BodyState) -> Any:
+    def energy(self, x: BodyState) -> Arithmetic:
         return self.kinetic(x) + self.potential_at(x)
 
-    def sizes(self, x: BodyState, end: float) -> tuple[np.ndarray, Any]:
+    def sizes(self, x: BodyState, end: float) -> tuple[np.ndarray, np.ndarray]:
         most, _ = super().sizes(x, end)
-        fall = (2 * max(self.inertia) * (abs(self.potential_at(x)) + norm(self.torque(x)))) ** 0.5
+        fall: Any = (2 * max(self.inertia) * (abs(self.potential_at(x)) + norm(self.torque(x)))) ** 0.5
         most = np.fmax(most, fall)
         return most, most[0]
 
@@ -147,10 +147,10 @@ class HeavyTop(RigidBody):
         dM = tuple(a + b for a, b in zip(free.M, self.torque(x), strict=True))
         return free._replace(M=dM, s=None if x.s is None else free.s - self.potential_at(x))
 
-    def jacobian(self, x: BodyState) -> Any:
+    def jacobian(self, x: BodyState) -> None:  # type: ignore[override]
         """Return None."""
 
-    def momentum(self, x: BodyState) -> tuple[Any, ...]:
+    def momentum(self, x: BodyState) -> Vector:
         """Return e₃·RM, the vertical component of the spatial momentum."""
         return (dot(self.vertical(x.R), x.M),)
 
@@ -160,5 +160,5 @@ class HeavyTop(RigidBody):
     def may_gain_energy(self) -> bool:  # type: ignore[override]
         return self.gamma <= 0
 
-    def hamiltonian_terms(self, x: BodyState) -> Any:
+    def hamiltonian_terms(self, x: BodyState) -> Numeric:
         return self.kinetic(x) + abs(self.potential_at(x)) + abs(self.gamma * x.s)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
@@ -18,11 +18,11 @@ from contactbench.blame import their_code
 from contactbench.checks import function, real_array, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.functions import namespace
-from contactbench.numbers.protocol import CannotRecord, Namespace
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total
-from contactbench.scene.algebra import State, Vector, cross, dot, scaled
-from contactbench.scene.base import Check, Scene, named_numbers, optional
-from contactbench.scene.flow import Flow, plain, time_and_damping
+from contactbench.scene.algebra import AnyState, State, Vector, cross, dot, scaled
+from contactbench.scene.base import Check, Packed, Scene, named_numbers, optional
+from contactbench.scene.flow import Constants, Flow, plain, time_and_damping
 from contactbench.scene.mechanical import (
     Canonical,
     Mechanical,
@@ -49,15 +49,16 @@ def derivative(potential: Formula) -> Formula:
         raise BadInput(f"a potential cannot be differentiated: {why}") from why
 
 
-def many_drift(scene: Any, x: State, h: Any, xp: Namespace) -> State:
+def many_drift(scene: Many, x: State, h: Arithmetic, xp: Namespace) -> State:
     """A on many sites, whose masses may differ."""
     return drift(scene._replaced(inverse_mass=like(scene.inverse_mass, x.p[0])), x, h, xp)
 
 
-def many_drift_damp(scene: Any, x: State, constants: Any, xp: Namespace) -> State:
+def many_drift_damp(scene: Many, x: State, constants: Constants, xp: Namespace) -> State:
     """AC on many sites, whose masses may differ."""
     phi, keep, lose = constants
-    return drift_damp(scene, x, (phi * like(scene.inverse_mass, x.p[0]), phi, keep, lose), xp)
+    moved: State = drift_damp(scene, x, (phi * like(scene.inverse_mass, x.p[0]), phi, keep, lose), xp)
+    return moved
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -72,15 +73,15 @@ class Many(Canonical):
     #: whether all masses are one number
     uniform: bool = field(init=False, repr=False, default=True)
 
-    kind: ClassVar[str] = "many"
-    by_sites: ClassVar[bool] = True
+    kind = "many"
+    by_sites = True
     flows: ClassVar[Mapping[str, Flow]] = {
         **Mechanical.flows,
         "drift": Flow(plain, many_drift, {}),
         "drift_damp": Flow(time_and_damping, many_drift_damp, {}, drift_damp_log_factor),
     }
     parts: ClassVar[tuple[str, ...]] = ("kick", "drift_damp")
-    state: ClassVar[Any] = State
+    state: ClassVar[type[AnyState]] = State
     checks: ClassVar[dict[str, Check]] = {**Scene.checks, "gamma": damping_rate, "parameters": named_numbers}
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     #: what is beyond the ends
@@ -142,8 +143,7 @@ class Many(Canonical):
             raise BadInput(f"q: the force or the potential of scene {self.name!r} is not finite at the start")
 
     def _check_functions(self) -> None:
-        given = [name for name in self.functions if getattr(self, name) is not None]
-        for name in given:
+        for name in self.given:
             self.recording(name)
             probes = (np.full(1, self.probe),) * (len(self.functions[name]) - 1)
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
@@ -152,10 +152,10 @@ class Many(Canonical):
                 why = f"{name}: must be one number that depends on its arguments; it is {excerpt(value)}"
                 raise BadInput(why)
         for parameter in self.parameters:
-            if not any(parameter in self.named(name) for name in given):
-                raise BadInput(f"parameter {parameter!r}: is taken by none of {', '.join(given)}")
+            if not any(parameter in self.named(name) for name in self.given):
+                raise BadInput(f"parameter {parameter!r}: is taken by none of {', '.join(self.given)}")
 
-    def _field(self, name: str, given: Any) -> np.ndarray:
+    def _field(self, name: str, given: object) -> np.ndarray:
         """Return initial data as an array of one number for every degree of freedom."""
         size = self.sites * self.dimensions
         if callable(given):
@@ -211,7 +211,7 @@ class Many(Canonical):
         half = self.motion // 2
         return [f"{f}{i + 1}" for f in "qp" for i in range(half)] + [c for c in self.optional if c in carry]
 
-    def initial(self, carry: Sequence[str], **data: Any) -> State:
+    def initial(self, carry: Sequence[str], **data: object) -> State:
         values = {f: getattr(self, f) for f in self.initial_fields} | data
         s = values["s"] if "s" in carry else None
         return State(self._columns(values["q"]), self._columns(values["p"]), s)
@@ -220,7 +220,7 @@ class Many(Canonical):
         block = block.reshape(self.sites, self.dimensions, *block.shape[1:])
         return tuple(block[:, j] for j in range(self.dimensions))
 
-    def unpack(self, y: Any, carry: Sequence[str]) -> State:
+    def unpack(self, y: Packed, carry: Sequence[str]) -> State:
         """Return a packed state, its components along the first axis, as a state of arrays."""
         block: Any = y if hasattr(y, "reshape") else np.array(y)
         half = self.motion // 2
@@ -232,7 +232,7 @@ class Many(Canonical):
         flat = flat.reshape(2, self.motion // 2, *flat.shape[1:])
         return {"q": flat[0], "p": flat[1]} | ({} if x.s is None else {"s": x.s})
 
-    def entries(self, y: Any) -> Any:
+    def entries(self, y: Packed) -> Packed:
         return y
 
     components = entries
@@ -258,12 +258,12 @@ class Many(Canonical):
         return {self.weights: "inverse_mass"} if self.uniform else {}
 
     @property
-    def structure(self) -> tuple[Any, ...]:
+    def structure(self) -> tuple[Hashable, ...]:
         """Return everything but the numbers; programs for arrays of one length serve no other."""
         return (*self.equations, self.sites, *(value.tobytes() for value in self.constants.values()))
 
     @property
-    def equations(self) -> tuple[Any, ...]:
+    def equations(self) -> tuple[Hashable, ...]:
         """Return what is computed at a site, however many there are."""
         functions = tuple(getattr(self, name) for name in self.functions)
         return (type(self), *functions, self.dimensions, tuple(self.parameters), self.uniform)
@@ -278,10 +278,10 @@ class Many(Canonical):
         own = [*accepted][len(self.functions[name]) - 1 :]
         return {key: value for key, value in self.parameters.items() if every or key in own}
 
-    def call(self, name: str, *arguments: Any) -> Any:
+    def call(self, name: str, *arguments: Arithmetic) -> Any:
         return getattr(self, name)(*arguments, **self.named(name))
 
-    def slope(self, name: str, *arguments: Any) -> Any:
+    def slope(self, name: str, *arguments: Arithmetic) -> Any:
         """Return its derivative by the first argument."""
         return derivative(self.recording(name))(*arguments, **self.named(name))[0]
 
@@ -303,29 +303,30 @@ class Many(Canonical):
         return None if given is None or isinstance(given, Formula) else self.recording(name)
 
     # -- physics -------------------------------------------------------------------------------------
-    def kinetic(self, p: Vector) -> Any:
-        if self.uniform:
-            return self.product(p, p) * self.inverse_mass / 2
-        return self.product(p, self.velocity(p)) / 2
+    def kinetic(self, p: Vector) -> Arithmetic:
+        if not self.uniform:
+            return self.product(p, self.velocity(p)) / 2
+        inverse_mass: Arithmetic = self.inverse_mass
+        return self.product(p, p) * inverse_mass / 2
 
     def velocity(self, p: Vector) -> Vector:
         return scaled(self.inverse_mass if self.uniform else like(self.inverse_mass, p[0]), p)
 
-    def product(self, a: Vector, b: Vector) -> Any:
+    def product(self, a: Vector, b: Vector) -> Arithmetic:
         """Return a·b, also of one vector with each of many."""
         return total(dot([like(x, y) for x, y in zip(a, b, strict=True)], b))
 
     #: derivatives are by differences or dual numbers
     has_jacobian = False
 
-    def momentum(self, x: State) -> tuple[Any, ...]:
+    def momentum(self, x: State) -> Vector:
         """Return the total momentum; of particles in a plane or in space the angular one, one component or three."""
         if self.dimensions == 1:
             return (total(x.p[0]),)
         q, p, _ = x
         return tuple(map(total, cross(q, p) if len(q) == 3 else (q[0] * p[1] - q[1] * p[0],)))
 
-    def momentum_terms(self, x: State) -> Any:
+    def momentum_terms(self, x: State) -> Arithmetic:
         """Return Σ|p_i|, of the angular momentum Σ‖q_i‖‖p_i‖."""
         if self.dimensions == 1:
             return total(abs(x.p[0]))
@@ -374,9 +375,9 @@ class Lattice(Many):
 
     n: int
     boundary: str = "ring"  # type: ignore[misc]
-    onsite: Callable[..., Any] | None = None
-    bond: Callable[..., Any] | None = None
-    mass: Any = 1.0
+    onsite: Callable[..., Arithmetic] | None = None
+    bond: Callable[..., Arithmetic] | None = None
+    mass: float | np.ndarray = 1.0
 
     functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(("onsite", "bond"), ("probe", "**"))
     checks: ClassVar[dict[str, Check]] = Many.checks | dict.fromkeys(functions, optional(function))
@@ -403,7 +404,7 @@ class Lattice(Many):
         return self.n
 
     @property
-    def equations(self) -> tuple[Any, ...]:
+    def equations(self) -> tuple[Hashable, ...]:
         return (*super().equations, self.boundary)
 
     @cached_property
@@ -426,9 +427,9 @@ class Lattice(Many):
         names = {"ring": (), "fixed": ("end",), "free": ("first", "last")}[self.boundary]
         return super().constants | {name: getattr(self, name) for name in names if self.bond is not None}
 
-    def potential_at(self, x: State) -> Any:
+    def potential_at(self, x: State) -> Arithmetic:
         (q,) = x.q
-        V: Any = 0.0
+        V: Arithmetic = 0.0
         if self.onsite is not None:
             V = total(self.call("onsite", q))
         if self.bond is None:
@@ -443,7 +444,7 @@ class Lattice(Many):
 
     def gradient_at(self, x: State) -> Vector:
         (q,) = x.q
-        force: Any = 0.0 if self.onsite is None else self.slope("onsite", q)
+        force: Arithmetic = 0.0 if self.onsite is None else self.slope("onsite", q)
         if self.bond is None:
             return (force,)
         before = self.slope("bond", q - neighbour(q, -1, self.boundary))
@@ -470,8 +471,8 @@ class Chain:
     bond: Formula | None
     boundary: str
 
-    def __call__(self, q: Vector, **parameters: Any) -> Any:
-        V: Any = 0.0
+    def __call__(self, q: Vector, **parameters: Arithmetic) -> Arithmetic:
+        V: Arithmetic = 0.0
         if self.onsite is not None:
             for c in q:
                 V = V + self.onsite(c, **self.onsite.taken(parameters))
@@ -510,9 +511,9 @@ class Particles(Many):
         For one body, lengths that differ, a mass ≤ 0, two bodies at one place.
     """
 
-    masses: Any
+    masses: np.ndarray
     dimensions: int = 3  # type: ignore[misc]
-    pair: Callable[..., Any]
+    pair: Callable[..., Arithmetic]
 
     functions: ClassVar[dict[str, tuple[str, ...]]] = {"pair": ("probe", "probe", "probe", "**")}
     weights: ClassVar[str] = "masses"
@@ -536,14 +537,14 @@ class Particles(Many):
     def constants(self) -> dict[str, np.ndarray]:
         return super().constants | {"masses": self.masses}
 
-    def potential_at(self, x: State) -> Any:
-        def potential(apart: Vector, a: Any, b: Any) -> Vector:
+    def potential_at(self, x: State) -> Arithmetic:
+        def potential(apart: Vector, a: Arithmetic, b: Arithmetic) -> Vector:
             return (self.call("pair", dot(apart, apart), a, b),)
 
         return total(pairs(potential, x.q, self.masses)[0]) / 2
 
     def gradient_at(self, x: State) -> Vector:
-        def force(apart: Vector, a: Any, b: Any) -> Vector:
+        def force(apart: Vector, a: Arithmetic, b: Arithmetic) -> Vector:
             slope = 2 * self.slope("pair", dot(apart, apart), a, b)
             return tuple(slope * c for c in apart)
 
@@ -563,7 +564,7 @@ class Bodies:
     masses: tuple[float, ...]
     dimensions: int
 
-    def __call__(self, q: Vector, **parameters: Any) -> Any:
+    def __call__(self, q: Vector, **parameters: Arithmetic) -> Arithmetic:
         d, V = self.dimensions, 0.0
         for i, a in enumerate(self.masses):
             for j, b in enumerate(self.masses[:i]):
@@ -572,7 +573,7 @@ class Bodies:
         return V
 
 
-def unrolled(scene: Many, potential: Callable[..., Any]) -> Mechanical:
+def unrolled(scene: Many, potential: Callable[..., Arithmetic]) -> Mechanical:
     """Return a scene of many sites component by component."""
     masses: Any = scene.weight
     if not scene.uniform:
@@ -582,7 +583,7 @@ def unrolled(scene: Many, potential: Callable[..., Any]) -> Mechanical:
     return Mechanical(potential=potential, q=q, p=p, mass=masses, **same)
 
 
-def picklable(f: Any) -> bool:
+def picklable(f: object) -> bool:
     with suppress(Exception):
         return bool(pickle.dumps(f))
     return False

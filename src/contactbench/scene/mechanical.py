@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -15,10 +15,10 @@ from contactbench.blame import is_ours, their_code
 from contactbench.checks import finite, function, positive, switch, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
-from contactbench.numbers.protocol import CannotRecord, Namespace
-from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled, times
-from contactbench.scene.base import Check, Scene, named_numbers, optional
-from contactbench.scene.flow import Flow, damped_time, damping, linear_log_factor, plain
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.scene.algebra import AnyState, DrivenState, State, Vector, cross, dot, norm, scaled, times
+from contactbench.scene.base import Check, Numeric, Scene, named_numbers, optional
+from contactbench.scene.flow import Constants, Flow, damped_time, damping, linear_log_factor, plain
 from contactbench.scene.scales import in_order, reach
 from contactbench.trace.formula import Formula, formula
 
@@ -29,7 +29,7 @@ derived_gradient = lru_cache(256)(Formula.gradient)
 derived_hessian = lru_cache(256)(Formula.hessian)
 
 
-def masses(name: str, value: Any) -> Any:
+def masses(name: str, value: Any) -> float | tuple[float, ...]:
     """Return one number > 0, or a tuple of such; raise `BadInput` for anything else."""
     if callable(value) or np.ndim(value) > 1:
         how = "a constant matrix is diagonal in other coordinates; one that depends on q SciPy's solve_ivp takes"
@@ -40,7 +40,7 @@ def masses(name: str, value: Any) -> Any:
     return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
 
 
-def sign(number: Any) -> int:
+def sign(number: Arithmetic) -> int:
     return int(number > 0) - int(number < 0)
 
 
@@ -59,38 +59,38 @@ class Canonical(Scene):
     """What all scenes with H = T(p) + V(q) + γ s + ½ κ s² share, however their components are kept."""
 
     #: T(p), and V and ∇V at a state
-    kinetic: Callable[[Vector], Any]
-    potential_at: Callable[[Any], Any]
+    kinetic: Callable[[Vector], Arithmetic]
+    potential_at: Callable[[Any], Arithmetic]
     gradient_at: Callable[[Any], Vector]
-    gamma: Any
-    inverse_mass: Any
-    kappa: Any = 0.0
+    gamma: Arithmetic
+    inverse_mass: Arithmetic | Vector
+    kappa: Arithmetic = 0.0
     kappa_sign: int = 0
 
     def velocity(self, p: Vector) -> Vector:
         return scaled(self.inverse_mass, p)
 
-    def product(self, a: Vector, b: Vector) -> Any:
+    def product(self, a: Vector, b: Vector) -> Arithmetic:
         return dot(a, b)
 
-    def damping_at(self, x: Any) -> Any:
+    def damping_at(self, x: Any) -> Arithmetic:
         return self.gamma
 
     @property
-    def nonlinear_damping(self) -> bool:
+    def nonlinear_damping(self) -> bool:  # type: ignore[override]
         return self.kappa_sign != 0
 
-    def energy(self, x: State) -> Any:
+    def energy(self, x: State | DrivenState) -> Numeric:
         return self.kinetic(x.p) + self.potential_at(x)
 
-    def dissipation(self, s: Any) -> Any:
+    def dissipation(self, s: Arithmetic) -> Arithmetic:
         linear = self.gamma * s
         return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
 
-    def dissipation_rate(self, s: Any) -> Any:
+    def dissipation_rate(self, s: Arithmetic) -> Arithmetic:
         return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
 
-    def hamiltonian(self, x: State) -> Any:
+    def hamiltonian(self, x: State) -> Numeric:
         return self.energy(x) + self.dissipation(x.s)
 
     def rhs(self, x: State) -> State:
@@ -102,7 +102,7 @@ class Canonical(Scene):
             self.velocity(x.p), force, self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s)
         )
 
-    def sizes(self, x: State, end: float) -> tuple[np.ndarray, Any]:
+    def sizes(self, x: State, end: float) -> tuple[np.ndarray, np.ndarray]:
         far, fast = reach(self, x, end)
         masses = tuple(1 / each for each in self.velocity(tuple(1.0 + 0 * c for c in x.p)))
         flat = self.pack(State(x.q, tuple(fast * mass for mass in masses)))
@@ -122,44 +122,44 @@ class Canonical(Scene):
     def bounds_energy(self) -> bool:
         return not self.nonlinear_damping and self.gamma >= 0
 
-    def energy_terms(self, x: State) -> Any:
+    def energy_terms(self, x: State) -> Arithmetic:
         return self.kinetic(x.p) + abs(self.potential_at(x))
 
-    def contact_form(self, x: State, dx: State) -> Any:
+    def contact_form(self, x: State, dx: State) -> Numeric:
         return dx.s - self.product(x.p, dx.q)
 
-    def contact_terms(self, x: State, dx: State) -> Any:
+    def contact_terms(self, x: State, dx: State) -> Numeric:
         return abs(dx.s) + self.product(x.p, x.p) ** 0.5 * self.product(dx.q, dx.q) ** 0.5
 
-    def hamiltonian_terms(self, x: State) -> Any:
+    def hamiltonian_terms(self, x: State) -> Numeric:
         kinetic = self.kinetic(x.p)
         return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
 
     @property
-    def conformal_rate(self) -> Any:
+    def conformal_rate(self) -> Numeric:
         return None if self.nonlinear_damping else self.gamma
 
 
 # -- flows -----------------------------------------------------------------------------------------
 # -- mechanical scenes ---------------------------------------------------------------------------
-def kick(scene: Mechanical, x: State, h: Any, xp: Namespace) -> State:
+def kick(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> State:
     """B: p −= h ∇V(q), s −= h V(q)."""
     p = tuple(p - h * g for p, g in zip(x.p, scene.gradient_at(x), strict=True))
     return x._replace(p=p, s=None if x.s is None else x.s - h * scene.potential_at(x))
 
 
-def drift(scene: Mechanical, x: State, h: Any, xp: Namespace) -> State:
+def drift(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> State:
     """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
     q = tuple(map(add, x.q, scaled(times(scene.inverse_mass, h), x.p)))
     return x._replace(q=q, s=None if x.s is None else x.s + h * scene.kinetic(x.p))
 
 
-def _damp_constants(scene: Mechanical, h: Any, xp: Namespace) -> Any:
+def _damp_constants(scene: Mechanical, h: Arithmetic, xp: Namespace) -> Constants:
     half_kappa = scene.kappa * damped_time(scene.gamma, h, xp) / 2 if scene.nonlinear_damping else None
     return *damping(scene.gamma, h, xp), half_kappa
 
 
-def damp(scene: Mechanical, x: State, constants: Any, xp: Namespace) -> State:
+def damp(scene: Mechanical, x: State, constants: Constants, xp: Namespace) -> State:
     """C: p *= e^{−γh}, s *= e^{−γh}; with κ: divided by D² and D, D = 1 + ½ κ s φ(h).
 
     The Bernoulli equation s' = −γ s − ½ κ s² has s(h) = e^{−γh} s/D, and ∫Γ'(s) = γh + 2 log D.
@@ -173,24 +173,24 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Namespace) -> State:
     return settle(State(x.q, tuple(over_D * over_D * p for p in p), over_D * s), xp)
 
 
-def _over_D(x: State, half_kappa: Any, xp: Namespace) -> Any:
+def _over_D(x: State, half_kappa: Arithmetic, xp: Namespace) -> Arithmetic:
     D = 1 + half_kappa * x.s
     return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
 
 
-def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Namespace) -> Any:
+def damp_log_factor(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> Arithmetic:
     if not scene.nonlinear_damping:
         return -scene.gamma * h
     return -scene.gamma * h - 2 * xp.log1p(scene.kappa * x.s * damped_time(scene.gamma, h, xp) / 2)
 
 
-def _drift_damp_constants(scene: Mechanical, h: Any, xp: Namespace) -> Any:
+def _drift_damp_constants(scene: Canonical, h: Arithmetic, xp: Namespace) -> Constants:
     phi = damped_time(scene.gamma, h, xp)
     half_kappa = (scene.kappa * phi / 2,) if scene.nonlinear_damping else ()
     return times(scene.inverse_mass, phi), phi, *damping(scene.gamma, h, xp), *half_kappa
 
 
-def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Namespace) -> Any:
+def drift_damp(scene: Canonical, x: Any, constants: Constants, xp: Namespace) -> Any:
     """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p.
 
     With ½κs² added, and k = ½κφ, a = 1 + ks, b² = kφT(p):
@@ -214,7 +214,9 @@ def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Namespace) -> Any:
     return settle(State(q, p, (keep * s - lose * s) * over_y), xp)
 
 
-def _pinney(scene: Mechanical, x: State, constants: Any, xp: Namespace) -> tuple[Any, Any, Any]:
+def _pinney(
+    scene: Canonical, x: State, constants: Constants, xp: Namespace
+) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
     """Return a, 1/y and atan2(b, a)/b of `drift_damp`; 1/y is infinite from the time of blow-up on.
 
     For κ < 0 with b² = −kφT: y = a² − b², factored because both factors are positive until s reaches
@@ -246,7 +248,9 @@ def _pinney(scene: Mechanical, x: State, constants: Any, xp: Namespace) -> tuple
 SMALL, POWERS = 1e-2, 9
 
 
-def _pinney_of_any_sign(a: Any, z: Any, xp: Namespace) -> tuple[Any, Any, Any]:
+def _pinney_of_any_sign(
+    a: Arithmetic, z: Arithmetic, xp: Namespace
+) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
     """Return the same where the sign of κ is not known, z = kφT; smooth at κ = 0, which the others are not."""
     size, square = abs(z), a * a
     near = (size <= SMALL * square) & (a > 0)
@@ -255,7 +259,8 @@ def _pinney_of_any_sign(a: Any, z: Any, xp: Namespace) -> tuple[Any, Any, Any]:
     y = choose(near | turns, square + z, choose(ahead, (a - b) * (a + b), 0.0, xp), xp)
     alive = y > 0
     run = choose(near, a, 1.0, xp)
-    part, series = choose(near, z, 0.0, xp) / (run * run), 0.0
+    part = choose(near, z, 0.0, xp) / (run * run)
+    series: Arithmetic = 0.0
     for k in reversed(range(POWERS)):
         series = 1 / (2 * k + 1) - part * series
     bent = xp.log1p(2 * b / choose(ahead, a - b, 1.0, xp)) / (2 * b)
@@ -263,7 +268,7 @@ def _pinney_of_any_sign(a: Any, z: Any, xp: Namespace) -> tuple[Any, Any, Any]:
     return a, choose(alive, 1 / choose(alive, y, 1.0, xp), xp.inf, xp), path
 
 
-def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Namespace) -> Any:
+def drift_damp_log_factor(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> Arithmetic:
     linear = linear_log_factor(scene, x, h, xp)
     if not scene.nonlinear_damping:
         return linear
@@ -306,23 +311,25 @@ class Mechanical(Canonical):
         For lengths that differ, values that are not finite, mass ≤ 0, t_end ≤ 0.
     """
 
-    potential: Callable[..., Any]
+    potential: Callable[..., Arithmetic]
     gradient: Callable[..., Vector] | None = None
     q: Vector
     p: Vector
     gamma: float = 0.0
     kappa: float = 0.0
     mass: Any = 1.0
-    hessian: Callable[..., Any] | None = None
+    hessian: Callable[..., Sequence[Vector]] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     rotation_invariant: bool = False
-    inverse_mass: Any = field(init=False, repr=False, default=1.0)
+    inverse_mass: Arithmetic | Vector = field(init=False, repr=False, default=1.0)
     #: 1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it; None: any
     kappa_sign: int = field(init=False, repr=False, default=0)
 
-    kind: ClassVar[str] = "mechanical"
-    functions: ClassVar[Any] = dict.fromkeys(("potential", "gradient", "hessian"), ("q", "**"))
-    state: ClassVar[Any] = State
+    kind = "mechanical"
+    functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(
+        ("potential", "gradient", "hessian"), ("q", "**")
+    )
+    state: ClassVar[type[AnyState]] = State
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     coefficients: ClassVar[tuple[str, ...]] = ("gamma", "kappa", "mass")
     reciprocals: ClassVar[dict[str, str]] = {"mass": "inverse_mass"}
@@ -339,7 +346,7 @@ class Mechanical(Canonical):
         "rotation_invariant": switch,
         "parameters": named_numbers,
     }
-    canonical: ClassVar[bool] = True
+    canonical = True
     flows: ClassVar[Mapping[str, Flow]] = {
         "kick": Flow(plain, kick, {"gradient": 1}),
         "drift": Flow(plain, drift, {}),
@@ -366,15 +373,15 @@ class Mechanical(Canonical):
     def required(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("s",) if self.nonlinear_damping else ()
 
-    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
+    def unpack(self, y: Sequence[Arithmetic], carry: Sequence[str]) -> State:
         n = len(self.q)
         return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n] if "s" in carry else None)
 
     @property
-    def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
+    def decided(self) -> tuple[Hashable, ...]:  # type: ignore[override]
         return (self.kappa_sign,)
 
-    def _decide(self, like: Any = None) -> Self:
+    def _decide(self, like: Self | None = None) -> Self:
         return self._replaced(kappa_sign=sign(self.kappa) if like is None else like.kappa_sign)
 
     def orders(self) -> list[tuple[int, int, bool]]:
@@ -410,18 +417,18 @@ class Mechanical(Canonical):
         return scene
 
     # -- physics -------------------------------------------------------------------------------
-    def kinetic(self, p: Vector) -> Any:
+    def kinetic(self, p: Vector) -> Arithmetic:
         if isinstance(self.inverse_mass, tuple):
             return dot(p, scaled(self.inverse_mass, p)) / 2
         return dot(p, p) * self.inverse_mass / 2
 
-    def V(self, q: Vector) -> Any:
+    def V(self, q: Vector) -> Arithmetic:
         return self.potential(q, **self.parameters)
 
     def dV(self, q: Vector) -> Vector:
         return (self.gradient or self.recorded().gradient)(q, **self.parameters)  # type: ignore[misc]
 
-    def potential_at(self, x: Any) -> Any:
+    def potential_at(self, x: Any) -> Arithmetic:
         return self.V(x.q)
 
     def gradient_at(self, x: Any) -> Vector:
@@ -431,13 +438,13 @@ class Mechanical(Canonical):
     def has_jacobian(self) -> bool:  # type: ignore[override]
         return self.hessian is not None
 
-    def jacobian(self, x: State) -> list[list[Any]] | None:
+    def jacobian(self, x: State) -> list[list[Arithmetic]] | None:
         if self.hessian is None or not self.has_jacobian:
             return None
         n = len(x.q)
         hess = self.hessian(x.q, **self.parameters)
         rate = self.dissipation_rate(x.s)
-        tail: list[Any] = [] if x.s is None else [0.0]
+        tail: list[Arithmetic] = [] if x.s is None else [0.0]
         over_m = scaled(self.inverse_mass, [1.0] * n)
         rows = [[0.0] * n + [over_m[i] if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
         for i in range(n):
@@ -448,7 +455,7 @@ class Mechanical(Canonical):
             rows.append([-g for g in self.dV(x.q)] + [*scaled(self.inverse_mass, x.p)] + [-rate])
         return rows
 
-    def momentum(self, x: State) -> tuple[Any, ...] | None:
+    def momentum(self, x: State) -> Vector | None:
         """Return the angular momentum q × p (one component in the plane, three in space), else None."""
         q, p = x.q, x.p
         if len(q) == 2:
@@ -463,5 +470,5 @@ class Mechanical(Canonical):
     def has_torque(self) -> bool:  # type: ignore[override]
         return len(self.q) == 2 and not self.rotation_invariant and not self.nonlinear_damping
 
-    def momentum_terms(self, x: State) -> Any:
+    def momentum_terms(self, x: State) -> Numeric:
         return norm(x.q) * norm(x.p)

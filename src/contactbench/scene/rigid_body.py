@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, ClassVar, Self
@@ -13,8 +13,9 @@ import numpy as np
 from contactbench.checks import finite, real_array, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
-from contactbench.numbers.protocol import Namespace
+from contactbench.numbers.protocol import Arithmetic, Namespace
 from contactbench.scene.algebra import (
+    AnyState,
     BodyState,
     Vector,
     cross,
@@ -24,8 +25,8 @@ from contactbench.scene.algebra import (
     quaternion_product,
     rotate,
 )
-from contactbench.scene.base import Check, Scene, optional
-from contactbench.scene.flow import Flow, damping, linear_log_factor, plain, time_and_damping
+from contactbench.scene.base import Check, Numeric, Scene, optional
+from contactbench.scene.flow import Constants, Flow, damping, linear_log_factor, plain, time_and_damping
 from contactbench.scene.free_body import free
 
 UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -49,7 +50,7 @@ def one_rate(name: str, value: Any) -> float:
     return finite(name, value)
 
 
-def damping_matrix(name: str, value: Any) -> tuple[Vector, ...]:
+def damping_matrix(name: str, value: object) -> tuple[Vector, ...]:
     """Return a 3×3 matrix from three rates or a matrix; raise `BadInput` unless it is symmetric and ≥ 0."""
     wanted = "three rates ≥ 0 or a symmetric positive semi-definite 3×3 matrix"
     given = real_array(name, value, wanted)
@@ -61,7 +62,7 @@ def damping_matrix(name: str, value: Any) -> tuple[Vector, ...]:
 
 
 # -- flows -----------------------------------------------------------------------------------------
-def rotation(x: BodyState, axis: int, a: Any, xp: Namespace) -> BodyState:
+def rotation(x: BodyState, axis: int, a: Arithmetic, xp: Namespace) -> BodyState:
     """Exact time-1 flow of ½ a M_i²: M and R turn about principal axis i at the constant rate a M_i.
 
     R → R Rot(e_i, θ) and M → Rot(e_i, −θ) M, so J = R M does not change.
@@ -84,7 +85,7 @@ def rotation(x: BodyState, axis: int, a: Any, xp: Namespace) -> BodyState:
     return settle(BodyState(tuple(turned), R, None if s is None else s + angle * M[axis] / 2), xp)
 
 
-def spin(x: BodyState, a: Any, xp: Namespace) -> BodyState:
+def spin(x: BodyState, a: Arithmetic, xp: Namespace) -> BodyState:
     """Exact time-1 flow of ½ a ‖M‖²: M stays, R turns about it, R → R exp(a M̂) = exp(a Ĵ) R.
 
     It commutes with every rotation: ‖M‖² is a Casimir function, and they leave J as it is.
@@ -103,19 +104,19 @@ def spin(x: BodyState, a: Any, xp: Namespace) -> BodyState:
     return settle(BodyState(x.M, R, s), xp)
 
 
-def turn_rate(scene: RigidBody) -> Any:
+def turn_rate(scene: RigidBody) -> Arithmetic:
     """Return 1/I_min − 1/I_mid, the part of the energy that `turn` is the flow of, as ½ a M_min²."""
     smallest, middle, _ = scene.by_inertia
     return scene.inverse_inertia[smallest] - scene.inverse_inertia[middle]
 
 
-def top_rate(scene: RigidBody) -> Any:
+def top_rate(scene: RigidBody) -> Arithmetic:
     """Return 1/I_max − 1/I_mid, by which the symmetric top of `top` differs from a sphere."""
     _, middle, largest = scene.by_inertia
     return scene.inverse_inertia[largest] - scene.inverse_inertia[middle]
 
 
-def turn(scene: RigidBody, x: BodyState, tau: Any, xp: Namespace) -> BodyState:
+def turn(scene: RigidBody, x: BodyState, tau: Arithmetic, xp: Namespace) -> BodyState:
     """Flow of ½ (1/I_min − 1/I_mid) M_min²: what an asymmetric body is more than a symmetric top.
 
     Free body = `turn` + `top`: Touma, Wisdom, Astron. J. 107, 1189 (1994); for what the choice of axes does
@@ -125,19 +126,19 @@ def turn(scene: RigidBody, x: BodyState, tau: Any, xp: Namespace) -> BodyState:
     return rotation(x, scene.by_inertia[0], tau * turn_rate(scene), xp)
 
 
-def top(scene: RigidBody, x: BodyState, tau: Any, xp: Namespace) -> BodyState:
+def top(scene: RigidBody, x: BodyState, tau: Arithmetic, xp: Namespace) -> BodyState:
     """Flow of the symmetric top with moments I_mid, I_mid, I_max: a rotation and a `spin`."""
     x = rotation(x, scene.by_inertia[2], tau * top_rate(scene), xp)
     return spin(x, tau * scene.inverse_inertia[scene.by_inertia[1]], xp)
 
 
-def _body_damp_constants(scene: RigidBody, h: Any, xp: Namespace) -> Any:
+def _body_damp_constants(scene: RigidBody, h: Arithmetic, xp: Namespace) -> Constants:
     if scene.isotropic:
         return damping(scene.gamma, h, xp)
     return tuple(xp.exp(-rate * h) for rate in scene.rates)
 
 
-def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Namespace) -> BodyState:
+def body_damp(scene: RigidBody, x: BodyState, decay: Constants, xp: Namespace) -> BodyState:
     """C: M → e^{−hD} M (isotropic: M and s *= e^{−γh}); R does not change."""
     if scene.isotropic:
         keep, lose = decay
@@ -147,7 +148,7 @@ def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Namespace) -> Body
     return BodyState(scene.damp_matrix_function(x.M, lambda rate: next(factor)), x.R, None)
 
 
-def free_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Namespace) -> BodyState:
+def free_damp(scene: RigidBody, x: BodyState, constants: Constants, xp: Namespace) -> BodyState:
     """Advance the free body and isotropic damping together: free for the time φ(h), then damped.
 
     C rescales time: e^{γt} M and R move as if undamped in the time φ(t), and s' = ½M·Ω − γs gives
@@ -206,12 +207,12 @@ class RigidBody(Scene):
     R: Any = 1
     #: eigenvalues of an anisotropic D, and the matrix of its eigenvectors, row by row (None when D is diagonal)
     rates: Vector = field(init=False, repr=False, default=())
-    axes: Any = field(init=False, repr=False, default=None)
+    axes: Vector | None = field(init=False, repr=False, default=None)
     inverse_inertia: Vector = field(init=False, repr=False, default=())
     #: the axes of the smallest, intermediate and largest moment (decided by the original moments)
     by_inertia: tuple[int, ...] = field(init=False, repr=False, default=())
 
-    state: ClassVar[Any] = BodyState
+    state: ClassVar[type[AnyState]] = BodyState
     #: a free one has no B
     paper_flows: ClassVar[Mapping[str, str]] = {"drift": "free", "kick": "kick", "damp": "damp"}
     initial_fields: ClassVar[tuple[str, ...]] = ("M", "R", "s")
@@ -270,7 +271,7 @@ class RigidBody(Scene):
         quaternion = {"R1": "R_w", "R2": "R_x", "R3": "R_y", "R4": "R_z"}
         return [quaternion.get(name, name) for name in super().labels(carry)]
 
-    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> BodyState:
+    def unpack(self, y: Sequence[Arithmetic], carry: Sequence[str]) -> BodyState:
         R = tuple(y[3:7]) if "R" in carry else None
         return BodyState(tuple(y[:3]), R, y[7 if R is not None else 3] if "s" in carry else None)
 
@@ -281,10 +282,10 @@ class RigidBody(Scene):
         return ("inertia", "rates") if self.axes is None else ("inertia", "rates", "axes")
 
     @property
-    def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
+    def decided(self) -> tuple[Hashable, ...]:  # type: ignore[override]
         return self.by_inertia
 
-    def _decide(self, like: Any = None) -> Self:
+    def _decide(self, like: Self | None = None) -> Self:
         anew = tuple(sorted(range(3), key=lambda i: self.inertia[i])) if like is None else like.by_inertia
         return self._replaced(by_inertia=anew)
 
@@ -294,7 +295,7 @@ class RigidBody(Scene):
     def angular_velocity(self, M: Vector) -> Vector:
         return tuple(m * i for m, i in zip(M, self.inverse_inertia, strict=True))
 
-    def damp_matrix_function(self, M: Vector, f: Callable[[Any], Any]) -> Vector:
+    def damp_matrix_function(self, M: Vector, f: Callable[[Arithmetic], Arithmetic]) -> Vector:
         """Return f(D) M through the eigen-decomposition of D."""
         if self.isotropic:
             return tuple(f(self.gamma) * m for m in M)
@@ -303,12 +304,12 @@ class RigidBody(Scene):
         modal = tuple(f(d) * dot(self.axes[j::3], M) for j, d in enumerate(self.rates))
         return tuple(dot(self.axes[i : i + 3], modal) for i in (0, 3, 6))
 
-    def kinetic(self, x: BodyState) -> Any:
+    def kinetic(self, x: BodyState) -> Arithmetic:
         return dot(x.M, self.angular_velocity(x.M)) / 2
 
     energy = kinetic
 
-    def hamiltonian(self, x: BodyState) -> Any:
+    def hamiltonian(self, x: BodyState) -> Numeric:
         return self.energy(x) + self.gamma * x.s
 
     def rhs(self, x: BodyState) -> BodyState:
@@ -328,10 +329,10 @@ class RigidBody(Scene):
         ds = None if x.s is None else dot(x.M, omega) / 2 - self.gamma * x.s
         return BodyState(dM, dR, ds)
 
-    def jacobian(self, x: BodyState) -> list[list[Any]]:
+    def jacobian(self, x: BodyState) -> list[list[Arithmetic]]:
         inv, omega = self.inverse_inertia, self.angular_velocity(x.M)
         width = len(self.pack(x))
-        rows: list[list[Any]] = [[0.0] * width for _ in range(width)]
+        rows: list[list[Arithmetic]] = [[0.0] * width for _ in range(width)]
         for j, e in enumerate(UNIT):
             gyroscopic = cross(x.M, tuple(inv[k] * e[k] for k in range(3)))
             other, damped = cross(e, omega), self.damp_matrix_function(e, lambda rate: rate)
@@ -348,7 +349,7 @@ class RigidBody(Scene):
             rows[-1][-1] = -self.gamma
         return rows
 
-    def momentum(self, x: BodyState) -> tuple[Any, ...] | None:
+    def momentum(self, x: BodyState) -> Vector | None:
         """Return J = R M, the spatial angular momentum, R ~ |quaternion|²; None when R is not carried."""
         return None if x.R is None else rotate(x.R, x.M)
 
@@ -360,7 +361,7 @@ class RigidBody(Scene):
     def may_gain_energy(self) -> bool:  # type: ignore[override]
         return self.isotropic and self.gamma <= 0
 
-    def contact_form(self, x: BodyState, dx: BodyState) -> Any:
+    def contact_form(self, x: BodyState, dx: BodyState) -> Numeric:
         """Return η(dx) = ds − M·ξ, ξ = 2 Im(R̄ ⊗ dR) the body-frame displacement (left trivialisation)."""
         assert x.R is not None
         assert dx.R is not None
@@ -368,28 +369,29 @@ class RigidBody(Scene):
         xi = quaternion_product((w, -a, -b, -c), dx.R)[1:]
         return dx.s - 2 * dot(x.M, xi)
 
-    def contact_terms(self, x: BodyState, dx: BodyState) -> Any:
+    def contact_terms(self, x: BodyState, dx: BodyState) -> Numeric:
         """Return |ds| + ‖M‖‖ξ‖, ‖ξ‖ = 2‖dR‖."""
         assert dx.R is not None
         return abs(dx.s) + 2 * norm(x.M) * norm(dx.R)
 
-    def hamiltonian_terms(self, x: BodyState) -> Any:
+    def hamiltonian_terms(self, x: BodyState) -> Numeric:
         energy = self.energy(x)
         return abs(energy) + abs(self.hamiltonian(x) - energy)
 
-    def momentum_terms(self, x: BodyState) -> Any:
+    def momentum_terms(self, x: BodyState) -> Numeric:
         return norm(x.M)
 
-    def displaced(self, x: BodyState, v: BodyState, amount: float) -> BodyState:
+    def displaced(self, x: BodyState, v: BodyState, amount: float) -> BodyState:  # type: ignore[override]
         """Return M and s along straight lines, R along the group: R exp(amount ξ̂), ξ = 2 Im(R̄ ⊗ dR)."""
         moved = super().displaced(x, v, amount)
         if x.R is None or v.R is None:
             return moved
         w, a, b, c = x.R
         half = quaternion_product((w, -a, -b, -c), v.R)[1:]
-        angle = norm(half) * amount
-        scale = math.sin(angle) / norm(half) if norm(half) > 0 else 0.0
-        return moved._replace(R=quaternion_product(x.R, (math.cos(angle), *(scale * h for h in half))))
+        size: Any = norm(half)
+        scale = math.sin(size * amount) / size if size > 0 else 0.0
+        turned = quaternion_product(x.R, (math.cos(size * amount), *(scale * h for h in half)))
+        return moved._replace(R=turned)
 
     def tangents(self, x: BodyState) -> list[BodyState]:
         """Return a basis of the tangent space: ∂/∂M_i, the body-frame rotations e_i (and ∂/∂s)."""
@@ -402,5 +404,5 @@ class RigidBody(Scene):
         return basis if x.s is None else [*basis, BodyState(zero3, R0, 1.0)]
 
     @property
-    def conformal_rate(self) -> Any:
+    def conformal_rate(self) -> Numeric:
         return self.gamma

@@ -12,7 +12,7 @@ LEAST, MOST = 1e-2, 1e3
 SPANS, RATIO = 18, 8.0
 
 
-def in_order(sizes: Any) -> np.ndarray:
+def in_order(sizes: object) -> np.ndarray:
     """Return sizes, 1 where they are of order one or not known."""
     sizes = np.asarray(sizes, dtype=float)
     known = np.isfinite(sizes) & (sizes > 0) & ~((sizes >= LEAST) & (sizes <= MOST))
@@ -25,7 +25,7 @@ def reach(scene: Any, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
     A body is thrown from x with its first acceleration, over the longest of some spans up to `end` in which the
     change of the force does not outweigh what it has: a fraction of a period, or all the time of a free body.
     """
-    axes = (0, 1) if scene.kind == "many" else 0
+    axes = (0, 1) if scene.by_sites else 0
 
     def size(vector: Any) -> Any:
         if all(isinstance(c, float) for c in vector):

@@ -6,11 +6,15 @@ doi:10.1007/s10569-019-9946-9, whose examples the Lane–Emden scenes are.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from contactbench.numbers import functions as xm
 from contactbench.numbers.protocol import Arithmetic, Namespace
 from contactbench.scene import Driven, DrivenState, Vector
+
+if TYPE_CHECKING:
+    from mpmath import MPContext
 
 
 # -- forces ----------------------------------------------------------------------------------------
@@ -121,7 +125,7 @@ def pulsating(
 
 
 # -- closed forms ----------------------------------------------------------------------------------
-def forced_oscillator(scene: Driven, t: Any, mp: Any) -> DrivenState:
+def forced_oscillator(scene: Driven, t: Arithmetic, mp: MPContext) -> DrivenState:
     """Steady and transient oscillation, sums of exponentials; s = ½ q p + r, r' = −γ r + ½ F q cos Ωt.
 
     Critical and no damping, and a constant force without a spring, are limits of the formula: there it is taken
@@ -136,7 +140,9 @@ def forced_oscillator(scene: Driven, t: Any, mp: Any) -> DrivenState:
         return oscillation(scene, omega, gamma + near if resting else gamma, t, mp)
 
 
-def oscillation(scene: Driven, omega: Any, gamma: Any, t: Any, mp: Any) -> DrivenState:
+def oscillation(
+    scene: Driven, omega: Arithmetic, gamma: Arithmetic, t: Arithmetic, mp: MPContext
+) -> DrivenState:
     m, force = scene.mass, scene.parameters["force"]
     square, turn = omega * omega, mp.mpc(0, scene.parameters["drive"])
     start = mp.exp(turn * scene.t)
@@ -159,29 +165,29 @@ def oscillation(scene: Driven, omega: Any, gamma: Any, t: Any, mp: Any) -> Drive
     return DrivenState((q,), (p,), scene.t + t, q * p / 2 + gain + rest)
 
 
-def lane_emden_0(scene: Driven, t: Any, mp: Any) -> DrivenState:
+def lane_emden_0(scene: Driven, t: Arithmetic, mp: MPContext) -> DrivenState:
     """q = C + D/t − t²/6, with 1 − t²/6 among them; s by `with_action`."""
     t0, v0 = scene.t, scene.p[0]
     D = -(v0 + t0 / 3) * t0**2
     C = scene.q[0] - D / t0 + t0**2 / 6
 
-    def area(t: Any) -> Any:  # ∫ −½ t² q
+    def area(t: Arithmetic) -> Arithmetic:  # ∫ −½ t² q
         return -C * t**3 / 6 - D * t**2 / 4 + t**5 / 60
 
     return with_action(scene, t, lambda t: (C + D / t - t**2 / 6, -D / t**2 - t / 3), area)
 
 
-def lane_emden_1(scene: Driven, t: Any, mp: Any) -> DrivenState:
+def lane_emden_1(scene: Driven, t: Arithmetic, mp: MPContext) -> DrivenState:
     """q = (A sin t + B cos t)/t, with sin t/t among them."""
     return spreading_wave(scene, t, mp, mp.mpf(1))
 
 
-def bessel_half(scene: Driven, t: Any, mp: Any) -> DrivenState:
+def bessel_half(scene: Driven, t: Arithmetic, mp: MPContext) -> DrivenState:
     """q = (A sin t + B cos t)/√t, with J_½ = √(2/π) sin t/√t among them."""
     return spreading_wave(scene, t, mp, mp.mpf(1) / 2)
 
 
-def spreading_wave(scene: Driven, t: Any, mp: Any, a: Any) -> DrivenState:
+def spreading_wave(scene: Driven, t: Arithmetic, mp: MPContext, a: float) -> DrivenState:
     """Return u/tᵃ, u'' = −u, the motion under γ = 2a/t; s − ½ q p falls as 1/t²ᵃ, the potential being quadratic."""
     t0, now = scene.t, scene.t + t
     u0 = t0**a * scene.q[0]
@@ -193,23 +199,26 @@ def spreading_wave(scene: Driven, t: Any, mp: Any, a: Any) -> DrivenState:
     return DrivenState((q,), (p,), now, q * p / 2 + rest)
 
 
-def lane_emden_5(scene: Driven, t: Any, mp: Any) -> DrivenState:
+def lane_emden_5(scene: Driven, t: Arithmetic, mp: MPContext) -> DrivenState:
     """q = (3a/(3 + a²t²))^½, with (1 + t²/3)^{−½} for a = 1; for initial data on one of them."""
     u0 = -3 * scene.p[0] / scene.q[0] ** 3
     a, root = u0 / scene.t, mp.sqrt(3)
 
-    def motion(now: Any) -> tuple[Any, Any]:
+    def motion(now: Arithmetic) -> tuple[Arithmetic, Arithmetic]:
         q = mp.sqrt(3 * a / (3 + (a * now) ** 2))
         return q, -(q**3) * a * now / 3
 
-    def area(now: Any) -> Any:  # ∫ ⅓ t² q⁶ = √3 ∫ w²/(1 + w²)³ dw, w = at/√3
+    def area(now: Arithmetic) -> Arithmetic:  # ∫ ⅓ t² q⁶ = √3 ∫ w²/(1 + w²)³ dw, w = at/√3
         w = a * now / root
-        return root * (mp.atan(w) / 8 + w * (w * w - 1) / (8 * (1 + w * w) ** 2))
+        found: Arithmetic = root * (mp.atan(w) / 8 + w * (w * w - 1) / (8 * (1 + w * w) ** 2))
+        return found
 
     return with_action(scene, t, motion, area)
 
 
-def with_action(scene: Driven, t: Any, motion: Any, area: Any) -> DrivenState:
+def with_action(
+    scene: Driven, t: Arithmetic, motion: Callable[..., Vector], area: Callable[..., Arithmetic]
+) -> DrivenState:
     """Return a state under γ = 2/t: s = ½ q p + r with (t² r)' = t² (½ q V' − V), whose integral is `area`."""
     q, p = motion(scene.t + t)
     rest = scene.t**2 * (scene.s - scene.q[0] * scene.p[0] / 2) + area(scene.t + t) - area(scene.t)

@@ -40,31 +40,31 @@ def gravity(r2: Arithmetic, a: Arithmetic, b: Arithmetic, G: Arithmetic) -> Arit
     return -G * a * b / math.sqrt(r2)
 
 
-def kink(i: float, n: int) -> float:
+def kink(i: Arithmetic, n: int) -> Arithmetic:
     """A kink of the continuous equation at a third of the chain, of velocity `SPEED`."""
-    return 4 * np.arctan(np.exp(place(i, n)))
+    return 4 * math.atan(math.exp(place(i, n)))
 
 
-def moving_kink(i: float, n: int) -> float:
+def moving_kink(i: Arithmetic, n: int) -> Arithmetic:
     """Its momenta, mass times velocity."""
-    return -SPACING * SPEED * 2 / np.sqrt(1 - SPEED**2) / np.cosh(place(i, n))
+    return -SPACING * SPEED * 2 / math.sqrt(1 - SPEED**2) / math.cosh(place(i, n))
 
 
 #: of the kink's velocity and of its sites
 SPEED, SPACING = 0.5, 0.25
 
 
-def place(i: float, n: int) -> float:
+def place(i: Arithmetic, n: int) -> Arithmetic:
     """Return the distance from the kink in its own width."""
-    return (i - n / 3) * SPACING / np.sqrt(1 - SPEED**2)
+    return (i - n / 3) * SPACING / math.sqrt(1 - SPEED**2)
 
 
-def long_wave(i: float, n: int) -> float:
-    return np.sin(2 * np.pi * i / n)
+def long_wave(i: Arithmetic, n: int) -> Arithmetic:
+    return math.sin(2 * math.pi * i / n)
 
 
-def two_waves(i: float, n: int) -> float:
-    return 0.3 + 0.5 * np.cos(4 * np.pi * i / n)
+def two_waves(i: Arithmetic, n: int) -> Arithmetic:
+    return 0.3 + 0.5 * math.cos(4 * math.pi * i / n)
 
 
 def normal_modes(scene: Lattice, t: float, xp: Namespace) -> State:

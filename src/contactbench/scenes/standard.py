@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import BodyState, HeavyTop, Mechanical, RigidBody, State, Vector, dot
+
+if TYPE_CHECKING:
+    from mpmath import MPContext
 
 
 def harmonic(q: Vector, omega: Arithmetic) -> Arithmetic:
@@ -60,7 +63,7 @@ def quartic_hessian(q: Vector, stiffness: Arithmetic) -> tuple[Vector, ...]:
 
 
 # -- closed forms: ``(scene, t, mp)`` with an mpmath context and mpmath numbers ----------------------
-def damped_oscillator(scene: Mechanical, t: Any, mp: Any) -> State:
+def damped_oscillator(scene: Mechanical, t: Arithmetic, mp: MPContext) -> State:
     """V = ½ ω² q², Γ = γ s: the linear damped oscillator, and s = ½ q p + e^{−γt} (s0 − ½ q0 p0).
 
     The s formula: d(½ q p)/dt = T − V − γ (½ q p), the equation of s itself, so their difference
@@ -78,7 +81,7 @@ def damped_oscillator(scene: Mechanical, t: Any, mp: Any) -> State:
     return State((q,), (m * v,), s)
 
 
-def damped_body(scene: RigidBody, t: Any, mp: Any) -> BodyState:
+def damped_body(scene: RigidBody, t: Arithmetic, mp: MPContext) -> BodyState:
     """M(t) = e^{−γt} m(τ), τ = (1 − e^{−γt})/γ, m the free top (Landau–Lifshitz, Mechanics, §37).
 
     Attitude is not given (R = None); s = e^{−γt} (s0 + τ H0(0)) since H0 = H0(0) e^{−2γt}.
@@ -92,12 +95,14 @@ def damped_body(scene: RigidBody, t: Any, mp: Any) -> BodyState:
 
 
 @lru_cache(16)
-def elliptic_phase(sine: Any, cosine: Any, modulus: Any, mp: Any, precision: int) -> Any:
+def elliptic_phase(
+    sine: Arithmetic, cosine: Arithmetic, modulus: Arithmetic, mp: MPContext, precision: int
+) -> Any:
     """F of the angle with these sides, to so many bits: where the motion starts, the same for all of its times."""
     return mp.ellipf(mp.atan2(sine, cosine), modulus)
 
 
-def free_top(inertia: tuple[Any, ...], M0: tuple[Any, ...], tau: Any, mp: Any) -> Vector:
+def free_top(inertia: Any, M0: Any, tau: Arithmetic, mp: MPContext) -> Vector:
     """Return the body momentum of the free asymmetric top at time tau, by Jacobi elliptic functions.
 
     With axes ordered so that the motion encircles the last one,

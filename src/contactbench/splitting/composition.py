@@ -22,12 +22,14 @@ from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.control import turns as unrolled
-from contactbench.numbers.protocol import Namespace, has_arrays, has_digits
+from contactbench.numbers.protocol import Arithmetic, Namespace, has_arrays, has_digits
 from contactbench.scene import BodyState, Flow, RigidBody, Scene
-from contactbench.scene.flow import damped_time
+from contactbench.scene.flow import Constants, damped_time
 from contactbench.scene.rigid_body import rotation, spin, top_rate, turn_rate
 
 Stage = tuple[str, Fraction]
+#: a state, and the stage or the clock it is at
+Clocked = tuple[BodyState, Any]
 HALF, ONE = Fraction(1, 2), Fraction(1)
 
 
@@ -73,7 +75,7 @@ class Composition:
         return list(accumulate((c for _, c in self.stages[:-1]), lambda alpha, c: c - alpha))
 
 
-def palindrome(first: str, second: str, half: Sequence[Any]) -> tuple[Stage, ...]:
+def palindrome(first: str, second: str, half: Sequence[str | float]) -> tuple[Stage, ...]:
     """Return a palindromic list from the coefficients of its first half; the middle pair makes either sum one."""
     left = [Fraction(str(c)) for c in half]
     sums = sum(left[::2], Fraction(0)), sum(left[1::2], Fraction(0))
@@ -82,7 +84,7 @@ def palindrome(first: str, second: str, half: Sequence[Any]) -> tuple[Stage, ...
     return tuple(((first, second)[i % 2], c) for i, c in enumerate((*left, centre, *reversed(left))))
 
 
-def balance(first: str, second: str, coefficients: Sequence[Any]) -> tuple[Stage, ...]:
+def balance(first: str, second: str, coefficients: Sequence[str | float]) -> tuple[Stage, ...]:
     """Return a two-part list whose coefficients of each part add up to zero: two more than the printed ones."""
     stages = [((first, second)[i % 2], Fraction(str(c))) for i, c in enumerate(coefficients)]
     for _ in range(2):
@@ -91,7 +93,7 @@ def balance(first: str, second: str, coefficients: Sequence[Any]) -> tuple[Stage
     return tuple(stages)
 
 
-def strang_composition(gammas: Iterable[Any]) -> tuple[Stage, ...]:
+def strang_composition(gammas: Iterable[Fraction | int]) -> tuple[Stage, ...]:
     """Return Strang steps of sizes γ1, γ2, … one after another, neighbouring kicks merged."""
     steps = ((("kick", c / 2), ("drift_damp", c), ("kick", c / 2)) for c in map(Fraction, gammas))
     return merge(chain.from_iterable(steps))
@@ -102,7 +104,7 @@ def merge(stages: Iterable[Stage]) -> tuple[Stage, ...]:
     return tuple((name, sum((c for _, c in same), Fraction(0))) for name, same in neighbours)
 
 
-def number(coefficient: Fraction, xp: Namespace) -> Any:
+def number(coefficient: Fraction, xp: Namespace) -> Arithmetic:
     if has_digits(xp):
         return xp.mpf(coefficient.numerator) / coefficient.denominator
     return float(coefficient)
@@ -164,10 +166,17 @@ def arrange(stages: tuple[Stage, ...], before: tuple[Stage, ...] = (), clocked: 
 
 
 def advance(
-    composition: Composition, scene: Any, x: Any, h: Any, n: Any, xp: Namespace, repeat: Repeat = repeat
+    composition: Composition,
+    scene: Scene,
+    x: Any,
+    h: Arithmetic,
+    n: Any,
+    xp: Namespace,
+    repeat: Repeat = repeat,
 ) -> Any:
     """Advance the state x by n ≥ 1 steps of size h, merged at the joints."""
     if by_the_clock(composition, scene):
+        assert isinstance(scene, RigidBody)
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
     steps = plan(composition, scene)
     opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
@@ -193,14 +202,14 @@ def pieces(composition: Composition, scene: Scene, whole: bool) -> tuple[tuple[S
 
 
 def run_stages(
-    stages: Sequence[Stage], scene: Any, x: Any, h: Any, xp: Namespace, repeat: Repeat = repeat
+    stages: Sequence[Stage], scene: Scene, x: Any, h: Arithmetic, xp: Namespace, repeat: Repeat = repeat
 ) -> Any:
     """Apply stages one after the other, of a step of size h."""
     return runner(stages, scene, h, xp, repeat)(stages, x)
 
 
 def runner(
-    stages: Iterable[Stage], scene: Any, h: Any, xp: Namespace, repeat: Repeat
+    stages: Iterable[Stage], scene: Scene, h: Arithmetic, xp: Namespace, repeat: Repeat
 ) -> Callable[[Sequence[Stage], Any], Any]:
     """Return ``run(some, x)``, which applies some of the stages, whose constants are computed once."""
     flows, constants, rolled = scene.flows, stage_constants(stages, scene, h, xp), repeat.over_stages
@@ -225,9 +234,10 @@ def runner(
     return run
 
 
-def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp: Namespace) -> Any:
+def log_factor(composition: Composition, scene: Scene, x: Any, h: Arithmetic, n: int, xp: Namespace) -> Any:
     """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
-    flows, steps, total = scene.flows, plan(composition, scene), 0.0
+    flows, steps = scene.flows, plan(composition, scene)
+    total: Arithmetic = 0.0
     rounds = chain.from_iterable(repeated((*steps.inner, *steps.joint), n - 1))
     for name, coefficient in chain(steps.opening, rounds, steps.inner, steps.closing):
         flow, span = flows[name], number(coefficient, xp) * h
@@ -242,8 +252,8 @@ def shortest_period(names: list[str]) -> int:
 
 
 def stage_constants(
-    stages: Iterable[Stage], scene: Any, h: Any, xp: Namespace
-) -> Callable[[Sequence[Stage]], Callable[[Any], Any]]:
+    stages: Iterable[Stage], scene: Scene, h: Arithmetic, xp: Namespace
+) -> Callable[[Sequence[Stage]], Callable[[Any], Constants]]:
     """Return the constants of every stage, computed once: ``constants(some)(k)``, of the k-th of some of one flow.
 
     For arrays those of a flow are one vector: one exponential for all.  h may have an entry for each member.
@@ -253,12 +263,9 @@ def stage_constants(
         scalars = {(f, c): flows[f].constants(scene, number(c, xp) * h, xp) for f, c in distinct}
         return lambda some: [scalars[stage] for stage in some].__getitem__
     coefficients = {name: [c for f, c in distinct if f == name] for name, _ in distinct}
-    vectors = {
-        name: flows[name].constants(scene, xp.multiply.outer(xp.asarray([number(c, xp) for c in cs]), h), xp)
-        for name, cs in coefficients.items()
-    }
+    vectors = {f: flows[f].constants(scene, scale(cs, h, xp), xp) for f, cs in coefficients.items()}
 
-    def constants(some: Sequence[Stage]) -> Callable[[Any], Any]:
+    def constants(some: Sequence[Stage]) -> Callable[[Any], Constants]:
         name = some[0][0]
         rows = [coefficients[name].index(c) for _, c in some]
         if len(rows) == 1:
@@ -269,7 +276,7 @@ def stage_constants(
     return constants
 
 
-def entry(constants: Any, i: Any) -> Any:
+def entry(constants: Constants, i: Any) -> Constants:
     """Return entry i of constants that are a vector, None, or a tuple of such; several for an array i."""
     if isinstance(constants, tuple):
         return tuple(entry(c, i) for c in constants)
@@ -277,12 +284,19 @@ def entry(constants: Any, i: Any) -> Any:
 
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
+    """Return whether all of a step but its turns is one flow, so that damping only rescales their time."""
     odd = len(composition.stages) % 2 == 1  # its turns end as they begin
     return composition.two_part and odd and "free_damp" in scene.flows
 
 
 def advance_by_the_clock(
-    composition: Composition, scene: RigidBody, x: BodyState, h: Any, n: Any, xp: Namespace, repeat: Repeat
+    composition: Composition,
+    scene: RigidBody,
+    x: BodyState,
+    h: Arithmetic,
+    n: Any,
+    xp: Namespace,
+    repeat: Repeat,
 ) -> BodyState:
     """Advance the free body and isotropic damping together, without splitting the two.
 
@@ -299,13 +313,13 @@ def advance_by_the_clock(
     turned = scale(turns, tau * turn_rate(scene), xp)
     topped = scale((c for name, c in stages if name == "top"), tau * top_rate(scene), xp)
 
-    def both(x: BodyState, about_largest: Any, about_smallest: Any) -> BodyState:
+    def both(x: BodyState, about_largest: Arithmetic, about_smallest: Arithmetic) -> BodyState:
         return rotation(rotation(x, largest, about_largest, xp), smallest, about_smallest, xp)
 
-    def first_rounds(x: BodyState, clock: Any) -> BodyState:
+    def first_rounds(x: BodyState, clock: Arithmetic) -> BodyState:
         """Advance by all rounds of a step but its last: written out, or a loop where short code matters more."""
 
-        def another(carried: tuple[BodyState, Any]) -> tuple[BodyState, Any]:
+        def another(carried: Clocked) -> Clocked:
             x, k = carried
             return both(x, clock * topped[k], clock * turned[k]), k + 1
 
@@ -313,7 +327,7 @@ def advance_by_the_clock(
 
     joint = turned[-1] + decay * opening  # the next step starts on a slower clock
 
-    def step(carried: tuple[BodyState, Any]) -> tuple[BodyState, Any]:
+    def step(carried: Clocked) -> Clocked:
         x, clock = carried
         return both(first_rounds(x, clock), clock * topped[-1], clock * joint), clock * decay
 
@@ -325,7 +339,7 @@ def advance_by_the_clock(
     return BodyState(tuple(total * m for m in x.M), x.R, None if x.s is None else total * x.s)
 
 
-def scale(coefficients: Iterable[Fraction], factor: Any, xp: Namespace) -> Any:
+def scale(coefficients: Iterable[Fraction], factor: Arithmetic, xp: Namespace) -> Any:
     values = [number(c, xp) for c in coefficients]
     if has_arrays(xp):
         return xp.multiply.outer(xp.asarray(values), factor)

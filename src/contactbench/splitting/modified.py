@@ -19,14 +19,16 @@ The composition is to be a palindrome: terms of even degree vanish, and with the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from functools import cache
 from math import factorial
 from typing import Any
 
 from contactbench.numbers.dual import Dual, slope, value
+from contactbench.numbers.protocol import Arithmetic, Vector
 from contactbench.scene import Mechanical, State, dot, scaled
+from contactbench.scene.base import Numeric
 from contactbench.splitting.composition import Composition, Stage
 
 #: words of A and B, with coefficients
@@ -77,16 +79,16 @@ def weights(stages: tuple[Stage, ...]) -> Words:
     return {word: c for word, c in found.items() if c and not word.endswith("BB")}
 
 
-def bracket(scene: Mechanical, letters: str) -> Callable[[Any, Any], Any]:
+def bracket(scene: Mechanical, letters: str) -> Callable[[Vector, Vector], Arithmetic]:
     """Return {w₁, {w₂, … {w_k, {A, B}}}} as a function of q and p."""
     if not letters:
         return lambda q, p: -(dot(scene.dV(q), scaled(scene.inverse_mass, p)) + scene.gamma * scene.V(q))
     inner = bracket(scene, letters[1:])
 
-    def kicked(q: Any, p: Any) -> Any:
+    def kicked(q: Vector, p: Vector) -> Arithmetic:
         return slope(inner(lift(q, [0.0] * len(q)), lift(p, scene.dV(q))))
 
-    def drifted(q: Any, p: Any) -> Any:
+    def drifted(q: Vector, p: Vector) -> Arithmetic:
         velocity, loss = (scaled(c, p) for c in (scene.inverse_mass, -scene.gamma))
         found = inner(lift(q, velocity), lift(p, loss))
         return -(slope(found) + scene.gamma * value(found))
@@ -94,15 +96,18 @@ def bracket(scene: Mechanical, letters: str) -> Callable[[Any, Any], Any]:
     return drifted if letters[0] == "A" else kicked
 
 
-def lift(x: Any, direction: Any) -> tuple[Dual, ...]:
-    return tuple(map(Dual, x, direction))
+def lift(x: Vector, direction: Sequence[Arithmetic]) -> Vector:
+    """Return the vector as dual numbers that vary in a direction."""
+    return tuple(Dual(a, b) for a, b in zip(x, direction, strict=True))
 
 
 def has_modified_hamiltonian(composition: Composition) -> bool:
     return composition.two_part and composition.palindromic and not composition.processor
 
 
-def modified_hamiltonian(scene: Any, composition: Composition, x: State, h: Any, degree: int = DEGREE) -> Any:
+def modified_hamiltonian(
+    scene: Any, composition: Composition, x: State, h: Arithmetic, degree: int = DEGREE
+) -> Numeric:
     """Return H̃ at x for steps of size h, brackets of up to `degree` parts included, on a mechanical
     scene; needs s.  Its error is O(h^{degree+1})."""
     total = scene.hamiltonian(x)

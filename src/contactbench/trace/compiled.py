@@ -13,16 +13,26 @@ import os
 import pickle
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from contactbench.files import replacing
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.trace import form
+from contactbench.trace.form import Statement
+
+if TYPE_CHECKING:
+    from llvmlite.ir import IRBuilder, Value
+    from numba.core.base import BaseContext
+    from numba.core.types import Type
+    from numba.core.typing import Context, Signature
+
+#: a function that numba makes or compiles
+Compiled = Callable[..., Any]
 
 #: folder for compiled programs; by default the user's cache folder
 VARIABLE = "CONTACTBENCH_CACHE"
@@ -49,9 +59,9 @@ TILED = ("starts", "ends")
 class Array(NamedTuple):
     """A contiguous array: where it begins, its length, and the length of a row of it (None in one dimension)."""
 
-    first: Any
-    length: Any
-    row: Any = None
+    first: Value
+    length: Value
+    row: Value | None = None
 
 
 class Lowering:
@@ -63,7 +73,7 @@ class Lowering:
     """
 
     def __init__(
-        self, builder: Any, arrays: dict[str, Array], numbers: dict[str, Any], fused: bool, lanes: int
+        self, builder: IRBuilder, arrays: dict[str, Array], numbers: dict[str, Value], fused: bool, lanes: int
     ) -> None:
         from llvmlite import ir
 
@@ -71,11 +81,11 @@ class Lowering:
         self.flags, self.lanes = CONTRACT if fused else (), lanes
         self.double, self.whole, self.truth = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
         self.wide = ir.VectorType(self.double, lanes) if lanes > 1 else self.double
-        self.variables: dict[str, Any] = {}
+        self.variables: dict[str, Value] = {}
         #: the first state of the tile
-        self.first: Any = None
+        self.first: Value | None = None
 
-    def lower(self, function: form.Function) -> Any:
+    def lower(self, function: form.Function) -> Value:
         from numba.core.cgutils import for_range
 
         if self.lanes == 1:
@@ -88,7 +98,7 @@ class Lowering:
         return self.whole(0)
 
     # -- statements --------------------------------------------------------------------------------
-    def run(self, body: Sequence[Any]) -> None:
+    def run(self, body: Sequence[Statement]) -> None:
         from numba.core.cgutils import for_range
 
         for statement in body:
@@ -109,7 +119,7 @@ class Lowering:
                 case form.While():
                     self.repeat(statement)
 
-    def update(self, name: str, value: Any) -> None:
+    def update(self, name: str, value: Value) -> None:
         if value.type == self.double:
             value = self.spread(value)  # the state may be wide from the second turn of a loop on
         if name not in self.variables:
@@ -134,7 +144,7 @@ class Lowering:
         self.builder.position_at_end(after)
 
     # -- elements of arrays ------------------------------------------------------------------------
-    def place(self, element: form.Element) -> Any:
+    def place(self, element: form.Element) -> Value:
         array, add, mul = self.arrays[element.array], self.builder.add, self.builder.mul
         *rows, last = map(self.value, element.indices)
         offset = last if element.shift == 0 else add(last, self.value(element.shift))
@@ -147,7 +157,7 @@ class Lowering:
         pointer = self.builder.gep(array.first, [offset], inbounds=True)
         return self.builder.bitcast(pointer, self.wide.as_pointer()) if tiled else pointer
 
-    def load(self, element: form.Element) -> Any:
+    def load(self, element: form.Element) -> Value:
         if element.kind == "stop":
             return self.builder.load_atomic(self.place(element), "monotonic", align=8)
         value = self.builder.load(self.place(element), align=8)
@@ -156,14 +166,14 @@ class Lowering:
         whole = element.kind == "i" and value.type == self.double
         return self.builder.fptosi(value, self.whole) if whole else value
 
-    def store(self, element: form.Element, value: Any) -> None:
+    def store(self, element: form.Element, value: Value) -> None:
         if element.kind == "b":
             value = self.builder.select(value, self.double(1.0), self.double(0.0))
         value = self.spread(value) if element.array in TILED else self.floating(value)
         self.builder.store(value, self.place(element), align=8)
 
     # -- operations --------------------------------------------------------------------------------
-    def value(self, operand: form.Operand) -> Any:
+    def value(self, operand: form.Operand) -> Value:
         if operand in self.variables:
             return self.builder.load(self.variables[operand])
         if isinstance(operand, str):
@@ -171,10 +181,10 @@ class Lowering:
         kind = {bool: self.truth, int: self.whole, float: self.double}[type(operand)]
         return self.ir.Constant(kind, operand)
 
-    def floating(self, value: Any) -> Any:
+    def floating(self, value: Value) -> Value:
         return self.builder.sitofp(value, self.double) if value.type == self.whole else value
 
-    def spread(self, value: Any) -> Any:
+    def spread(self, value: Value) -> Value:
         value = self.floating(value)
         if value.type != self.double or self.lanes == 1:
             return value
@@ -183,11 +193,11 @@ class Lowering:
         zeros = self.ir.Constant(self.ir.VectorType(index, self.lanes), [0] * self.lanes)
         return self.builder.shuffle_vector(one, empty, zeros)
 
-    def alike(self, values: Sequence[Any]) -> list[Any]:
+    def alike(self, values: Sequence[Value]) -> list[Value]:
         wide = any(value.type == self.wide for value in values)
         return [self.spread(value) if wide else self.floating(value) for value in values]
 
-    def operation(self, function: str, operands: Sequence[form.Operand]) -> Any:
+    def operation(self, function: str, operands: Sequence[form.Operand]) -> Value:
         if function == "len":
             return self.arrays[str(operands[0])].length
         x = [self.value(operand) for operand in operands]
@@ -210,14 +220,14 @@ class Lowering:
             return getattr(self.builder, f"f{function}")(*self.alike(x), flags=self.flags)
         return self.call(function, *self.alike(x))
 
-    def choose(self, condition: Any, a: Any, b: Any) -> Any:
+    def choose(self, condition: Value, a: Value, b: Value) -> Value:
         if isinstance(condition.type, self.ir.VectorType):
             a, b = self.spread(a), self.spread(b)
         elif not a.type == b.type == self.whole:
             a, b = self.alike((a, b))
         return self.builder.select(condition, a, b)
 
-    def call(self, name: str, *x: Any) -> Any:
+    def call(self, name: str, *x: Value) -> Value:
         from numba.core.cgutils import get_or_insert_function
 
         kind = x[0].type
@@ -228,7 +238,7 @@ class Lowering:
         signature = self.ir.FunctionType(kind, [kind] * len(x))
         return self.builder.call(get_or_insert_function(self.builder.module, signature, name), x)
 
-    def call_each(self, name: str, *x: Any) -> Any:
+    def call_each(self, name: str, *x: Value) -> Value:
         """A function that LLVM has no vectors of, number by number."""
         result = self.ir.Constant(self.wide, self.ir.Undefined)
         for i in map(self.ir.IntType(32), range(self.lanes)):
@@ -237,14 +247,16 @@ class Lowering:
         return result
 
 
-def intrinsic(function: form.Function, lanes: int = 1, fused: bool = True) -> Any:
+def intrinsic(function: form.Function, lanes: int = 1, fused: bool = True) -> Compiled:
     """The function of arrays, pointers and numbers as a numba intrinsic; lanes, fused : see `compile_function`."""
     from numba.core import cgutils, types
     from numba.extending import intrinsic
     from numba.np.arrayobj import make_array
 
-    def typed(typingctx: Any, *kinds: Any) -> Any:
-        def instructions(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def typed(typingctx: Context, *kinds: Type) -> tuple[Signature, Compiled]:
+        def instructions(
+            context: BaseContext, builder: IRBuilder, signature: Signature, given: Sequence[Value]
+        ) -> Value:
             arrays, numbers = {}, {}
             for name, kind, value in zip(function.arguments, signature.args, given, strict=True):
                 if isinstance(kind, types.Float):
@@ -261,7 +273,8 @@ def intrinsic(function: form.Function, lanes: int = 1, fused: bool = True) -> An
     # numba reads the number of arguments off the function
     arguments, scope = ", ".join(function.arguments), {"typed": typed}
     exec(f"def {function.name}(typingctx, {arguments}):\n    return typed(typingctx, {arguments})", scope)
-    return intrinsic(scope[function.name])
+    made: Compiled = intrinsic(scope[function.name])
+    return made
 
 
 # -- kept in files ----------------------------------------------------------------------------------
@@ -298,13 +311,13 @@ class Kept:
     def __init__(self, key: str) -> None:
         self.key = key
 
-    def path(self, signature: Any, codegen: Any) -> Path:
+    def path(self, signature: Signature, codegen: Any) -> Path:
         from numba import __version__
 
         key = form.digest(self.key, str(signature), codegen.magic_tuple(), __version__, sys.version)
         return folder() / f"{key}.program"
 
-    def load_overload(self, signature: Any, context: Any) -> Any:
+    def load_overload(self, signature: Signature, context: Any) -> Any:
         from numba.core.compiler import CompileResult
 
         context.refresh()
@@ -314,7 +327,7 @@ class Kept:
                 return CompileResult._rebuild(context, *pickle.loads(content[DIGEST:]))
         return None
 
-    def save_overload(self, signature: Any, compiled: Any) -> None:
+    def save_overload(self, signature: Signature, compiled: Any) -> None:
         from numba.core.serialize import dumps
 
         if compiled.lifted or compiled.library.has_dynamic_globals:
@@ -327,19 +340,20 @@ class Kept:
             file.write(hashlib.sha256(content).digest() + content)
 
 
-def calling(lowered: Any, name: str, arguments: str, body: str, key: str) -> Any:
-    """A function of a module of its own, by which numba names what it compiles, that calls an intrinsic."""
+def calling(lowered: Compiled, name: str, arguments: str, body: str, key: str) -> Compiled:
+    """Return a function of a module of its own, by which numba names what it compiles, that calls an intrinsic."""
     if not COMPILES:
         raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
     module = ModuleType(f"contactbench_program_{key[:32]}")
     vars(module)["lowered"] = lowered
     sys.modules[module.__name__] = module
     exec(f"def {name}({arguments}): {body}", vars(module))
-    return getattr(module, name)
+    made: Compiled = getattr(module, name)
+    return made
 
 
-def keep(function: Any, *key: str, signature: str = "", **options: Any) -> Any:
-    """As numba's `njit` with a cache; key : what the function depends on besides its name."""
+def keep(function: Compiled, *key: str, signature: str = "", **options: Any) -> Any:
+    """Compile as numba's `njit` with a cache; key : what the function depends on besides its name."""
     from numba import njit
 
     made = njit(**options)(function)
@@ -350,8 +364,8 @@ def keep(function: Any, *key: str, signature: str = "", **options: Any) -> Any:
     return made
 
 
-def keep_c(function: Any, signature: Any, *key: str) -> Any:
-    """As numba's `cfunc` with a cache."""
+def keep_c(function: Compiled, signature: Signature, *key: str) -> Any:
+    """Compile as numba's `cfunc` with a cache."""
     from numba.core.ccallback import CFunc
     from numba.core.sigutils import normalize_signature
 
@@ -361,8 +375,8 @@ def keep_c(function: Any, signature: Any, *key: str) -> Any:
     return made
 
 
-def compile_c(lowered: Any, name: str, given: str, key: str) -> Any:
-    """The C function ``name(out, t, y, data)`` of pointers and a number, that calls an intrinsic of some of them."""
+def compile_c(lowered: Compiled, name: str, given: str, key: str) -> Any:
+    """Return the C function ``name(out, t, y, data)`` of pointers and a number, which calls an intrinsic."""
     from numba import types
 
     pointer = types.CPointer(types.float64)
@@ -372,7 +386,9 @@ def compile_c(lowered: Any, name: str, given: str, key: str) -> Any:
 
 @cache
 def compile_function(function: form.Function, lanes: int = 1, fused: bool = True) -> Any:
-    """The function, compiled for the arrays that its arguments name; `CannotRecord` where numba is not to compile.
+    """Return the function, compiled for the arrays that its arguments name.
+
+    Raise `CannotRecord` where numba is not to compile.
 
     lanes : states it runs on at a time.  fused : products and sums may be one operation, which Python's are not.
     """

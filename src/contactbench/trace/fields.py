@@ -15,26 +15,22 @@ import numpy as np
 
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, leaves, rebuild, value
-from contactbench.numbers.protocol import CannotRecord
-from contactbench.numbers.sites import parts
-from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Update, text
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Vector
+from contactbench.trace.form import (
+    Assign,
+    Element,
+    Function,
+    Loop,
+    Operand,
+    Operation,
+    Pairs,
+    Sites,
+    Statement,
+    Update,
+    text,
+)
 from contactbench.trace.program import ProgramTape, RecordedArrays, setup
 from contactbench.trace.recording import Block, Recorded, attempt
-
-
-class Sites(NamedTuple):
-    """A loop over the sites; stores : (row, value).  sums : (name, value), of all sites together."""
-
-    body: tuple[Any, ...]
-    stores: tuple[tuple[Operand, Operand], ...]
-    sums: tuple[tuple[str, Operand], ...]
-
-
-class Pairs(NamedTuple):
-    """A loop over all other sites, at one of them; sums : (name, value)."""
-
-    body: tuple[Any, ...]
-    sums: tuple[tuple[str, Operand], ...]
 
 
 class Sweep(Block):
@@ -54,14 +50,14 @@ class Owner(Block):
     def __init__(self, parent: Block) -> None:
         super().__init__(parent)
         self.epoch = 0
-        self.levels: list[tuple[list[Any], Sweep]] = []
+        self.levels: list[tuple[list[Statement], Sweep]] = []
 
-    def level(self, k: int) -> tuple[list[Any], Sweep]:
+    def level(self, k: int) -> tuple[list[Statement], Sweep]:
         while len(self.levels) <= k:
             self.levels.append(([], Sweep(self, len(self.levels))))
         return self.levels[k]
 
-    def close(self, *statements: Any) -> None:
+    def close(self, *statements: Statement | LoopOf) -> None:
         """End the epoch; the sweeps are written down when everything is recorded."""
         self.statements += [*self.levels, *statements]
         self.levels, self.epoch = [], self.epoch + 1
@@ -86,7 +82,7 @@ class Field(Recorded):
 class FieldTape(ProgramTape):
     def __init__(self) -> None:
         super().__init__()
-        self.main: Any = Owner(self.root)
+        self.main: Owner = Owner(self.root)
         self.block = self.main
         #: at which level of which epoch of its owner a scalar is known
         self.known_at: dict[str, tuple[Owner, int, int]] = {}
@@ -121,7 +117,7 @@ class FieldTape(ProgramTape):
         return k if of is owner and epoch == owner.epoch else 0
 
     # -- fields ------------------------------------------------------------------------------------
-    def operation(self, function: str, kind: str, *operands: Any) -> Recorded:
+    def operation(self, function: str, kind: str, *operands: object) -> Recorded:
         if not any(isinstance(x, Field) for x in operands):
             return super().operation(function, kind, *operands)
         sweep = self.sweep(*((x, 0) for x in operands))
@@ -129,10 +125,10 @@ class FieldTape(ProgramTape):
         made = self.assign(Operation(function, names), kind, sweep)
         return Field(self, made.name, sweep, kind=kind)
 
-    def sweep(self, *reads: tuple[Any, int]) -> Sweep:
+    def sweep(self, *reads: tuple[object, int]) -> Sweep:
         """The first sweep in which numbers are known, each at so many sites beyond the own one."""
         owners = [x.owner if isinstance(x, Field) else x.block for x, _ in reads if isinstance(x, Recorded)]
-        owner: Any = max((o for o in owners if isinstance(o, Owner)), key=lambda o: o.depth)
+        owner = max((o for o in owners if isinstance(o, Owner)), key=lambda o: o.depth)
         k = 0
         for x, shift in reads:
             if isinstance(x, Field) and isinstance(x.block, Sweep) and x.owner is owner:
@@ -143,8 +139,8 @@ class FieldTape(ProgramTape):
                 k = max(k, self.level(x.name, owner))
         return owner.level(k)[1]
 
-    def at_site(self, x: Any, sweep: Sweep, shift: int = 0) -> Any:
-        """A number as an operand in a sweep."""
+    def at_site(self, x: object, sweep: Sweep, shift: int = 0) -> Any:
+        """Return a number as an operand in a sweep."""
         if not isinstance(x, Field):
             return self.read(x, sweep)
         if x.block is sweep:
@@ -177,13 +173,13 @@ class FieldTape(ProgramTape):
         return Field(self, self.at_site(x, sweep, places), sweep)
 
     def pairs(
-        self, function: Callable[..., tuple[Any, ...]], x: Sequence[Any], weights: Sequence[Any]
-    ) -> tuple[Any, ...]:
+        self, function: Callable[..., Vector], x: Sequence[Arithmetic], weights: Sequence[Arithmetic]
+    ) -> Vector:
         """Return Σ_{j ≠ i} function(x_i − x_j, w_i, w_j, …), as `numbers.sites.pairs` does."""
-        sweep = self.sweep(*((part, 1) for c in (*x, *weights) for part in parts(c)))
+        sweep = self.sweep(*((part, 1) for c in (*x, *weights) for part in leaves(c)))
         loop = Block(sweep)
 
-        def sides(c: Any) -> tuple[Any, Any]:
+        def sides(c: Any) -> tuple[Arithmetic, Arithmetic]:
             if isinstance(c, Dual):
                 (a, b), (da, db) = sides(c.a), sides(c.b)
                 return Dual(a, da), Dual(b, db)
@@ -192,7 +188,7 @@ class FieldTape(ProgramTape):
             return mine, super(FieldTape, self).assign(other, "f", loop)
 
         apart = [mine - other for mine, other in map(sides, x)]
-        distance: Any = 0.0
+        distance: Arithmetic = 0.0
         for c in apart:
             distance = value(c) * value(c) + distance
         same, xp = distance == 0, RecordedArrays(self)
@@ -201,7 +197,7 @@ class FieldTape(ProgramTape):
         made, sums = [], []
         for result in found:
             fields = []
-            for part in parts(result):
+            for part in leaves(result):
                 name = self.name()
                 sums.append((name, self.read(xp.where(same, 0.0, part), loop)))
                 fields.append(Field(self, name, sweep))
@@ -217,12 +213,12 @@ class FieldTape(ProgramTape):
             self.known_at[sweep.sums[name]] = sweep.owner, sweep.order[0], sweep.order[1] + 1
         return Recorded(self, sweep.sums[name], "f", sweep.owner)
 
-    def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+    def repeat[X](self, n: Any, body: Callable[[X], X], x: X) -> X:
         outer: Any = self.block
         start = leaves(x)
         times = n if isinstance(n, Recorded) else self.size(("times", n), lambda: n)
         inner = Owner(outer)
-        carried: list[Any] = []
+        carried: list[Recorded] = []
         before: list[tuple[str, Operand]] = []
         for v in start:
             if isinstance(v, Field):
@@ -243,10 +239,10 @@ class FieldTape(ProgramTape):
             raise CannotRecord("a loop whose body returns a state of another shape")
         after: list[tuple[str, Operand]] = []
         moves: dict[str, str] = {}
-        passed = {
-            v.row for own, v in zip(carried, end, strict=True) if isinstance(v, Field) and v.row != own.row
-        }
-        for own, v in zip(carried, end, strict=True):
+        pairs = [*zip(carried, end, strict=True)]
+        both = ((own.row, v.row) for own, v in pairs if isinstance(own, Field) and isinstance(v, Field))
+        passed = {theirs for mine, theirs in both if theirs != mine}
+        for own, v in pairs:
             if isinstance(own, Field):
                 moves |= self.keep(own, v, inner, passed)
             else:
@@ -255,13 +251,14 @@ class FieldTape(ProgramTape):
         inner.close(*updates(after))
         outer.close(*updates(before), LoopOf(self.read(times, outer, "i"), inner))
 
-        def outside(v: Any) -> Any:
-            rows = isinstance(v, Field)
-            return Field(self, v.name, outer, v.row) if rows else Recorded(self, v.name, v.kind, outer)
+        def outside(v: Recorded) -> Recorded:
+            if isinstance(v, Field):
+                return Field(self, v.name, outer, v.row)
+            return Recorded(self, v.name, v.kind, outer)
 
         return rebuild(x, list(map(outside, carried)))
 
-    def keep(self, own: Field, v: Any, inner: Owner, passed: set[str | None]) -> dict[str, str]:
+    def keep(self, own: Field, v: object, inner: Owner, passed: set[str | None]) -> dict[str, str]:
         """Return which row the carried field of the next turn takes over; passed : rows that others take over."""
         assert own.row is not None
         self.taken.discard(own.row)
@@ -330,9 +327,9 @@ def sweeps(owner: Owner) -> list[Sweep]:
     return found
 
 
-def written(items: Sequence[Any]) -> list[Any]:
+def written(items: Sequence[Any]) -> list[Statement]:
     """Return the statements of an owner, with its sweeps and loops as they are now."""
-    out: list[Any] = []
+    out: list[Statement] = []
     for item in items:
         match item:
             case LoopOf(times, block):
@@ -349,7 +346,12 @@ def written(items: Sequence[Any]) -> list[Any]:
 
 
 def record_fields(
-    advance: Callable[..., list[Any]], numbers: int, fields: int, scalars: int, constants: int, seen: int = 0
+    advance: Callable[..., list[Any]],
+    numbers: int,
+    fields: int,
+    scalars: int,
+    constants: int,
+    seen: int = 0,
 ) -> FieldProgram:
     """The program of ``advance(numbers, h, n, fields, scalars, constants, xp, repeat) -> [*fields, *scalars, *seen]``.
 

@@ -1,8 +1,7 @@
-"""The intermediate form of recorded programs.
+"""The intermediate form of recorded programs: statements on scalars and on the elements of arrays.
 
-A `Function` is a list of statements on scalars and on the elements of arrays.  Every name is assigned once, by an
-`Assign`; what changes in a loop is a variable, set by `Update`.  An operand is a name or a constant.  `execute`
-prints it as Python; `compiled.py` turns it into instructions.
+Every name is assigned once, by an `Assign`; what changes in a loop is a variable, set by `Update`.  `execute` prints a
+`Function` as Python; `compiled.py` turns it into instructions.
 """
 
 from __future__ import annotations
@@ -66,15 +65,15 @@ class Loop(NamedTuple):
 
     counter: str
     times: Operand
-    body: tuple[Any, ...]
+    body: tuple[Statement, ...]
 
 
 class While(NamedTuple):
     """``while (test; condition): body``."""
 
-    test: tuple[Any, ...]
+    test: tuple[Statement, ...]
     condition: Operand
-    body: tuple[Any, ...]
+    body: tuple[Statement, ...]
 
 
 class Unpack(NamedTuple):
@@ -84,16 +83,34 @@ class Unpack(NamedTuple):
     sequence: str
 
 
+class Sites(NamedTuple):
+    """A loop over the sites of a lattice; stores : (row, value).  sums : (name, value), of all sites together."""
+
+    body: tuple[Statement, ...]
+    stores: tuple[tuple[Operand, Operand], ...]
+    sums: tuple[tuple[str, Operand], ...]
+
+
+class Pairs(NamedTuple):
+    """A loop over all other sites, at one of them; sums : (name, value)."""
+
+    body: tuple[Statement, ...]
+    sums: tuple[tuple[str, Operand], ...]
+
+
+type Statement = Assign | Update | Store | Loop | While | Unpack | Sites | Pairs
+
+
 @dataclass(frozen=True, eq=False)
 class Digested:
-    """A thing that is compared and hashed by all that it computes: `parts`, its fields."""
+    """What is compared and hashed by its fields, all that it computes."""
 
-    def parts(self) -> tuple[Any, ...]:
+    def compared(self) -> tuple[object, ...]:
         return tuple(getattr(self, field.name) for field in fields(self) if field.compare)
 
     @cached_property
     def digest(self) -> str:
-        return digest(*self.parts())
+        return digest(*self.compared())
 
     def __eq__(self, other: object) -> bool:
         return self.digest == other.digest if isinstance(other, type(self)) else NotImplemented
@@ -108,11 +125,12 @@ class Function(Digested):
 
     name: str
     arguments: tuple[str, ...]
-    body: tuple[Any, ...]
+    body: tuple[Statement, ...]
     result: Results = 0
 
 
-def digest(*parts: Any) -> str:
+def digest(*parts: object) -> str:
+    """Return a key of what objects are, by their representation."""
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -126,16 +144,17 @@ def text(operand: Operand) -> str:
     return "nan" if math.isnan(operand) else "inf" if operand > 0 else "(-inf)"
 
 
-def read_by(statement: Any) -> set[Operand]:
+def read_by(statement: Assign | Store) -> set[Operand]:
+    """Return the operands that a statement reads."""
     if isinstance(statement, Assign) and isinstance(statement.value, Operation):
         return {*statement.value.operands}
-    element = statement.element if isinstance(statement, Store) else statement.value
-    value = {statement.value} if isinstance(statement, Store) else set()
-    return {*element.indices, element.shift, *value}
+    element: Any = statement.element if isinstance(statement, Store) else statement.value
+    stored = {statement.value} if isinstance(statement, Store) else set()
+    return {*element.indices, element.shift, *stored}
 
 
-def prune(statements: list[Any], result: Results) -> tuple[Any, ...]:
-    """Straight-line assignments without those that the result does not need."""
+def prune(statements: Sequence[Assign], result: Results) -> tuple[Assign, ...]:
+    """Return assignments, one after the other, without those that the result does not need."""
     kept, read = [], {*leaves(result)}
     for statement in reversed(statements):
         if statement.target in read:
@@ -160,12 +179,13 @@ READ = {"f": "{}", "i": "int({})", "stop": "int({})", "b": "{} != 0.0"}
 
 
 def execute(
-    function: Function, forms: Mapping[str, str] = FORMS, scope: Mapping[str, Any] = SCOPE
+    function: Function, forms: Mapping[str, str] = FORMS, scope: Mapping[str, object] = SCOPE
 ) -> Callable[..., Any]:
-    """The function, run by Python; forms : how operations are written, scope : what names stand for."""
-    names = dict(scope)
+    """Return the function, run by Python; forms : how operations are written, scope : what names stand for."""
+    names: dict[str, Any] = dict(scope)
     exec(source(function, forms), names)
-    return names[function.name]
+    made: Callable[..., Any] = names[function.name]
+    return made
 
 
 def source(function: Function, forms: Mapping[str, str] = FORMS) -> str:
@@ -194,7 +214,7 @@ def value(expression: Operation | Element, forms: Mapping[str, str]) -> str:
     return template.format(*map(text, operands))
 
 
-def lines(body: Sequence[Any], forms: Mapping[str, str] = FORMS, indent: str = "    ") -> Iterator[str]:
+def lines(body: Sequence[Statement], forms: Mapping[str, str] = FORMS, indent: str = "    ") -> Iterator[str]:
     within = indent + "    "
     for statement in body:
         match statement:

@@ -1,8 +1,7 @@
-"""A function recorded as a list of operations: a formula.
+"""Formulas: functions recorded as lists of operations.
 
-A user's function is a Python object that may do another thing tomorrow: it reads globals, closures, attributes.  A
-formula is what it computed when it was recorded, and nothing else.  It is compared and hashed by its operations, can
-be pickled, runs on every kind of number that the function ran on, and is differentiated operation by operation.
+A user's function may change with the globals and attributes that it reads; a formula is what it computed when it was
+recorded.  It is compared and hashed by its operations, pickled, run on every kind of number, and differentiated.
 """
 
 from __future__ import annotations
@@ -16,30 +15,23 @@ from typing import Any
 from contactbench.errors import BadInput
 from contactbench.numbers import functions
 from contactbench.numbers.dual import DERIVATIVES, leaves
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.trace import form
-from contactbench.trace.form import FORMS, Operand, Operation, Results, execute
+from contactbench.trace.form import FORMS, Assign, Operand, Operation, Results, Statement, execute
 from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt, operand_of
 
-
 # -- how formulas are written, for numbers that may be arrays or traced ------------------------------
-def _where(condition: Any, a: Any, b: Any) -> Any:
-    if isinstance(condition, bool):
-        return a if condition else b
-    return functions.namespace(functions.leading(a, b, condition)).where(condition, a, b)
-
-
 WRITTEN = FORMS | {
     "where": "where({}, {}, {})",
     "and": "({0} and {1} if isinstance({0}, bool) else {0} & {1})",
     "or": "({0} or {1} if isinstance({0}, bool) else {0} | {1})",
     "not": "(not {0} if isinstance({0}, bool) else ~{0})",
 }
-SCOPE: dict[str, Any] = {
+SCOPE: dict[str, object] = {
     **{name: functions.function(name) for name in form.FUNCTIONS},
     "atan2": functions.atan2,
     "hypot": functions.hypot,
-    "where": _where,
+    "where": functions.where,
     "inf": math.inf,
     "nan": math.nan,
 }
@@ -58,7 +50,7 @@ class Formula(form.Digested):
 
     arguments: tuple[int | str, ...]
     names: tuple[str, ...]
-    body: tuple[Any, ...]
+    body: tuple[Assign, ...]
     results: Results
     live: Callable[..., Any] | None = field(default=None, compare=False)
 
@@ -66,13 +58,13 @@ class Formula(form.Digested):
         name = getattr(self.live, "__name__", "derived" if self.live is None else type(self.live).__name__)
         return f"<formula of {name}: {len(self.body)} operations>"
 
-    def __reduce__(self) -> Any:
-        return Formula, self.parts()
+    def __reduce__(self) -> tuple[type[Formula], tuple[object, ...]]:
+        return Formula, self.compared()
 
     @cached_property
     def function(self) -> Callable[..., Any]:
         signature: list[str] = []
-        body: list[Any] = []
+        body: list[Statement] = []
         supply = iter(argument_names(self.arguments, self.names))
         for i, n in enumerate(self.arguments):
             if isinstance(n, str) or not n:
@@ -84,31 +76,32 @@ class Formula(form.Digested):
         written = form.Function("formula", (*signature, *self.names), (*body, *self.body), self.results)
         return execute(written, WRITTEN, SCOPE)
 
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
+    def __call__(self, *arguments: Any, **named: Arithmetic) -> Any:
         for given, n in zip(arguments, self.arguments, strict=True):
             if isinstance(n, int) and n and len(given) != n:
                 raise BadInput(f"{len(given)} components: this function was recorded for {n}")
         return self.function(*arguments, **named)
 
-    def taken(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
-        """Those of the parameters that it takes."""
+    def taken[X](self, parameters: Mapping[str, X]) -> dict[str, X]:
+        """Return those of the parameters that it takes."""
         return {name: parameters[name] for name in self.names}
 
     # -- derivatives -------------------------------------------------------------------------------
     def gradient(self) -> Formula:
-        """The derivative of a single result along the first argument, by reverse mode; may raise `CannotRecord`."""
+        """Return the derivative of the result by the first argument; `CannotRecord` where it is not known."""
         return self.derive(lambda rows: rows[0])
 
     def hessian(self) -> Formula:
-        """The derivative of a gradient, a row for each component; it is symmetric, and zeros are constants."""
+        """Return the derivative of a gradient, a row for each component: symmetric, and its zeros are constants."""
         return self.derive(
             lambda rows: [[rows[max(i, j)][min(i, j)] for j in range(len(rows))] for i in range(len(rows))]
         )
 
-    def derive(self, choose: Callable[[list[list[Any]]], Any]) -> Formula:
-        """The formula of what is chosen of the derivatives of all results along the first argument."""
+    def derive(self, choose: Callable[[list[list[Arithmetic]]], object]) -> Formula:
+        """Return the formula of what is chosen of the derivatives of all results along the first argument."""
         tape, moved = Tape(), dict[Operand, Operand]()
         for target, operation in self.body:
+            assert isinstance(operation, Operation)
             there = Operation(operation.function, tuple(moved.get(x, x) for x in operation.operands))
             moved[target] = tape.assign(there, "f", tape.root).name
         results = [moved.get(x, x) for x in leaves(self.results)]
@@ -119,11 +112,14 @@ class Formula(form.Digested):
 
 # -- reverse mode ------------------------------------------------------------------------------------
 #: a constant times a number, which is 1 where there is none: constants are multiplied ahead of the run
-Amount = tuple[float, Any]
+Amount = tuple[float, Arithmetic]
 
 
-def derivatives(tape: Tape, results: Sequence[Operand], along: Sequence[str]) -> list[list[Any]]:
-    """Derivatives of results along arguments; Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2."""
+def derivatives(tape: Tape, results: Sequence[Operand], along: Sequence[str]) -> list[list[Arithmetic]]:
+    """Return the derivatives of results along arguments, a row for each result.
+
+    Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2.
+    """
     operations, rows = list(tape.root.statements), []
     for result in results:
         found: dict[Operand, Amount] = {result: (1.0, 1.0)}
@@ -144,7 +140,7 @@ def derivatives(tape: Tape, results: Sequence[Operand], along: Sequence[str]) ->
 def slopes(
     tape: Tape, function: str, operands: Sequence[Operand], target: str, adjoint: Amount
 ) -> Sequence[Amount]:
-    """Derivatives of an operation along its operands; of a choice, of the result."""
+    """Return the derivatives of an operation along its operands; of a choice, of the result."""
     xp, y = RecordedNumbers(tape), Recorded(tape, target, "f", tape.root)
     x: list[Any] = [Recorded(tape, o, "f", tape.root) if isinstance(o, str) else o for o in operands]
     one = (1.0, 1.0)
@@ -182,6 +178,7 @@ def slopes(
 
 
 def constant(x: Any) -> Amount:
+    """Return a number as an amount."""
     return (1.0, x) if isinstance(x, Recorded) else (float(x), 1.0)
 
 
@@ -197,7 +194,7 @@ def plus(a: Amount, b: Amount) -> Amount:
     return 1.0, number(a) + number(b)
 
 
-def number(amount: Amount) -> Any:
+def number(amount: Amount) -> Arithmetic:
     coefficient, x = amount
     if not coefficient:
         return 0.0
@@ -222,7 +219,11 @@ def formula(function: Callable[..., Any], arguments: tuple[int | str, ...], name
 
 
 def make_formula(
-    arguments: tuple[int | str, ...], names: tuple[str, ...], tape: Tape, results: Any, live: Any = None
+    arguments: tuple[int | str, ...],
+    names: tuple[str, ...],
+    tape: Tape,
+    results: object,
+    live: Callable[..., Any] | None = None,
 ) -> Formula:
     found = tape.results(results)
     return Formula(arguments, names, form.prune(tape.root.statements, found), found, live)

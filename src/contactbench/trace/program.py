@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from functools import reduce
 from operator import and_
@@ -24,9 +24,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.protocol import Abilities, CannotRecord
-from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update, While
+from contactbench.numbers.protocol import Abilities, Arithmetic, CannotRecord
+from contactbench.trace.form import (
+    Assign,
+    Element,
+    Function,
+    Loop,
+    Operand,
+    Operation,
+    Statement,
+    Store,
+    Update,
+    While,
+)
 from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, attempt
+
+Numbers = Sequence[Arithmetic]
 
 
 class Program(NamedTuple):
@@ -49,8 +62,8 @@ class Watch(NamedTuple):
     start; None where it may.
     """
 
-    slope: Callable[[Any, Any], list[Any]]
-    energy: Callable[[Any, Any], tuple[Any, Any]] | None
+    slope: Callable[[Numbers, Numbers], list[Arithmetic]]
+    energy: Callable[[Numbers, Numbers], tuple[Arithmetic, Arithmetic]] | None
 
 
 #: what another thread sets to end a run early, with nothing reached, and the steps between two looks at it
@@ -88,7 +101,7 @@ class Vector(Recorded):
         super().__init__(tape, name, "f", column)
         self.rows = range(len(column.values)) if rows is None else rows
 
-    def __getitem__(self, key: Any) -> Any:
+    def __getitem__(self, key: Any) -> Recorded:
         tape, column = self.tape, self.block
         assert isinstance(tape, ProgramTape)
         assert isinstance(column, Column)
@@ -133,7 +146,7 @@ class ProgramTape(Tape):
         width = len(self.exported) + sum(len(column.data) * len(column.stored) for column in self.columns)
         return data, np.array([number() for number in self.shape], dtype=np.int64), width
 
-    def size(self, key: Any, number: Callable[[], int]) -> Recorded:
+    def size(self, key: Hashable, number: Callable[[], int]) -> Recorded:
         if key not in self.whole.known:
             i, name = len(self.shape), f"i0{len(self.shape)}"
             self.whole.known[key] = name
@@ -154,7 +167,7 @@ class ProgramTape(Tape):
 
         return self.size((id(column), at, offset), start)
 
-    def read(self, x: Any, block: Block, kind: str = "f") -> Operand:
+    def read(self, x: object, block: Block, kind: str = "f") -> Operand:
         operand = super().read(x, block, kind)
         if isinstance(x, Recorded) and x.block is self.root and block.within(self.main):
             self.exported[x.name] = x.kind
@@ -164,7 +177,7 @@ class ProgramTape(Tape):
         made = super().assign(value, kind, block)
         return Vector(self, made.name, block) if isinstance(block, Column) else made
 
-    def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+    def repeat[X](self, n: Any, body: Callable[[X], X], x: X) -> X:
         times = n if isinstance(n, Recorded) else self.size(("times", n), lambda: n)
         return super().repeat(times, body, x)
 
@@ -176,10 +189,10 @@ class RecordedArrays(RecordedNumbers):
 
     class multiply:
         @staticmethod
-        def outer(vector: Any, number: Any) -> Any:
+        def outer(vector: Arithmetic, number: Arithmetic) -> Arithmetic:
             return vector * number
 
-    def asarray(self, values: Sequence[Any]) -> Any:
+    def asarray(self, values: Sequence[Any]) -> np.ndarray | Vector:
         if all(isinstance(value, int | np.integer) for value in values):
             return np.array(values)
         tape = self.tape
@@ -189,7 +202,7 @@ class RecordedArrays(RecordedNumbers):
 
 
 def record(
-    advance: Callable[..., list[Any]],
+    advance: Callable[..., list[Arithmetic]],
     numbers: int,
     d: int,
     bounded: int,
@@ -240,13 +253,13 @@ def setup(tape: ProgramTape) -> Function:
 
 
 def looks(
-    tape: ProgramTape, numbers: list[Any], d: int, bounded: int, factor: float, watch: Watch | None
-) -> tuple[list[Any], list[Any]]:
+    tape: ProgramTape, numbers: Numbers, d: int, bounded: int, factor: float, watch: Watch | None
+) -> tuple[list[Statement], list[Statement]]:
     """What `run` does before its loop and at the end of each interval, to find the first bad one."""
     xp, head, last = RecordedNumbers(tape), Block(tape.main), Block(tape.main)
     start, state = ([Recorded(tape, f"x{i}", "f", block) for i in range(d)] for block in (head, last))
     size = xp.sqrt(sum((c * c for c in start[1:bounded]), start[0] * start[0]))
-    bound = factor * xp.where(size > 1.0, size, 1.0)
+    bound: Any = factor * xp.where(size > 1.0, size, 1.0)
     if watch is not None:
         slope = attempt(lambda: sum(map(abs, watch.slope(numbers, start))))
         bound = xp.where(slope <= sys.float_info.max, bound, math.nan)
@@ -255,7 +268,8 @@ def looks(
     healthy = reduce(and_, (abs(x) <= end for x, end in zip(state, most, strict=True)))
     if watch is not None and watch.energy is not None:
         energy, room = attempt(lambda: watch.energy(numbers, start))  # type: ignore[misc]
-        highest = Recorded(tape, (energy + room).name, "f", tape.whole)
+        top: Any = energy + room
+        highest = Recorded(tape, top.name, "f", tape.whole)
         healthy = healthy & (attempt(lambda: watch.energy(numbers, state))[0] <= highest)  # type: ignore[misc]
     first = ~healthy & (Recorded(tape, "bad", "i", last) < 0)
     mark = Assign("first", Operation("where", (first.name, "j", "bad")))
@@ -267,9 +281,9 @@ def steps(
     start: str,
     ends: tuple[Operand, ...],
     after: str,
-    head: Sequence[Any] = (),
-    last: Sequence[Any] = (),
-) -> tuple[Any, ...]:
+    head: Sequence[Statement] = (),
+    last: Sequence[Statement] = (),
+) -> tuple[Statement, ...]:
     """The loop over the intervals from an array of states to another; head, last : before it, at the end of each."""
     state, known = tuple(f"x{i}" for i in range(len(ends))), len(tape.shape)
     first = tuple(f"start{i}" for i in range(len(ends)))
@@ -287,7 +301,7 @@ def steps(
     return *tape.whole.statements, *before, *count, Loop("j", "intervals", body)
 
 
-def interruptible(statement: Any) -> tuple[Any, ...]:
+def interruptible(statement: Statement) -> tuple[Statement, ...]:
     """Return a loop over steps, whose number is known when it runs, in turns, and anything else as it is."""
     if not (isinstance(statement, Loop) and isinstance(statement.times, str)) or statement.times[:2] == "i0":
         return (statement,)

@@ -1,11 +1,7 @@
 """Numbers that record what is computed with them, as straight-line scalar code.
 
-A scene, a flow or a step map that is run on recorded numbers leaves the list of its operations behind:
-each becomes one assignment, equal operations become one (common subexpressions), numbers known at
-recording time are folded by Python itself, and what does not change in a loop is computed before it.
-`RecordedNumbers` is the namespace that goes with them, in place of `math` or `jax.numpy`.
-
-The value of a recorded number is not known.  What asks for it, as ``if x > 0`` does, raises
+Equal operations become one, numbers known at recording time are folded by Python itself, and what does not change in a
+loop is computed before it.  The value of a recorded number is not known: what asks for it, as ``if x > 0`` does, raises
 `CannotRecord`; ``xp.where(x > 0, a, b)`` chooses by value.
 """
 
@@ -20,9 +16,16 @@ import numpy as np
 
 from contactbench.blame import place, plain_function
 from contactbench.numbers.dual import Dual, DualNumbers, leaves, rebuild
-from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, ChoosingNumbers, Unknown
+from contactbench.numbers.protocol import (
+    LARGEST_POWER,
+    Arithmetic,
+    CannotRecord,
+    ChoosingNumbers,
+    Condition,
+    Unknown,
+)
 from contactbench.trace import form
-from contactbench.trace.form import Assign, Element, Operand, Operation, Results, Update, text
+from contactbench.trace.form import Assign, Element, Operand, Operation, Results, Statement, Update, text
 
 
 class Block:
@@ -55,8 +58,8 @@ class Tape:
             block.statements.append(Assign(block.known[key], value))
         return Recorded(self, block.known[key], kind, block)
 
-    def operation(self, function: str, kind: str, *operands: Any) -> Recorded:
-        """A function of operands, assigned in the outermost block that knows them all."""
+    def operation(self, function: str, kind: str, *operands: object) -> Recorded:
+        """Return a function of operands, assigned in the outermost block that knows them all."""
         block = self.root
         for x in operands:
             if isinstance(x, Recorded) and x.block.depth > block.depth:
@@ -64,41 +67,42 @@ class Tape:
         of = "i" if kind == "i" else "f"
         return self.assign(Operation(function, tuple(self.read(x, block, of) for x in operands)), kind, block)
 
-    def read(self, x: Any, block: Block, kind: str = "f") -> Operand:
+    def read(self, x: object, block: Block, kind: str = "f") -> Operand:
         if isinstance(x, Recorded) and not block.within(x.block):
             raise CannotRecord("vectors of different origin are combined")
         return operand_of(x, kind)
 
-    def results(self, numbers: Any) -> Results:
-        nested = isinstance(numbers, tuple | list)
-        return tuple(map(self.results, numbers)) if nested else self.read(numbers, self.root)
+    def results(self, numbers: object) -> Results:
+        if isinstance(numbers, tuple | list):
+            return tuple(map(self.results, numbers))
+        return self.read(numbers, self.root)
 
-    def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+    def repeat[X](self, n: Any, body: Callable[[X], X], x: X) -> X:
         return self._loop(x, body, lambda inner: form.Loop("_", self.read(n, self.block, "i"), tuple(inner)))
 
-    def repeat_while(self, condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any) -> Any:
+    def repeat_while[X](self, condition: Callable[[X], Condition], body: Callable[[X], X], x: X) -> X:
         tests: list[Any] = []
 
-        def turn(x: Any) -> Any:
+        def turn(x: X) -> X:
             more = self.read(condition(x), self.block)
             tests.extend([len(self.block.statements), more])
             return body(x)
 
-        def loop(inner: list[Any]) -> form.While:
+        def loop(inner: list[Statement]) -> Statement:
             size, more = tests
             return form.While(tuple(inner[:size]), more, tuple(inner[size:]))
 
         return self._loop(x, turn, loop)
 
-    def _loop(self, x: Any, body: Callable[[Any], Any], make: Callable[[list[Any]], Any]) -> Any:
+    def _loop[X](self, x: X, body: Callable[[X], X], make: Callable[[list[Statement]], Statement]) -> X:
         outer, start = self.block, leaves(x)
         kinds = ["i" if isinstance(v, int) else v.kind if isinstance(v, Recorded) else "f" for v in start]
         inner, names = Block(outer), tuple(map(self.name, kinds))
 
-        def state(block: Block) -> Any:
+        def state(block: Block) -> X:
             return rebuild(x, [Recorded(self, *each, block) for each in zip(names, kinds, strict=True)])
 
-        def update(values: list[Any], block: Block) -> Update:
+        def update(values: list[object], block: Block) -> Update:
             return Update(names, tuple(self.read(v, block, k) for v, k in zip(values, kinds, strict=True)))
 
         self.block = inner
@@ -114,7 +118,7 @@ class Tape:
 
 
 def operand_of(x: Any, kind: str = "f") -> Operand:
-    """A number as an operand; `CannotRecord` for whatever is none."""
+    """Return a number as an operand; raise `CannotRecord` for whatever is none."""
     if isinstance(x, Recorded):
         return x.name
     if isinstance(x, bool | np.bool_):
@@ -127,12 +131,12 @@ def operand_of(x: Any, kind: str = "f") -> Operand:
 
 def _arithmetic(
     function: str, neutral: float | None = None, reflected: bool = False, commutes: bool = False
-) -> Callable[..., Any]:
-    """An operator; neutral : the operand that changes nothing."""
+) -> Callable[..., Recorded]:
+    """Return an operator; neutral : the operand that changes nothing."""
 
-    def apply(self: Recorded, other: Any) -> Any:
+    def apply(self: Recorded, other: Any) -> Recorded:
         if isinstance(other, Dual | np.ndarray):
-            return NotImplemented
+            return NotImplemented  # type: ignore[no-any-return]
         if neutral is not None and is_constant(other, neutral):
             return self
         a, b = (other, self) if reflected else (self, other)
@@ -145,10 +149,10 @@ def _arithmetic(
     return apply
 
 
-def _truth(function: str) -> Callable[..., Any]:
-    def compare(self: Recorded, other: Any) -> Any:
+def _truth(function: str) -> Callable[..., Recorded]:
+    def compare(self: Recorded, other: object) -> Recorded:
         if isinstance(other, Dual):
-            return NotImplemented
+            return NotImplemented  # type: ignore[no-any-return]
         return self.tape.operation(function, "b", self, other)
 
     return compare
@@ -173,19 +177,19 @@ class Recorded(Unknown):
     __sub__, __rsub__ = _arithmetic("sub", neutral=0), _arithmetic("sub", reflected=True)
     __truediv__, __rtruediv__ = _arithmetic("div", neutral=1), _arithmetic("div", reflected=True)
 
-    def __neg__(self) -> Any:
+    def __neg__(self) -> Recorded:
         return self.tape.operation("neg", self.kind, self)
 
-    def __pos__(self) -> Any:
+    def __pos__(self) -> Recorded:
         return self
 
-    def __abs__(self) -> Any:
+    def __abs__(self) -> Recorded:
         return self.tape.operation("abs", self.kind, self)
 
-    def __pow__(self, exponent: Any) -> Any:
+    def __pow__(self, exponent: Arithmetic) -> Arithmetic:
         return power(self, exponent)
 
-    def __rpow__(self, base: Any) -> Any:
+    def __rpow__(self, base: Arithmetic) -> Recorded:
         return self.tape.operation("pow", "f", base, self)
 
     # -- truth values ------------------------------------------------------------------------------
@@ -193,16 +197,16 @@ class Recorded(Unknown):
     __lt__, __le__, __gt__, __ge__ = map(_truth, ("lt", "le", "gt", "ge"))
     __and__, __or__, __rand__, __ror__ = map(_truth, ("and", "or", "and", "or"))
 
-    def __invert__(self) -> Any:
+    def __invert__(self) -> Recorded:
         return self.tape.operation("not", "b", self)
 
     __hash__ = None  # type: ignore[assignment]
 
     # -- what cannot be recorded -------------------------------------------------------------------
-    def __array__(self, *_: Any, **__: Any) -> Any:
+    def __array__(self, *_: object, **__: object) -> np.ndarray:
         raise CannotRecord("an array cannot hold a number that is known only when the program runs")
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: object) -> Arithmetic:
         """NumPy's functions, so that ``np.sin(q)`` and ``np.float64(2) * q`` in a force are recorded."""
         name = ufunc.__name__
         if method != "__call__" or options or any(isinstance(x, np.ndarray) and x.ndim for x in inputs):
@@ -210,7 +214,7 @@ class Recorded(Unknown):
         inputs = tuple(x.item() if isinstance(x, np.generic | np.ndarray) else x for x in inputs)
         if name in OPERATORS:
             return OPERATORS[name](*inputs)
-        function = getattr(RecordedNumbers(self.tape), name, None)
+        function: Callable[..., Arithmetic] | None = getattr(RecordedNumbers(self.tape), name, None)
         if function is None:
             raise CannotRecord(f"numpy.{name} cannot be recorded")
         return function(*inputs)
@@ -219,26 +223,26 @@ class Recorded(Unknown):
 #: NumPy's names of what Python has operators for, and Python's
 NUMPY = "add subtract multiply divide power float_power negative equal not_equal less less_equal greater greater_equal"
 PYTHON = "add sub mul truediv pow pow neg eq ne lt le gt ge"
-OPERATORS: dict[str, Callable[..., Any]] = {
+OPERATORS: dict[str, Callable[..., Arithmetic]] = {
     **{name: getattr(operator, of) for name, of in zip(NUMPY.split(), PYTHON.split(), strict=True)},
     "square": lambda x: x * x,
     "reciprocal": lambda x: 1 / x,
 }
 
 
-def is_constant(x: Any, value: float) -> bool:
+def is_constant(x: object, value: float) -> bool:
     return not isinstance(x, Recorded | Dual | np.ndarray) and x == value
 
 
-def power(x: Recorded, exponent: Any) -> Any:
+def power(x: Recorded, exponent: Any) -> Arithmetic:
     """x to a power: products and square roots for multiples of ½, which are faster than the library's pow."""
     if isinstance(exponent, Recorded) or exponent * 2 != int(exponent * 2) or abs(exponent) > LARGEST_POWER:
         return x.tape.operation("pow", "f", x, exponent)
     if exponent < 0:
         return 1 / power(x, -exponent)
     whole = int(exponent)
-    result: Any = RecordedNumbers(x.tape).sqrt(x) if exponent != whole else 1.0
-    square: Any = x
+    result: Arithmetic = RecordedNumbers(x.tape).sqrt(x) if exponent != whole else 1.0
+    square: Arithmetic = x
     while whole:
         if whole & 1:
             result = square * result
@@ -261,25 +265,26 @@ class RecordedNumbers(ChoosingNumbers):
     def __init__(self, tape: Tape) -> None:
         self.tape = tape
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Callable[..., Arithmetic]:
         known = ALIASES.get(name, name)
         if known not in (*form.FUNCTIONS, "atan2", "hypot"):
             raise AttributeError(name)
 
-        def function(*x: Any) -> Any:
+        def function(*x: Arithmetic) -> Arithmetic:
             if not any(isinstance(number, Recorded) for number in x):
-                return getattr(math, known)(*x)
+                plain: Callable[..., float] = getattr(math, known)
+                return plain(*x)
             return self.tape.operation(known, "f", *x)
 
         return function
 
-    def repeat_while(self, condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any) -> Any:
+    def repeat_while[X](self, condition: Callable[[X], Condition], body: Callable[[X], X], x: X) -> X:
         return self.tape.repeat_while(condition, body, x)
 
-    def iterate(self, turns: int, body: Callable[[Any], Any], x: Any) -> Any:
+    def iterate[X](self, turns: int, body: Callable[[X], X], x: X) -> X:
         return self.tape.repeat(turns, body, x)
 
-    def where(self, condition: Any, a: Any, b: Any) -> Any:
+    def where(self, condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
         if isinstance(a, Dual) or isinstance(b, Dual):
             return DualNumbers(self).where(condition, a, b)
         if not isinstance(condition, Recorded):
@@ -290,8 +295,8 @@ class RecordedNumbers(ChoosingNumbers):
         return ~a if isinstance(a, Recorded) else not a
 
 
-def attempt(function: Callable[[], Any]) -> Any:
-    """What a function records; `CannotRecord` for whatever goes wrong in it."""
+def attempt[X](function: Callable[[], X]) -> X:
+    """Return what a function records; `CannotRecord` for whatever goes wrong in it."""
     try:
         return function()
     except (TypeError, ValueError, AttributeError, ArithmeticError) as error:

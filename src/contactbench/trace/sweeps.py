@@ -8,17 +8,22 @@ round-off is that of pairs, and the same whatever the number of threads.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from contactbench.trace import compiled as llvm
 from contactbench.trace import form
 from contactbench.trace.compiled import back_end, compile_c
-from contactbench.trace.fields import Pairs, Sites
-from contactbench.trace.form import digest
+from contactbench.trace.form import Pairs, Sites, Statement, digest
+
+if TYPE_CHECKING:
+    from llvmlite.ir import IRBuilder, Value
+    from numba.core.base import BaseContext
+    from numba.core.types import Type
+    from numba.core.typing import Context, Signature
 
 #: places beyond either end of a row: a cache line, so that rows begin at one
 PAD = 8
@@ -58,7 +63,13 @@ class SweepLowering(llvm.Lowering):
     """The instructions of a function with sweeps, between packed states y and out."""
 
     def __init__(
-        self, builder: Any, given: Any, boundary: str, sums: int, width: int, packing: Packing
+        self,
+        builder: IRBuilder,
+        given: Sequence[Value],
+        boundary: str,
+        sums: int,
+        width: int,
+        packing: Packing,
     ) -> None:
         super().__init__(builder, {}, {}, True, LANES)
         self.boundary, self.packing, b, whole = boundary, packing, builder, self.whole
@@ -80,14 +91,14 @@ class SweepLowering(llvm.Lowering):
         self.totals = [self.slot(self.double) for _ in range(sums)]
         self.partial = {kind: [self.slot(kind) for _ in range(sums)] for kind in (self.vector, self.double)}
         #: where the rows of a sweep begin, the site and the other one
-        self.rows: dict[str, Any] = {}
-        self.site: Any = None
+        self.rows: dict[str, Value] = {}
+        self.site: Value | None = None
 
-    def entry(self, name: str) -> Any:
+    def entry(self, name: str) -> Value:
         b, place = self.builder, self.whole(FIRST + (*ADDRESSES, *WHOLE).index(name))
         return b.load(b.bitcast(b.gep(self.data, [place]), self.whole.as_pointer()))
 
-    def slot(self, kind: Any) -> Any:
+    def slot(self, kind: Type) -> Value:
         with self.builder.goto_entry_block():
             return self.builder.alloca(kind)
 
@@ -116,11 +127,11 @@ class SweepLowering(llvm.Lowering):
             b.store(b.fadd(b.load(self.data), self.double(1.0)), self.data)
 
     @property
-    def length(self) -> Any:
+    def length(self) -> Value:
         d, with_s, _ = self.packing
         return self.builder.add(self.builder.mul(self.sites, self.whole(2 * d)), self.whole(int(with_s)))
 
-    def copy(self, packed: Any, j: int, sites: tuple[Any, Any], inwards: bool) -> None:
+    def copy(self, packed: Value, j: int, sites: tuple[Value, Value], inwards: bool) -> None:
         from numba.core.cgutils import for_range
 
         b, whole, d = self.builder, self.whole, self.packing.dimensions
@@ -132,17 +143,17 @@ class SweepLowering(llvm.Lowering):
             source, target = (place, cell) if inwards else (cell, place)
             b.store(b.load(source), target)
 
-    def row(self, number: Any) -> Any:
+    def row(self, number: Value) -> Value:
         fields = self.arrays["fields"]
         return self.builder.gep(fields.first, [self.builder.mul(number, fields.row)], inbounds=True)
 
-    def sites_of(self, first: Any, last: Any) -> Any:
+    def sites_of(self, first: Value, last: Value) -> Value:
         """The sites from a chunk to before another one."""
         b = self.builder
         begin, end = (b.mul(chunk, self.whole(CHUNK)) for chunk in (first, last))
         return begin, b.select(b.icmp_signed("<", end, self.sites), end, self.sites)
 
-    def run(self, body: Any) -> None:
+    def run(self, body: Sequence[Statement]) -> None:
         from numba.core.cgutils import for_range
 
         for statement in body:
@@ -159,7 +170,7 @@ class SweepLowering(llvm.Lowering):
             else:
                 super().run((statement,))
 
-    def place(self, element: form.Element) -> Any:
+    def place(self, element: form.Element) -> Value:
         if element.array != "fields":
             return super().place(element)
         b, (row, where) = self.builder, element.indices
@@ -213,13 +224,13 @@ class SweepLowering(llvm.Lowering):
         for slot, (_, value) in zip(self.partial[self.wide], sites.sums, strict=False):
             b.store(b.fadd(b.load(slot), self.spread(self.value(value))), slot)
 
-    def chunk_sum(self, parity: Any, i: int, chunk: Any) -> Any:
+    def chunk_sum(self, parity: Value, i: int, chunk: Value) -> Value:
         """Where it is: what one sweep leaves is read while the next one writes, and no longer."""
         b, sums = self.builder, self.arrays["sums"]
         row = b.add(b.mul(parity, self.whole(len(self.totals))), self.whole(i))
         return b.gep(sums.first, [b.add(b.mul(row, sums.row), chunk)])
 
-    def ends(self, sites: Sites, begin: Any, end: Any) -> None:
+    def ends(self, sites: Sites, begin: Value, end: Value) -> None:
         """The places beyond the ends of what is stored; those of a fixed chain stay zero."""
         b, whole = self.builder, self.whole
         if self.boundary == "fixed":
@@ -250,7 +261,7 @@ class SweepLowering(llvm.Lowering):
 
     # -- threads -----------------------------------------------------------------------------------
     @contextmanager
-    def part(self) -> Iterator[tuple[Any, Any]]:
+    def part(self) -> Iterator[tuple[Value, Value]]:
         """Each part of the chunks, the first and before which one, that this thread is to do; then all is done."""
         from numba.core.cgutils import for_range
 
@@ -279,13 +290,13 @@ class SweepLowering(llvm.Lowering):
                 b.store_atomic(b.mul(done, self.whole(2)), self.state(self.rank), "release", 8)
                 self.wait_until(done)
 
-    def word(self, place: int) -> Any:
+    def word(self, place: int) -> Value:
         return self.builder.gep(self.arrays["sync"].first, [self.whole(place)])
 
-    def state(self, rank: Any) -> Any:
+    def state(self, rank: Value) -> Value:
         return self.builder.gep(self.arrays["sync"].first, [self.builder.mul(rank, self.whole(LINE))])
 
-    def begin(self, count: Any) -> None:
+    def begin(self, count: Value) -> None:
         """Begin a part, unless this thread was left out."""
         b, ready = self.builder, self.builder.mul(count, self.whole(2))
         changed = b.cmpxchg(self.state(self.rank), ready, b.add(ready, self.whole(1)), "acq_rel", "acquire")
@@ -293,28 +304,28 @@ class SweepLowering(llvm.Lowering):
         b.store(mine, self.takes)
         b.store(b.not_(mine), self.over)
 
-    def wait_until(self, done: Any) -> None:
+    def wait_until(self, done: Value) -> None:
         """Wait until the leader says that a sweep is done, or leaves this thread out, which `begin` sees."""
         b, state, out = self.builder, self.state(self.rank), self.whole(OUT)
 
-        def there() -> Any:
+        def there() -> Value:
             reached = b.icmp_signed(">=", b.load_atomic(self.word(DONE), "acquire", 8), done)
             return b.or_(reached, b.icmp_signed("==", b.load_atomic(state, "monotonic", 8), out))
 
         self.wait(there, lambda count: b.icmp_signed(">", count, self.whole(PATIENCE)))
 
-    def wait_for(self, rank: Any, count: Any) -> None:
+    def wait_for(self, rank: Value, count: Value) -> None:
         """Wait until another thread has done its part; leave it out if it is late, and take a part not begun."""
         b, whole, state = self.builder, self.whole, self.state(rank)
         ready, out = b.mul(count, whole(2)), whole(OUT)
         done = b.add(ready, whole(2))
         late = b.add(whole(LATE), b.sdiv(b.mul(self.sites, whole(LATE_PER_SITE)), self.threads))
 
-        def there() -> Any:
+        def there() -> Value:
             now = b.load_atomic(state, "acquire", 8)
             return b.or_(b.icmp_signed("==", now, done), b.icmp_signed("==", now, out))
 
-        def too_late(looks: Any) -> Any:
+        def too_late(looks: Value) -> Value:
             tardy = b.icmp_signed(">", looks, late)
             with b.if_then(tardy, likely=False):
                 b.cmpxchg(state, ready, out, "acq_rel", "acquire")
@@ -325,7 +336,7 @@ class SweepLowering(llvm.Lowering):
         with b.if_then(b.icmp_signed(">", b.load(looks), late), likely=False):
             b.store_atomic(out, state, "release", 8)
 
-    def wait(self, there: Callable[[], Any], yields: Callable[[Any], Any]) -> Any:
+    def wait(self, there: Callable[[], Value], yields: Callable[[Value], Value]) -> Value:
         """Look until it is there, and let others run where the number of looks says so; return that number's slot."""
         from numba.core.cgutils import get_or_insert_function
 
@@ -355,13 +366,15 @@ def rows_of(sites: Sites) -> set[str]:
 
 @cache
 def compile_sweeps(function: form.Function, boundary: str, sums: int, width: int, packing: Packing) -> Any:
-    """A recorded function as a C function ``(out, t, y, data)`` of packed states; may raise `CannotRecord`."""
+    """Return a recorded function as a C function ``(out, t, y, data)`` of packed states; may raise `CannotRecord`."""
     from numba.core import types
     from numba.extending import intrinsic
 
     @intrinsic
-    def lowered(typingctx: Any, out: Any, y: Any, data: Any) -> Any:
-        def instructions(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def lowered(typingctx: Context, out: Type, y: Type, data: Type) -> tuple[Signature, llvm.Compiled]:
+        def instructions(
+            context: BaseContext, builder: IRBuilder, signature: Signature, given: Sequence[Value]
+        ) -> Value:
             SweepLowering(builder, given, boundary, sums, width, packing).lower(function)
             return context.get_dummy_value()
 

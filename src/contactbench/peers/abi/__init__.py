@@ -40,12 +40,12 @@ SOURCES = digest(
 
 
 def kept(function: Callable[..., object]) -> Any:
-    """As numba's `njit`, kept."""
+    """Compile as numba's `njit` does, and keep the program."""
     return keep(function, SOURCES, nogil=True)
 
 
 def kept_c(*signature: Any) -> Any:
-    """As numba's `cfunc`, kept."""
+    """Compile as numba's `cfunc` does, and keep the program."""
     return lambda function: keep_c(function, *signature, SOURCES)
 
 
@@ -58,7 +58,7 @@ def external(name: str, address: int | None, word: str) -> Any:
 # -- packed states without the time; number by number: numba takes seconds to compile the first assignment of a slice
 @kept
 def split(state, y, data, clock):  # type: ignore[no-untyped-def]
-    """A packed state into a solver's vector, its time, where it has one (clock ≥ 0), into `data`."""
+    """Put a packed state into a solver's vector, its time, where it has one (clock ≥ 0), into `data`."""
     for i in range(len(y)):
         y[i] = state[i + (0 <= clock <= i)]
     if clock >= 0:
@@ -67,7 +67,7 @@ def split(state, y, data, clock):  # type: ignore[no-untyped-def]
 
 @kept
 def join(y, t, data, clock, state):  # type: ignore[no-untyped-def]
-    """The packed state of a solver's vector, t after it began."""
+    """Put together the packed state of a solver's vector, t after it began."""
     for i in range(len(state) - (clock >= 0)):
         state[i + (0 <= clock <= i)] = y[i]
     if clock >= 0:

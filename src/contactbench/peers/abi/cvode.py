@@ -65,7 +65,7 @@ FUNCTIONS = {name: word for word, names in SIGNATURES.items() for name in names.
 
 
 def library_file() -> Path:
-    """Where CVODE is: beside the package in a repaired wheel, or among the environment's libraries."""
+    """Return where CVODE is: beside the package in a repaired wheel, or among the environment's libraries."""
     package = importlib.util.find_spec("sksundae")
     if package is None or package.origin is None:
         raise ImportError("scikit-sundae is not installed")
@@ -109,7 +109,7 @@ def function(name: str) -> Any:
 
 array_of, entries_of = function("N_VGetArrayPointer"), function("SUNDenseMatrix_Data")
 reinitialise, set_stop_time = function("CVodeReInit"), function("CVodeSetStopTime")
-set_max_steps, advance, interpolate = map(function, ("CVodeSetMaxNumSteps", "CVode", "CVodeGetDky"))
+set_max_steps, integrate, interpolate = map(function, ("CVodeSetMaxNumSteps", "CVode", "CVodeGetDky"))
 steps_of, error_failures_of = function("CVodeGetNumSteps"), function("CVodeGetNumErrTestFails")
 newton_failures_of = function("CVodeGetNumStepSolveFails")
 pointer, integer, real = types.intp, types.int32, types.float64
@@ -175,10 +175,10 @@ def facts(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-unty
 
 @kept
 def on_to_end(memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """So many more steps of a run that `to_end` has begun, at most: they are those of a single call."""
+    """Take so many more steps of a run that `to_end` has begun, at most: they are those of a single call."""
     set_max_steps(memory, max_steps)
     reached = np.zeros(1)
-    flag = advance(memory, end, vector, reached.ctypes.data, NORMAL)
+    flag = integrate(memory, end, vector, reached.ctypes.data, NORMAL)
     return facts(memory, y, data, clock, flag, reached[0], flag >= 0)
 
 
@@ -200,10 +200,10 @@ def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: 
 
 @kept
 def on_to_times(saved, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """So many more steps of a run that `at_times` has begun and that has saved some states, at most."""
+    """Take so many more steps of a run that `at_times` has begun and that has saved some states, at most."""
     flag, now = np.int32(TOO_MUCH_WORK), np.zeros(1)
     for _ in range(max_steps):
-        flag = advance(memory, end, vector, now.ctypes.data, ONE_STEP)
+        flag = integrate(memory, end, vector, now.ctypes.data, ONE_STEP)
         if flag < 0:
             break
         there = y.copy()
@@ -222,7 +222,7 @@ def on_to_times(saved, times, out, memory, vector, y, data, clock, end, max_step
 
 @kept
 def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
+    """Put states at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
 
     By single steps, those of `to_end`: in CVODE's other mode the first depends on the first time asked for.
     """

@@ -40,7 +40,7 @@ NOTHING = 0
 
 @kept
 def solve(rhs, method, start, data, times, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
-    """CyRK's result; times : where states are wanted, none for every step; rtol, atol : arrays, atol (1,) or (d,)."""
+    """Return CyRK's result; times : of saved states, none for every step; rtol, atol : arrays, atol (1,) or (d,)."""
     state = (rhs, 0.0, end, start.ctypes.data, len(start))
     problem = (*state, method, NOTHING, NOTHING, data.ctypes.data, data.size * 8)
     saves = (max_steps, UNLIMITED, False, times.ctypes.data, times.size, NOTHING, NOTHING, NOTHING)
@@ -65,7 +65,7 @@ def facts(result, y, data, clock, saved):  # type: ignore[no-untyped-def]
 
 @kept
 def separate(start, data, clock):  # type: ignore[no-untyped-def]
-    """What CyRK is given of a packed state: the vector less the time, and data of the run's own with it."""
+    """Return what CyRK is given of a packed state: the vector less the time, and data of the run's own with it."""
     y, own = np.empty(len(start) - (clock >= 0)), data.copy()
     split(start, y, own, clock)
     return y, own
@@ -90,7 +90,7 @@ def in_a_loop(starts, rhs, method, data, clock, end, rtol, atol, max_steps):  # 
 
 @kept
 def at_times(start, times, out, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
-    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached."""
+    """Put states at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached."""
     y, own = separate(start, data, clock)
     d, row = len(y), np.empty(len(y))
     result = solve(rhs, method, y, own, times, end, rtol, atol, max_steps)
