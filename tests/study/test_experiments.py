@@ -26,7 +26,7 @@ from contactbench.results.tables import (
 )
 from contactbench.scenes import scenes_of
 from contactbench.study import long_time
-from contactbench.study.choice import DEAR, SMOKE
+from contactbench.study.choice import DEAR, SMOKE, methods_of
 from contactbench.study.claims import LONG
 from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
 from contactbench.study.ensemble import prepared_row, truth
@@ -310,3 +310,10 @@ def test_steps_end_at_the_saved_times_and_rotations_count_half():
         n = round(body.t_end / h)
         assert n % SAVES == 0
         assert method.counts(body, n) / 2 == pytest.approx(600, rel=0.1)
+
+
+def test_the_appendix_is_run_by_the_full_profile_alone():
+    appendix = {name for name, method in cb.METHODS.items() if method.appendix}
+    assert {"contact-yoshida6", "contact-rkn6a", "contact-rkn8b", "herglotz1", "stormer12"} <= appendix
+    for name, profile in PROFILES.items():
+        assert (appendix <= {*methods_of(profile)}) == (name == "full")

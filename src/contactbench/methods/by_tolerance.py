@@ -56,8 +56,7 @@ STAY, STRETCH = 1.1, 1.1
 PROPORTIONAL = 0.5
 #: by how much a little step along the motion moves it, relative to its size
 NUDGE = 1e-5
-#: what follows the packed state: the step, log of the error before over that aimed at, attempts, those rejected,
-#: time not covered
+#: what follows the packed state: the step, log of the error before, attempts, those rejected, time not covered
 BESIDE = 5
 #: below it a number is none
 TINY = 1e-30

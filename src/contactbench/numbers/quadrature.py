@@ -49,7 +49,8 @@ def gauss(digits: int, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) ->
 @cache
 def gauss_on_doubles(stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
     nodes, weights, matrix = gauss(DIGITS, stages, ends)
-    return [*map(float, nodes)], [*map(float, weights)], [[*map(float, row)] for row in matrix]
+    numbers = np.array([nodes, weights, *matrix], dtype=float).tolist()
+    return numbers[0], numbers[1], numbers[2:]
 
 
 def rule(xp: Namespace, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
@@ -71,7 +72,7 @@ def integrals(rate: Rate, t: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[
 def running(
     rate: Rate, t: Arithmetic, h: Arithmetic, ends: tuple[Fraction, ...], stages: int, xp: Namespace
 ) -> list[Arithmetic]:
-    """∫_t^{t+ch} of a rate for every c of some ends, to an error O(h^{stages + 1})."""
+    """Return ∫_t^{t+ch} of a rate for every c of some ends, to an error O(h^{stages + 1})."""
     nodes, _, matrix = rule(xp, stages, ends)
     values = [rate(t + c * h) for c in nodes]
     return [h * weigh(row, values) for row in matrix]

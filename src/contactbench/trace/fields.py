@@ -239,9 +239,10 @@ class FieldTape(ProgramTape):
             raise CannotRecord("a loop whose body returns a state of another shape")
         after: list[tuple[str, Operand]] = []
         moves: dict[str, str] = {}
-        pairs = [(own, v) for own, v in zip(carried, end, strict=True) if isinstance(own, Field)]
-        passed = {v.row for own, v in pairs if isinstance(v, Field) and v.row != own.row}
-        for own, v in zip(carried, end, strict=True):
+        pairs = [*zip(carried, end, strict=True)]
+        both = ((own.row, v.row) for own, v in pairs if isinstance(own, Field) and isinstance(v, Field))
+        passed = {theirs for mine, theirs in both if theirs != mine}
+        for own, v in pairs:
             if isinstance(own, Field):
                 moves |= self.keep(own, v, inner, passed)
             else:
