@@ -52,7 +52,18 @@ def parser() -> argparse.ArgumentParser:
 
 
 #: what is raced, and what it is compiled by
-PEERS = "scipy scikit-sundae diffrax jax heyoka cyrk sundials4py rebound numba numpy".split()
+PEERS = [
+    "scipy",
+    "scikit-sundae",
+    "diffrax",
+    "jax",
+    "heyoka",
+    "cyrk",
+    "sundials4py",
+    "rebound",
+    "numba",
+    "numpy",
+]
 
 
 def versions() -> str:
