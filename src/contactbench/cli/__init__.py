@@ -52,7 +52,22 @@ def parser() -> argparse.ArgumentParser:
 
 
 #: what is raced, and what it is compiled by
+<<<<<<< HEAD
 PEERS = ["scipy", "scikit-sundae", "diffrax", "jax", "heyoka", "cyrk", "sundials4py", "rebound", "numba", "numpy"]
+=======
+PEERS = [
+    "scipy",
+    "scikit-sundae",
+    "diffrax",
+    "jax",
+    "heyoka",
+    "cyrk",
+    "sundials4py",
+    "rebound",
+    "numba",
+    "numpy",
+]
+>>>>>>> field
 
 
 def versions() -> str:

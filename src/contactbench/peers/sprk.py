@@ -133,7 +133,8 @@ class Steps(LibrarySteps):
         from contactbench.peers.abi import arkode
 
         super().__init__(method, request)
-        self.abi, scene = arkode, self.scene.unrolled() if isinstance(self.scene, Many) else self.scene
+        self.abi, single = arkode, self.scene.unrolled() if isinstance(self.scene, Many) else self.scene
+        scene = single.recorded()
         self.parts = [Part(name="", t_end=1.0, base=scene, kick=kick) for kick in (True, False)]
         over_m = np.array(list(scaled(scene.inverse_mass, (1.0,) * len(scene.q))), dtype=float)
         self.place = over_m, scene.gamma, -1 if scene.clock is None else scene.clock

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from time import perf_counter
+from typing import cast
 
 import numpy as np
 
@@ -66,7 +67,7 @@ def settings(scene: Scene, method: Method) -> list[tuple[str, float]]:
         return [("rtol", rtol) for rtol in (*(r for r in TOLERANCES if r > finest), finest)]
     if method.refuses(scene):
         return [("step", COARSEST.get(scene.name, scene.t_end / 100))]
-    assert isinstance(method, FixedStep)
+    method = cast(FixedStep, method)  # or a library's, which says the same
     each = method.per_step(scene) / (2 if method.kind_on(scene) == "rotation" else 1)
     rungs: tuple[float, ...] = RUNGS.get(scene.name, BY_FOUR)
     if method.order <= LOW_ORDER:
