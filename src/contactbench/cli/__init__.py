@@ -52,9 +52,6 @@ def parser() -> argparse.ArgumentParser:
 
 
 #: what is raced, and what it is compiled by
-<<<<<<< HEAD
-PEERS = ["scipy", "scikit-sundae", "diffrax", "jax", "heyoka", "cyrk", "sundials4py", "rebound", "numba", "numpy"]
-=======
 PEERS = [
     "scipy",
     "scikit-sundae",
@@ -67,7 +64,6 @@ PEERS = [
     "numba",
     "numpy",
 ]
->>>>>>> field
 
 
 def versions() -> str:
