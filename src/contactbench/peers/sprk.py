@@ -2,8 +2,8 @@
 
 In z = e^{γt/2} q a linearly damped motion is Hamiltonian, z'' = γ²z/4 − e^{γt/2} ∇V(q)/m: coordinates change momenta,
 and momenta coordinates.  So does S = e^{γt} (s − q·p/2) change, by e^{γt} (q·∇V/2 − V), and every step is a contact map
-with the factor of the exact flow.  The time is a coordinate: at the times that SPRKStep passes to its two functions a
-force that depends on time is met at order one.
+with the factor of the exact flow.  The time is a coordinate, so that a force that depends on it is met at the time of
+the coordinates that it acts with.
 
 McLachlan, Atela, Nonlinearity 5, 541 (1992), doi:10.1088/0951-7715/5/2/011; Sofroniou, Spaletta, Optim. Methods
 Softw. 20, 597 (2005), doi:10.1080/10556780500140664.
