@@ -50,7 +50,7 @@ KINDS |= {(f"diffrax-{kind.lower()}", "jax"): kind for kind in ("Tsit5", "Dopri8
 KINDS |= {("heyoka-taylor", "llvm"): None}
 #: whose library gets a force, or another iteration of what is looked at: see test_library_steps.py
 ELSEWHERE = {("ias15", "c"), ("cvode-adams-fixed", "c")}
-ADAPTIVE = [(m.name, e) for m in cb.METHODS.values() if m.adaptive for e in m.engines]
+ADAPTIVE = [(m.name, e) for m in cb.METHODS.values() if m.adaptive and m.package for e in m.engines]
 
 
 def of(*libraries):
