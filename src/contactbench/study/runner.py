@@ -136,7 +136,7 @@ class Run:
 
     def complete(self, task: Task, table: Table, row: Row) -> Row:
         """Add what the method declares, and the smallest profile that has the cell; raise `BadInput` for a bad row."""
-        declared = {"family", "package"} & set(table.columns) if row["method"] in METHODS else ()
+        declared = {"family", "package"} & set(table.columns) if row.get("method") in METHODS else ()
         known = {name: getattr(METHODS[row["method"]], name) for name in declared}
         row = {**known, **row, "profile": task.experiment.profile_of(task.cell)}
         check(table, row)
