@@ -169,7 +169,10 @@ class Survey:
             while solver.status == "running":
                 watch.check(solver.t)
                 if not math.isfinite(solver.h_abs) or solver.step() is not None:
-                    raise DoublesOnly(f"no reference for scene {self.scene.name!r}: it cannot be followed")
+                    if np.all(self.scale >= self.largest):
+                        raise DoublesOnly(f"no reference for scene {self.scene.name!r}: it cannot be followed")
+                    self.scale = np.maximum(self.scale, self.largest)
+                    break  # again, over what is too rough for a motion that is small as yet
                 step, size = solver.t - solver.t_old, np.maximum(np.abs(y), np.abs(solver.y))
                 recent = np.maximum(size, self.recent * 2 ** (-HALVINGS * step / self.end))
                 cuts, integral, coupled = self.cut(solver.t_old, solver.t, solver.dense_output(), recent)
