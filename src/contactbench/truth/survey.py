@@ -141,6 +141,7 @@ class Survey:
         watch, y = Stopwatch(self.scene, self.end, self.deadline), self.start
         given = {} if states is None else dict(zip(times, states, strict=True))
         self.recent = self.scale = np.maximum(np.abs(y), FAINT * self.largest)
+        self.least = STEP * self.scale
         for bound in sorted({*times, *self.sides} - {0.0}):
             with np.errstate(all="ignore"):
                 y = self.piece(ends, y, bound, watch)
@@ -165,13 +166,13 @@ class Survey:
                 (y,) = across_breaks(lambda *_, **__: [], self.slope, y, [due[-1]], self.breaks, ends[-1])
                 ends.append(due.pop())
                 continue
-            solver = DOP853(self.motion, ends[-1], y, due[-1], rtol=STEP, atol=STEP * self.scale)
+            solver = DOP853(self.motion, ends[-1], y, due[-1], rtol=STEP, atol=self.least)
             while solver.status == "running":
                 watch.check(solver.t)
                 if not math.isfinite(solver.h_abs) or solver.step() is not None:
-                    if np.all(self.scale >= self.largest):
+                    if np.all(self.least >= STEP * self.largest):
                         raise DoublesOnly(f"no reference for scene {self.scene.name!r}: it cannot be followed")
-                    self.scale = np.maximum(self.scale, self.largest)
+                    self.least = np.maximum(self.least, STEP * self.largest)
                     break  # again, over what is too rough for a motion that is small as yet
                 step, size = solver.t - solver.t_old, np.maximum(np.abs(y), np.abs(solver.y))
                 recent = np.maximum(size, self.recent * 2 ** (-HALVINGS * step / self.end))
@@ -182,7 +183,8 @@ class Survey:
                     due = sorted({*due, *cuts}, reverse=True)
                     break  # again, in pieces
                 y, self.recent, self.scale = solver.y, np.maximum(recent, FAINT * self.largest), scale
-                self.known[solver.t], solver.atol = (y, scale), STEP * scale
+                self.known[solver.t] = y, scale
+                solver.atol = self.least = STEP * scale + ROUNDING * step * self.varying
                 ends += cuts
                 if len(ends) > PIECES:
                     raise DoublesOnly(f"no reference for scene {self.scene.name!r}: it is too rough")
@@ -207,8 +209,9 @@ class Survey:
             nodes, states = every[: len(NODES)], path(every)
             fixed = np.tile(path((a + b) / 2)[:, None], len(x) * timed)
             near = states[:, : len(NODES)]
-            t = [every, nodes, nodes + ROUNDING * (nodes + abs(self.origin)), every[: len(x) * timed]]
-            y = [states, near + RESOLVED * moved, near + ROUNDING * moved, fixed]
+            later = nodes + ROUNDING * (nodes + abs(self.origin))
+            t = [every, nodes, later, every[: len(x) * timed]]
+            y = [states, near + RESOLVED * moved, path(later) + ROUNDING * moved, fixed]
             bounds = np.cumsum([part.size for part in t])[:-1]
             values, shifted, rounded, frozen = np.split(
                 self.slopes(np.concatenate(t), np.concatenate(y, axis=1)), bounds, axis=1
