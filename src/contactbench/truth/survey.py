@@ -41,6 +41,8 @@ RESOLVED = 1e-8
 ROUNDING, FINEST = 1e-14, 1e-7
 #: how often the scale of a component that has been large is halved along the motion, and the least, against the largest
 HALVINGS, FAINT = 100, 1e-24
+#: what rounding of a force changes the motion by, at most, against the largest
+LOST = 1e-10
 #: slopes below it, against the largest, are none: their squares are not among floats
 NONE = 1e-100
 #: pieces of a motion at most, and the shortest of them against the span
@@ -104,7 +106,7 @@ class Survey:
             self.largest = max(self.largest, np.abs(waiting).max())
         self.largest = self.largest or 1.0
         self.signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(self.start), len(NODES)))
-        self.known = dict[float, tuple[np.ndarray, np.ndarray]]()  # states and scales at the ends of steps
+        self.known = dict[float, tuple[np.ndarray, np.ndarray]]()  # states at the ends of steps, and their errors
         self.breaks = self.scene.breaks_until(self.end)
         self.sides = sides(self.breaks, self.end)
 
@@ -132,7 +134,7 @@ class Survey:
         if self.scene.clock is not None:
             states = np.delete(states, self.scene.clock, axis=1)
         pairs = ((*self.known[t], y) for t, y in zip(times, states, strict=True) if t in self.known)
-        if self.unseen or all(agree(*pair) for pair in pairs):
+        if self.unseen or all(np.all(np.abs(y - other) <= error) for y, error, other in pairs):
             return
         self.follow(times, states, [0.0])  # piece by piece: the motion may be sensitive
 
@@ -141,16 +143,16 @@ class Survey:
         watch, y = Stopwatch(self.scene, self.end, self.deadline), self.start
         given = {} if states is None else dict(zip(times, states, strict=True))
         self.recent = self.scale = np.maximum(np.abs(y), FAINT * self.largest)
-        self.least = STEP * self.scale
+        self.least, self.lost = STEP * self.scale, np.zeros_like(y)
         for bound in sorted({*times, *self.sides} - {0.0}):
             with np.errstate(all="ignore"):
                 y = self.piece(ends, y, bound, watch)
             if bound in given:
-                if not agree(y, self.scale, given[bound]):
+                if not np.all(np.abs(y - given[bound]) <= self.known[ends[-1]][1]):
                     raise BadInput(
                         f"no reference for scene {self.scene.name!r}: two engines disagree before t = {bound:g}"
                     )
-                y = given[bound]
+                y, self.lost = given[bound], np.zeros_like(y)
 
     def motion(self, t: float, y: np.ndarray) -> np.ndarray:
         slope = self.slope(t, y)
@@ -183,7 +185,8 @@ class Survey:
                     due = sorted({*due, *cuts}, reverse=True)
                     break  # again, in pieces
                 y, self.recent, self.scale = solver.y, np.maximum(recent, FAINT * self.largest), scale
-                self.known[solver.t] = y, scale
+                self.lose(solver.t_old + step / 2, step, solver.dense_output())
+                self.known[solver.t] = y, 10 * OFF * scale + np.abs(self.lost)
                 solver.atol = self.least = STEP * scale + ROUNDING * step * self.varying
                 ends += cuts
                 if len(ends) > PIECES:
@@ -191,6 +194,12 @@ class Survey:
             else:
                 due.pop()
         return y
+
+    def lose(self, t: float, step: float, path: DenseOutput) -> None:
+        """Add to what the motion is off by because its force is rounded, to first order."""
+        y = path(t)
+        drift = self.slope(t, y + self.lost) - self.slope(t, y) + 4 * np.finfo(float).eps * self.varying
+        self.lost = np.clip(self.lost + step * np.nan_to_num(drift), -LOST * self.largest, LOST * self.largest)
 
     def cut(
         self, a: float, b: float, path: DenseOutput, sizes: np.ndarray
@@ -255,10 +264,6 @@ def excess(values: np.ndarray, weights: np.ndarray, allowed: np.ndarray) -> np.n
     """Return by how much of what is allowed samples are off the polynomial through the nodes, the worst component."""
     off = np.abs(values[:, : len(NODES)] @ weights - values[:, len(NODES) :])
     return np.where(off == 0, 0.0, off / allowed[:, None]).max(axis=0)
-
-
-def agree(y: np.ndarray, scale: np.ndarray, other: np.ndarray) -> bool:
-    return bool(np.all(np.abs(y - other) <= 10 * OFF * scale))
 
 
 def stops_between(ends: list[float]) -> list[float]:
