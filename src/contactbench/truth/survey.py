@@ -48,7 +48,9 @@ NONE = 1e-100
 #: pieces of a motion at most, and the shortest of them against the span
 PIECES, SHORTEST = 20_000, 1e-13
 #: a stop comes before an engine could take a step so many times as long as a piece in it
-LONGER = 8.0
+LONGER = 2.0
+#: by how much a distance between stops is longer than one beside it
+GRADED = 2.0
 
 _angles = math.pi * (np.arange(12) + 0.5) / 12
 #: Chebyshev's points on [0, 1], their barycentric weights, and the weights of Fejér's quadrature
@@ -106,7 +108,9 @@ class Survey:
             self.largest = max(self.largest, np.abs(waiting).max())
         self.largest = self.largest or 1.0
         self.signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(self.start), len(NODES)))
-        self.known = dict[float, tuple[np.ndarray, np.ndarray]]()  # states at the ends of steps, and their errors
+        self.known = dict[
+            float, tuple[np.ndarray, np.ndarray]
+        ]()  # states at the ends of steps, and their errors
         self.breaks = self.scene.breaks_until(self.end)
         self.sides = sides(self.breaks, self.end)
 
@@ -173,7 +177,9 @@ class Survey:
                 watch.check(solver.t)
                 if not math.isfinite(solver.h_abs) or solver.step() is not None:
                     if np.all(self.least >= STEP * self.largest):
-                        raise DoublesOnly(f"no reference for scene {self.scene.name!r}: it cannot be followed")
+                        raise DoublesOnly(
+                            f"no reference for scene {self.scene.name!r}: it cannot be followed"
+                        )
                     self.least = np.maximum(self.least, STEP * self.largest)
                     break  # again, over what is too rough for a motion that is small as yet
                 step, size = solver.t - solver.t_old, np.maximum(np.abs(y), np.abs(solver.y))
@@ -199,7 +205,9 @@ class Survey:
         """Add to what the motion is off by because its force is rounded, to first order."""
         y = path(t)
         drift = self.slope(t, y + self.lost) - self.slope(t, y) + 4 * np.finfo(float).eps * self.varying
-        self.lost = np.clip(self.lost + step * np.nan_to_num(drift), -LOST * self.largest, LOST * self.largest)
+        self.lost = np.clip(
+            self.lost + step * np.nan_to_num(drift), -LOST * self.largest, LOST * self.largest
+        )
 
     def cut(
         self, a: float, b: float, path: DenseOutput, sizes: np.ndarray
@@ -228,7 +236,7 @@ class Survey:
             at_nodes = values[:, : len(NODES)]
             steepest = np.maximum(steepest, np.abs(np.nan_to_num(values)).max(axis=1))
             coupled = np.maximum(coupled, np.abs(shifted - at_nodes).max(axis=1) / RESOLVED)
-            noise = 4 * np.abs(rounded - at_nodes).max(axis=1) + ROUNDING * self.varying
+            noise = 4 * (np.abs(rounded - at_nodes).max(axis=1) + np.finfo(float).eps * self.varying)
             allowed = RESOLVED * np.maximum(steepest, coupled) + noise
             off = excess(values, weights, allowed)
             resolved = np.all(off <= 1)
@@ -267,11 +275,34 @@ def excess(values: np.ndarray, weights: np.ndarray, allowed: np.ndarray) -> np.n
 
 
 def stops_between(ends: list[float]) -> list[float]:
-    """Return some of the ends of pieces, so that no distance is much longer than the shortest piece in it."""
+    """Return some of the ends of pieces, so that no distance is much longer than the shortest piece in it.
+
+    Nor is one much longer than its neighbours: what is seen of a pulse has tails that are below rounding.
+    """
     stops, shortest = [0.0], math.inf
     for before, end in itertools.pairwise(ends):
         shortest = min(shortest, end - before)
         if end - stops[-1] > LONGER * shortest and before > stops[-1]:
             stops.append(before)
             shortest = end - before
-    return stops[1:]
+    if len(stops) == 1:
+        return []
+    stops.append(ends[-1])
+    graded = stops[:1]
+    for k, end in enumerate(stops[1:], 1):
+        left = graded[-1] - graded[-2] if len(graded) > 1 else math.inf
+        right = stops[k + 1] - end if k + 1 < len(stops) else math.inf
+        rising, falling = list[float](), list[float]()
+        at, step = stops[k - 1], GRADED * left
+        back, behind = end, GRADED * right
+        while back - at > min(step, behind) * GRADED:
+            if step <= behind:
+                at += step
+                rising.append(at)
+                step *= GRADED
+            else:
+                back -= behind
+                falling.append(back)
+                behind *= GRADED
+        graded += [*rising, *reversed(falling), end]
+    return graded[1:-1]
