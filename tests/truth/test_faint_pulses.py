@@ -1,4 +1,4 @@
-"""What is small beside the rest of a motion is seen where it decides: pulses at rest, after decay, beside other scales."""
+"""What is small beside the rest of a motion is seen where it decides: at rest, after decay, beside other scales."""
 
 import itertools
 
