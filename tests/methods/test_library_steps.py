@@ -1,7 +1,9 @@
 """Steps that other libraries take: SUNDIALS' SPRKStep, REBOUND's WHFast and IAS15."""
 
+import gc
 import importlib.util
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -204,3 +206,17 @@ def test_fixed_point_iteration_asks_for_no_jacobian():
     newton, fixed = (cb.solve(scene, f"cvode-adams{own}", rtol=1e-8).counts for own in ("", "-fixed"))
     assert newton.jacobians > 0 == fixed.jacobians
     assert error(scene, "cvode-adams-fixed", rtol=1e-10) < 1e-7
+
+
+@pytest.mark.parametrize(("scene", "method"), [(PARTICLE, "sprk-5"), (KEPLER, "whfast")])
+def test_a_bare_call_outlives_its_run(scene, method):
+    """What is timed is the call alone: the memory of the library goes with it, not with the run."""
+    run = cb.prepare(scene, method, step=0.1, save_at=[scene.t_end], carry=())
+    bare, start = run.bare, run.start.copy()
+    memory = weakref.ref(run.loop)
+    expected = bare(start)
+    del run
+    gc.collect()
+    np.testing.assert_array_equal(bare(start), expected)
+    if method == "whfast":
+        assert memory() is not None

@@ -69,7 +69,8 @@ class Orbits(LibrarySteps):
         if len(ready) > 1:
             return super().last(ready)
         advance, rest = self.abi.advance, (*ready[0], *self.place)
-        return lambda y0: advance(y0, *rest)
+        # addresses are good as long as this object lives
+        return lambda y0, owner=self: advance(y0, *rest)  # type: ignore[misc]
 
 
 def attraction(scene: Any) -> tuple[float, np.ndarray, np.ndarray, np.ndarray] | None:

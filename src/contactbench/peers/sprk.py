@@ -171,7 +171,8 @@ class Steps(LibrarySteps):
         if len(ready) > 1 or isinstance(memory, Callbacks):
             return super().last(ready)
         rest = *self.place, h, n, memory.y, memory.memory, memory.vector
-        return lambda y0: advance(y0, *rest)
+        # addresses are good as long as their memory lives
+        return lambda y0, owner=memory: advance(y0, *rest)  # type: ignore[misc]
 
     @cached_property
     def tangents(self) -> Any:  # type: ignore[override]
