@@ -11,6 +11,16 @@ from typing import Any
 
 
 @contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Say in an error of the system which file it is about."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = error.filename or str(path)
+        raise
+
+
+@contextmanager
 def replacing(path: Path, sync: bool = True, mode: str = "w") -> Iterator[Any]:
     """Open a file that takes the place of `path` when the block ends well; sync : even if power fails then.
 
@@ -19,22 +29,20 @@ def replacing(path: Path, sync: bool = True, mode: str = "w") -> Iterator[Any]:
     text: Any = {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
     path = Path(os.path.realpath(path))
     if path.exists() and not path.is_file():
-        with open(path, mode, **text) as file:
+        with naming(path), open(path, mode, **text) as file:
             yield file
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
-        with os.fdopen(handle, mode, **text) as file:
+        with naming(path), os.fdopen(handle, mode, **text) as file:
             yield file
             file.flush()
             if sync:
                 os.fsync(file.fileno())
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
-    except BaseException as error:
-        if isinstance(error, OSError):
-            error.filename = error.filename or str(path)
+    except BaseException:
         with suppress(FileNotFoundError):
             os.unlink(temporary)
         raise

@@ -181,8 +181,10 @@ def reference(
 
 def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> Reference:
     unique, back = np.unique(t, return_inverse=True)
-    stops = [] if scene.by_sites else surveyed(scene, carry, float(unique[-1]), deadline).stops
-    y, digits = doubles(scene, unique, carry, deadline, stops)
+    survey = None if scene.by_sites else surveyed(scene, carry, float(unique[-1]), deadline)
+    y, digits = doubles(scene, unique, carry, deadline, survey.stops if survey else ())
+    if survey and survey.ended and scene.clock is not None:  # both may have stepped over a pulse
+        raise survey.ended
     return Reference(scene, carry, t, y[back], [], digits, "two solvers")
 
 
@@ -298,7 +300,7 @@ def surveyed(scene: Scene, carry: tuple[str, ...], end: float, deadline: float) 
     return survey
 
 
-#: digits at most of a motion with breaks, which are floats with another float on either side
+#: digits at most of a motion with breaks, which are floats with another float on either side, or that was not surveyed
 BROKEN = 14
 
 
@@ -333,7 +335,7 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
             "two high precisions disagree, the trajectory is too sensitive to its initial data"
         )
     survey.check(every.tolist(), np.array(pair[0], dtype=float))
-    most = BROKEN if survey.breaks else 40
+    most = BROKEN if survey.breaks or survey.unseen else 40
     columns = []
     for known, column, error, scale in zip(exact, zip(*rows, strict=True), errors, sizes, strict=True):
         digits = matching_digits(error / scale, most)

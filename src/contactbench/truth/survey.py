@@ -2,7 +2,8 @@
 
 A motion is followed by steps of DOP853.  On each, the slopes along its interpolant are sampled on a fine grid, and the
 step is cut, at the worst sample first, until a polynomial has them all.  Their integral is what the state should have
-changed by: a step that did not see what the samples show is taken again, in the pieces it was cut into.
+changed by: a step that did not see what the samples show is taken again, in the pieces it was cut into.  Every
+component is looked at on its own scale at the time: what is small beside others, or beside what it was, may decide.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,12 +35,22 @@ if TYPE_CHECKING:
 STEP, OFF = 1e-10, 1e-7
 #: samples of a motion: numbers at most, of a function that takes arrays or not; and on a step at least
 SAMPLES, ONE_BY_ONE, LEAST = 2**19, 2**14, 16
-#: how far samples may be off a polynomial, against the largest slope
+#: how far samples may be off a polynomial, against the slopes on the step and what the state has in them
 RESOLVED = 1e-8
+#: the same at a fixed state, against rounding, and the shortest piece that is cut for it, against the span
+ROUNDING, FINEST = 1e-14, 1e-7
+#: how often the scale of a component that has been large is halved along the motion, and the least, against the largest
+HALVINGS, FAINT = 100, 1e-24
+#: what rounding of a force changes the motion by, at most, against the largest
+LOST = 1e-10
+#: slopes below it, against the largest, are none: their squares are not among floats
+NONE = 1e-100
 #: pieces of a motion at most, and the shortest of them against the span
 PIECES, SHORTEST = 20_000, 1e-13
 #: a stop comes before an engine could take a step so many times as long as a piece in it
-LONGER = 8.0
+LONGER = 2.0
+#: by how much a distance between stops is longer than one beside it
+GRADED = 2.0
 
 _angles = math.pi * (np.arange(12) + 0.5) / 12
 #: Chebyshev's points on [0, 1], their barycentric weights, and the weights of Fejér's quadrature
@@ -79,19 +90,27 @@ class Survey:
     deadline: float = math.inf
     #: whether the motion was too long to be followed
     unseen: bool = False
+    #: why it was not followed to its end
+    ended: DoublesOnly | None = None
 
     def __post_init__(self) -> None:
-        self.slope, self.start, _ = initial_value_problem(self.scene, self.carry)
+        self.slope, self.start, self.origin = initial_value_problem(self.scene, self.carry)
         self.slopes, arrays = of_many_times(self.scene, self.carry)
-        self.density = (SAMPLES / len(self.start) if arrays else ONE_BY_ONE) / (self.end or 1.0)
-        # the scale of every component: what it is at the start, or has been since; all alike as long as it is none
-        self.sizes, self.steepest = np.abs(self.start), np.zeros_like(self.start)
-        if self.scene.clock is not None:  # a force that is rounding now may be large later
-            t = np.linspace(0.0, self.end, int(self.density * self.end))
+        self.samples = SAMPLES // len(self.start) if arrays else ONE_BY_ONE
+        # how much of the slopes comes and goes with time
+        self.varying = np.zeros_like(self.start)
+        self.largest = max(np.abs(self.start).max(), np.abs(self.slope(0.0, self.start)).max())
+        if self.scene.clock is not None:
+            t = np.linspace(0.0, self.end, self.samples)
             with np.errstate(all="ignore"):
-                waiting = self.slopes(t, np.tile(self.start[:, None], len(t)))
-            self.steepest = np.abs(np.nan_to_num(waiting)).max(axis=1)
-        self.known = dict[float, np.ndarray]()  # states at the ends of steps
+                waiting = np.nan_to_num(self.slopes(t, np.tile(self.start[:, None], len(t))))
+            self.varying = np.ptp(waiting, axis=1)
+            self.largest = max(self.largest, np.abs(waiting).max())
+        self.largest = self.largest or 1.0
+        self.signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(self.start), len(NODES)))
+        self.known = dict[
+            float, tuple[np.ndarray, np.ndarray]
+        ]()  # states at the ends of steps, and their errors
         self.breaks = self.scene.breaks_until(self.end)
         self.sides = sides(self.breaks, self.end)
 
@@ -104,8 +123,8 @@ class Survey:
         ends = [0.0]
         try:
             self.follow([self.end], None, ends)
-        except DoublesOnly:  # a singularity, whose time other engines know
-            pass
+        except DoublesOnly as why:  # perhaps a singularity, whose time other engines know
+            self.ended = why
         except OutOfTime:
             if self.scene.clock is not None:
                 raise
@@ -114,55 +133,67 @@ class Survey:
 
     def check(self, times: Sequence[float], states: np.ndarray) -> None:
         """Raise `BadInput` unless states (k, d) at increasing times, the stops among them, lead to each other."""
+        if self.ended:
+            raise self.ended
         if self.scene.clock is not None:
             states = np.delete(states, self.scene.clock, axis=1)
-        pairs = ((self.known[t], y) for t, y in zip(times, states, strict=True) if t in self.known)
-        if self.unseen or all(self.agree(*pair) for pair in pairs):
+        pairs = ((*self.known[t], y) for t, y in zip(times, states, strict=True) if t in self.known)
+        if self.unseen or all(np.all(np.abs(y - other) <= error) for y, error, other in pairs):
             return
         self.follow(times, states, [0.0])  # piece by piece: the motion may be sensitive
-
-    def agree(self, a: np.ndarray, b: np.ndarray) -> bool:
-        return bool(np.all(np.abs(a - b) <= 10 * OFF * self.scale()))
 
     def follow(self, times: Sequence[float], states: np.ndarray | None, ends: list[float]) -> None:
         """Add to the ends of the pieces; raise `BadInput` where one of the states (k, d) does not lead to the next."""
         watch, y = Stopwatch(self.scene, self.end, self.deadline), self.start
-        known = {} if states is None else dict(zip(times, states, strict=True))
+        given = {} if states is None else dict(zip(times, states, strict=True))
+        self.recent = self.scale = np.maximum(np.abs(y), FAINT * self.largest)
+        self.least, self.lost = STEP * self.scale, np.zeros_like(y)
         for bound in sorted({*times, *self.sides} - {0.0}):
             with np.errstate(all="ignore"):
                 y = self.piece(ends, y, bound, watch)
-            if bound in known:
-                if not self.agree(y, known[bound]):
+            if bound in given:
+                if not np.all(np.abs(y - given[bound]) <= self.known[ends[-1]][1]):
                     raise BadInput(
                         f"no reference for scene {self.scene.name!r}: two engines disagree before t = {bound:g}"
                     )
-                y = known[bound]
+                y, self.lost = given[bound], np.zeros_like(y)
 
-    def scale(self) -> np.ndarray:
-        return np.maximum(self.sizes, 1e-3 * self.sizes.max() or 1.0)
+    def motion(self, t: float, y: np.ndarray) -> np.ndarray:
+        slope = self.slope(t, y)
+        return np.where(np.abs(slope) < NONE * self.largest, 0.0, slope)
 
     def piece(self, ends: list[float], y: np.ndarray, bound: float, watch: Stopwatch) -> np.ndarray:
         """Follow the motion from the last of `ends` to a bound, adding to them; return the state there."""
         from scipy.integrate import DOP853
 
-        due, shortest = [bound], SHORTEST * self.end
+        due = [bound]
         while due:
             if any(time - m <= ends[-1] and due[-1] <= time + m for time, m in self.breaks):
                 (y,) = across_breaks(lambda *_, **__: [], self.slope, y, [due[-1]], self.breaks, ends[-1])
                 ends.append(due.pop())
                 continue
-            solver = DOP853(self.slope, ends[-1], y, due[-1], rtol=STEP, atol=STEP * self.scale().min())
+            solver = DOP853(self.motion, ends[-1], y, due[-1], rtol=STEP, atol=self.least)
             while solver.status == "running":
                 watch.check(solver.t)
                 if not math.isfinite(solver.h_abs) or solver.step() is not None:
-                    raise DoublesOnly(f"no reference for scene {self.scene.name!r}: it cannot be followed")
-                cuts, integral = self.cut(solver.t_old, solver.t, solver.dense_output(), shortest)
-                off = np.abs(solver.y - y - integral)
-                if len(cuts) > 1 and np.any(off > OFF * self.scale()):
+                    if np.all(self.least >= STEP * self.largest):
+                        raise DoublesOnly(
+                            f"no reference for scene {self.scene.name!r}: it cannot be followed"
+                        )
+                    self.least = np.maximum(self.least, STEP * self.largest)
+                    break  # again, over what is too rough for a motion that is small as yet
+                step, size = solver.t - solver.t_old, np.maximum(np.abs(y), np.abs(solver.y))
+                recent = np.maximum(size, self.recent * 2 ** (-HALVINGS * step / self.end))
+                cuts, integral, coupled = self.cut(solver.t_old, solver.t, solver.dense_output(), recent)
+                # what others, and a force that is rounding, change a component by
+                scale = np.maximum(recent, step * np.maximum(coupled, ROUNDING / OFF * self.varying))
+                if len(cuts) > 1 and np.any(np.abs(solver.y - y - integral) > OFF * scale):
                     due = sorted({*due, *cuts}, reverse=True)
                     break  # again, in pieces
-                y = self.known[solver.t] = solver.y
-                self.sizes = np.maximum(self.sizes, np.abs(y))
+                y, self.recent, self.scale = solver.y, np.maximum(recent, FAINT * self.largest), scale
+                self.lose(solver.t_old + step / 2, step, solver.dense_output())
+                self.known[solver.t] = y, 10 * OFF * scale + np.abs(self.lost)
+                solver.atol = self.least = STEP * scale + ROUNDING * step * self.varying
                 ends += cuts
                 if len(ends) > PIECES:
                     raise DoublesOnly(f"no reference for scene {self.scene.name!r}: it is too rough")
@@ -170,23 +201,49 @@ class Survey:
                 due.pop()
         return y
 
-    def cut(self, a: float, b: float, path: DenseOutput, shortest: float) -> tuple[list[float], np.ndarray]:
-        """Return the ends of the pieces that a step is cut into, and the integral of the slopes over it."""
+    def lose(self, t: float, step: float, path: DenseOutput) -> None:
+        """Add to what the motion is off by because its force is rounded, to first order."""
+        y = path(t)
+        drift = self.slope(t, y + self.lost) - self.slope(t, y) + 4 * np.finfo(float).eps * self.varying
+        self.lost = np.clip(
+            self.lost + step * np.nan_to_num(drift), -LOST * self.largest, LOST * self.largest
+        )
+
+    def cut(
+        self, a: float, b: float, path: DenseOutput, sizes: np.ndarray
+    ) -> tuple[list[float], np.ndarray, np.ndarray]:
+        """Return the ends of the pieces that a step is cut into, the integral of the slopes, and what sizes do to them.
+
+        Slopes are looked at along the path, and at a fixed state, where rounding alone hides what comes with time.
+        """
         ends, integral, left = list[float](), np.zeros_like(self.start), [(a, b)]
+        steepest = coupled = np.zeros_like(self.start)
+        timed, moved = self.scene.clock is not None, self.signs * sizes[:, None]
         while left:
             a, b = left.pop()
-            nodes = a + (b - a) * NODES
-            count = LEAST + int((b - a) * self.density)
-            t = np.linspace(a, b, count)
-            values = self.slopes(every := np.concatenate([nodes, t]), path(every))
-            at_nodes, sampled = values[:, : len(NODES)], values[:, len(NODES) :]
-            self.steepest = np.maximum(self.steepest, np.abs(np.nan_to_num(values)).max(axis=1))
-            weights = BARYCENTRIC / (t[:, None] - nodes + 1e-300)
-            fitted = at_nodes @ (weights / weights.sum(axis=1)[:, None]).T
-            least = 1e-3 * self.steepest.max() or 1.0
-            off = (np.abs(fitted - sampled) / np.maximum(self.steepest, least)[:, None]).max(axis=0)
-            if (resolved := np.all(off <= RESOLVED)) or b - a <= shortest:
-                if not resolved and self.scene.clock is not None:
+            x, weights = samples_of(LEAST + int(self.samples * ((b - a) / self.end)))
+            every = a + (b - a) * x
+            nodes, states = every[: len(NODES)], path(every)
+            fixed = np.tile(path((a + b) / 2)[:, None], len(x) * timed)
+            near = states[:, : len(NODES)]
+            later = nodes + ROUNDING * (nodes + abs(self.origin))
+            t = [every, nodes, later, every[: len(x) * timed]]
+            y = [states, near + RESOLVED * moved, path(later) + ROUNDING * moved, fixed]
+            bounds = np.cumsum([part.size for part in t])[:-1]
+            values, shifted, rounded, frozen = np.split(
+                self.slopes(np.concatenate(t), np.concatenate(y, axis=1)), bounds, axis=1
+            )
+            at_nodes = values[:, : len(NODES)]
+            steepest = np.maximum(steepest, np.abs(np.nan_to_num(values)).max(axis=1))
+            coupled = np.maximum(coupled, np.abs(shifted - at_nodes).max(axis=1) / RESOLVED)
+            noise = 4 * (np.abs(rounded - at_nodes).max(axis=1) + np.finfo(float).eps * self.varying)
+            allowed = RESOLVED * np.maximum(steepest, coupled) + noise
+            off = excess(values, weights, allowed)
+            resolved = np.all(off <= 1)
+            if resolved and timed and b - a > FINEST * self.end:
+                off = excess(frozen, weights, noise)
+            if np.all(off <= 1) or b - a <= SHORTEST * self.end:
+                if not resolved and timed:
                     raise BadInput(
                         f"no reference for scene {self.scene.name!r}: its force or damping jumps at t = {b:.6g} after "
                         "the start: name the time in breaks="
@@ -194,21 +251,58 @@ class Survey:
                 ends.append(b)
                 integral += (b - a) * (at_nodes @ FEJER)
                 continue
-            worst = t[int(np.argmax(off))]
+            worst = every[len(NODES) + int(np.argmax(off))]
             if not a + 0.1 * (b - a) < worst < b - 0.1 * (b - a):
                 worst = (a + b) / 2
             left += [(worst, b), (a, worst)]
             if len(left) > PIECES:
                 break
-        return ends, integral
+        return ends, integral, coupled
+
+
+@lru_cache(64)
+def samples_of(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes and so many samples on [0, 1], and the weights that take a polynomial from these to those."""
+    x = np.linspace(0.0, 1.0, count)
+    weights = BARYCENTRIC / (x[:, None] - NODES + 1e-300)
+    return np.concatenate([NODES, x]), (weights / weights.sum(axis=1)[:, None]).T
+
+
+def excess(values: np.ndarray, weights: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """Return by how much of what is allowed samples are off the polynomial through the nodes, the worst component."""
+    off = np.abs(values[:, : len(NODES)] @ weights - values[:, len(NODES) :])
+    return np.where(off == 0, 0.0, off / allowed[:, None]).max(axis=0)
 
 
 def stops_between(ends: list[float]) -> list[float]:
-    """Return some of the ends of pieces, so that no distance is much longer than the shortest piece in it."""
+    """Return some of the ends of pieces, so that no distance is much longer than the shortest piece in it.
+
+    Nor is one much longer than its neighbours: what is seen of a pulse has tails that are below rounding.
+    """
     stops, shortest = [0.0], math.inf
     for before, end in itertools.pairwise(ends):
         shortest = min(shortest, end - before)
         if end - stops[-1] > LONGER * shortest and before > stops[-1]:
             stops.append(before)
             shortest = end - before
-    return stops[1:]
+    if len(stops) == 1:
+        return []
+    stops.append(ends[-1])
+    graded = stops[:1]
+    for k, end in enumerate(stops[1:], 1):
+        left = graded[-1] - graded[-2] if len(graded) > 1 else math.inf
+        right = stops[k + 1] - end if k + 1 < len(stops) else math.inf
+        rising, falling = list[float](), list[float]()
+        at, step = stops[k - 1], GRADED * left
+        back, behind = end, GRADED * right
+        while back - at > min(step, behind) * GRADED:
+            if step <= behind:
+                at += step
+                rising.append(at)
+                step *= GRADED
+            else:
+                back -= behind
+                falling.append(back)
+                behind *= GRADED
+        graded += [*rising, *reversed(falling), end]
+    return graded[1:-1]

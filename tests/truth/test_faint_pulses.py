@@ -1,0 +1,82 @@
+"""What is small beside the rest of a motion is seen where it decides: at rest, after decay, beside other scales."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import contactbench as cb
+from contactbench.numbers.functions import exp
+
+SPRING, DOUBLE = (
+    (lambda q: q * q / 2, lambda q: q),
+    (lambda q: q * q * (q * q / 4 - 0.5), lambda q: q * (q * q - 1)),
+)
+#: well, γ, q at the start, end, and (height, centre, width) of its pulses
+CASES = {
+    "an ordinary pulse on rest": (SPRING, 0.1, 0.0, 22.0, [(70.0, 6.5, 0.1)]),
+    "a later one": (SPRING, 0.1, 0.0, 22.0, [(70.0, 16.5, 0.1)]),
+    "a narrow one": (SPRING, 0.1, 0.0, 30.0, [(1.0, 6.5, 0.05)]),
+    "after decay": (SPRING, 1.0, 1000.0, 60.0, [(1e-6, 55.0, 0.03)]),
+    "after a large one": (SPRING, 1.0, 0.0, 60.0, [(100.0, 5.0, 0.1), (1e-7, 55.0, 0.02)]),
+    "before a large one": (DOUBLE, 0.1, 0.0, 30.0, [(1e-7, 5.3, 0.002), (10.0, 29.0, 0.02)]),
+    "before a much larger one": (DOUBLE, 0.1, 0.0, 30.0, [(1e-9, 5.3, 0.002), (1e3, 29.0, 0.02)]),
+    "weak and broad": (SPRING, 0.1, 0.0, 30.0, [(1e-4, 5.3, 0.3)]),
+    "off a hilltop": (DOUBLE, 0.1, 0.0, 30.0, [(1e-8, 5.3, 0.02)]),
+    "on a motion": (DOUBLE, 0.1, 1.3, 30.0, [(1e-6, 13.3, 0.02)]),
+}
+
+
+def force_of(pulses, xp_exp):
+    return lambda t: sum(a * xp_exp(-(((t - c) / w) ** 2)) for a, c, w in pulses)
+
+
+def followed(slope, gamma, q, end, pulses):
+    """Return (q, p) by DOP853, in stretches and by short steps where a pulse is."""
+    pulse = force_of(pulses, np.exp)
+    bounds = sorted({0.0, end, *(min(c + k * 9 * w, end) for _, c, w in pulses for k in (-1, 0, 1))})
+    y = [q, 0.0]
+    for a, b in itertools.pairwise(bounds):
+        longest = min([0.05, *(w / 5 for _, c, w in pulses if abs((a + b) / 2 - c) < 9 * w)])
+        found = solve_ivp(
+            lambda t, y: [y[1], pulse(t) - slope(y[0]) - gamma * y[1]],
+            (a, b),
+            y,
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-26,
+            max_step=longest,
+        )
+        y = found.y[:, -1]
+    return y
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_a_pulse_is_seen_at_the_scale_of_what_it_changes(case):
+    (well, slope), gamma, q, end, pulses = case
+    kick = force_of(pulses, exp)
+    scene = cb.Driven(
+        name="faint",
+        potential=lambda q, t: well(q[0]) - q[0] * kick(t),
+        gamma=gamma,
+        q=(q,),
+        p=(0.0,),
+        t_end=end,
+    )
+    found, true = cb.reference(scene, [end], ()), followed(slope, gamma, q, end, pulses)
+    assert np.abs(found.y[0, :2] - true).max() <= 1e-9 * np.abs(true).max()
+    assert found.digits > 12
+
+
+def test_a_component_beside_a_huge_one_has_a_scale_of_its_own():
+    kick = force_of([(1.0, 13.3, 0.01)], exp)
+    potential = lambda q, t: (q[0] ** 2 + q[1] ** 2) / 2 - q[0] * kick(t)  # noqa: E731
+    scene = cb.Driven(name="two", potential=potential, gamma=0.1, q=(0.0, 1e12), p=(0.0, 0.0), t_end=20.0)
+    true = followed(SPRING[1], 0.1, 0.0, 20.0, [(1.0, 13.3, 0.01)])
+    np.testing.assert_allclose(cb.reference(scene, [20.0], ()).y[0, [0, 2]], true, rtol=1e-9)
+
+
+def test_the_shortest_of_times_has_a_reference():
+    scene = cb.Mechanical(name="own", potential=lambda q: q[0] ** 4, gamma=0.1, q=(1.0,), p=(0.0,), t_end=1.0)
+    assert cb.reference(scene, [1e-320], ()).y[0, 0] == 1.0
