@@ -226,7 +226,7 @@ class Survey:
             nodes, states = every[: len(NODES)], path(every)
             fixed = np.tile(path((a + b) / 2)[:, None], len(x) * timed)
             near = states[:, : len(NODES)]
-            later = nodes + ROUNDING * (nodes + abs(self.origin))
+            later = nodes + ROUNDING * (nodes + abs(float(self.origin)))
             t = [every, nodes, later, every[: len(x) * timed]]
             y = [states, near + RESOLVED * moved, path(later) + ROUNDING * moved, fixed]
             bounds = np.cumsum([part.size for part in t])[:-1]
