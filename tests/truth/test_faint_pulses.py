@@ -2,6 +2,7 @@
 
 import itertools
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -80,3 +81,25 @@ def test_a_component_beside_a_huge_one_has_a_scale_of_its_own():
 def test_the_shortest_of_times_has_a_reference():
     scene = cb.Mechanical(name="own", potential=lambda q: q[0] ** 4, gamma=0.1, q=(1.0,), p=(0.0,), t_end=1.0)
     assert cb.reference(scene, [1e-320], ()).y[0, 0] == 1.0
+
+
+@pytest.mark.parametrize("width", [3, 7, 0.7])
+def test_a_division_that_heyoka_makes_a_product_is_seen_in_a_pulse_that_is_over(width):
+    """(t − 30)/3 is (t − 30)·0.333… to heyoka, with the third of a double: p ends 16 digits off."""
+    pulse = lambda q, t: -q[0] * exp(-(((t - 30) / width) ** 2))  # noqa: E731
+    scene = cb.Driven(name="free", potential=pulse, gamma=0.0, q=(0.0,), p=(0.0,), t_end=90.0)
+    found = cb.reference(scene, [90.0], ())
+    with mpmath.workdps(50):
+        a, b = (mpmath.mpf(t) / width for t in (60, 30))
+        true = width * mpmath.sqrt(mpmath.pi) / 2 * (mpmath.erf(a) + mpmath.erf(b))
+        off = abs(mpmath.mpf(found.decimals[0][1]) / true - 1)
+    assert found.digits > 20
+    assert off < 10.0 ** (1 - found.digits)
+
+
+def test_a_ramp_that_begins_on_rest_is_no_singularity():
+    begin, end = 1.2345, 5.0
+    ramp = lambda q, t: -q[0] * cb.math.where(t > begin, t - begin, 0.0)  # noqa: E731
+    scene = cb.Driven(name="ramp", potential=ramp, gamma=0.0, q=(0.0,), p=(0.0,), t_end=end)
+    true = (end - begin) ** 3 / 6, (end - begin) ** 2 / 2
+    np.testing.assert_allclose(cb.reference(scene, [end], ()).y[0, :2], true, rtol=1e-12)

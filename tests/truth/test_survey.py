@@ -98,10 +98,13 @@ def test_a_well_that_moves_past_the_particle_is_seen():
 
 def test_stops_come_before_a_step_could_be_many_times_too_long():
     ends = [0.0, 1.0, 2.0, 2.1, 2.2, 2.3, 3.5, 5.0]
-    stops = stops_between(ends)
-    for a, b in zip([0.0, *stops], [*stops, 5.0], strict=True):
-        inside = [y - x for x, y in itertools.pairwise(ends) if a <= x and y <= b]
-        assert len(inside) == 1 or b - a <= 8.0 * min(inside) * (1 + 1e-12)
+    stops = [0.0, *stops_between(ends), 5.0]
+    for a, b in itertools.pairwise(stops):
+        met = [y - x for x, y in itertools.pairwise(ends) if a < y and x < b]
+        assert b - a <= 2.0 * min(met) * (1 + 1e-12)
+    lengths = np.diff(stops)
+    assert np.all(lengths[1:] <= 4.0 * lengths[:-1] * (1 + 1e-12))
+    assert np.all(lengths[:-1] <= 4.0 * lengths[1:] * (1 + 1e-12))
 
 
 def test_two_solvers_reach_a_jump_to_round_off():

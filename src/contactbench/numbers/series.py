@@ -1,7 +1,8 @@
-"""heyoka's expressions, with small powers written as products.
+"""heyoka's expressions, with small powers written as products and quotients to all digits.
 
 heyoka expands x**n by the recurrence of a real power, which divides by x: from n = 3 on the series at x = 0, where
-nothing happens to the motion, is nan.  A product has a series everywhere.
+nothing happens to the motion, is nan.  A product has a series everywhere.  A quotient x / 3 is to heyoka a product with
+the reciprocal, to the precision that the number is given in.
 """
 
 from __future__ import annotations
@@ -14,6 +15,10 @@ from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, 
 
 #: what a run says that has no step at all
 NO_SERIES = "heyoka has no series of the root and other fractional powers of x, nor of |x|, at x = 0"
+
+
+#: bits of a number that divides, more than any run has
+BITS = 1024
 
 
 class Series(Unknown):
@@ -44,6 +49,16 @@ class Series(Unknown):
 
         return Series(heyoka.expression(base) ** self.expression)
 
+    def __truediv__(self, other: float | Series) -> Series:
+        if isinstance(other, int | float) and other:
+            import heyoka
+
+            other = heyoka.real(float(other), BITS)
+        return Series(self.expression / expression_of(other))
+
+    def __rtruediv__(self, other: float) -> Series:
+        return Series(other / self.expression)
+
     def __neg__(self) -> Series:
         return Series(-self.expression)
 
@@ -69,7 +84,7 @@ def _arithmetic(apply: Callable[..., object]) -> tuple[Callable[..., Series], Ca
     return forward, reflected
 
 
-for _name in ("add", "sub", "mul", "truediv"):
+for _name in ("add", "sub", "mul"):
     _forward, _reflected = _arithmetic(getattr(operator, _name))
     setattr(Series, f"__{_name}__", _forward)
     setattr(Series, f"__r{_name}__", _reflected)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from decimal import Decimal, localcontext
 from functools import partial
 from importlib.util import find_spec
+from itertools import pairwise
 from threading import Thread
 from time import perf_counter, thread_time
 from typing import TYPE_CHECKING, Any
@@ -120,6 +121,8 @@ FORESEEN = 2.0
 MAX_STEPS = 1_000_000
 #: a step this small against the longest taken means a singularity ahead; where none could be taken, against the span
 COLLAPSE, NO_STEP = 1e-12, 1e-36
+#: states of a motion at which two ways to read its equations are compared
+LOOKS = 100
 #: how many times the size of a state, one at least, no step reaches
 BEYOND = 1e30
 
@@ -267,20 +270,27 @@ def taylor(
     return [[context.mpf(str(x)) for x in row] for row in rows[len(rows) - len(times) :]]
 
 
-def heyoka_reads_rhs(scene: Scene, y: list[Arithmetic], carry: tuple[str, ...]) -> bool:
-    """Return whether heyoka agrees with mpmath to 35 digits, as not on x / 3, the product with a double near 1/3."""
+def heyoka_reads_rhs(scene: Scene, rows: Rows, carry: tuple[str, ...]) -> bool:
+    """Return whether heyoka agrees with mpmath to 35 digits, as not on x / 3, the product with a double near 1/3.
+
+    At states of a motion and half-way between them: what is divided may be a pulse that is over at its end.
+    """
     import heyoka
 
     bits = 160
     variables, slopes = zip(*taylor_system(scene, carry, bits)[0], strict=True)
     compiled = heyoka.cfunc(slopes, vars=variables, fp_type=heyoka.real, prec=bits, compact_mode=True)
     context = decimal_context(48)
-    state = [context.mpf(x) for x in y]
-    theirs = compiled(np.array([heyoka.real(str(x), bits) for x in state]))
     twin = with_decimals(scene, context.mpf)
-    ours = twin.pack(twin.rhs(twin.unpack(state, carry)))
-    gap = distance([context.mpf(str(x)) for x in theirs], ours)
-    return bool(gap <= 1e-35 * max(map(abs, [*ours, *state])))
+    states = [[context.mpf(x) for x in row] for row in rows[:: -(-len(rows) // LOOKS)]]
+    between = [[(a + b) / 2 for a, b in zip(*two, strict=True)] for two in pairwise(states)]
+    for state in [*states, *between]:
+        theirs = compiled(np.array([heyoka.real(str(x), bits) for x in state]))
+        ours = twin.pack(twin.rhs(twin.unpack(state, carry)))
+        gap = distance([context.mpf(str(x)) for x in theirs], ours)
+        if not gap <= 1e-35 * max(map(abs, [*ours, *state])):
+            return False
+    return True
 
 
 # -- extrapolation -----------------------------------------------------------------------------------
@@ -372,8 +382,12 @@ def extrapolate(
     watch: Stopwatch,
     collapse: float = COLLAPSE,
     begin: Arithmetic = 0.0,
+    least: float = 0.0,
 ) -> list[np.ndarray]:
-    """Return the states at increasing times, arrays of any kind of numbers; raises as `extrapolation` does."""
+    """Return the states at increasing times, arrays of any kind of numbers; raises as `extrapolation` does.
+
+    least : the size that a state counts as, at least.
+    """
     if not times:
         return []
     now, trial, rows, longest = begin + 0 * times[-1], times[-1] - begin, [], NO_STEP / collapse * times[-1]
@@ -382,7 +396,7 @@ def extrapolate(
             step = min(trial, time - now)
             check = partial(watch.check, float(now + step))
             try:
-                column, result = extrapolated(slope, now, y, step, most, tolerance, check)
+                column, result = extrapolated(slope, now, y, step, most, tolerance, check, least)
             except ArithmeticError:  # it lands on a singularity
                 column, result = most, None
             if result is None:
@@ -405,6 +419,7 @@ def extrapolated(
     most: int,
     tolerance: Arithmetic,
     check: Callable[[], None],
+    least: float = 0.0,
 ) -> tuple[int, np.ndarray | None]:
     """Return one extrapolated step from t and the number of columns it took; None if `most` are not enough.
 
@@ -424,7 +439,7 @@ def extrapolated(
         for k, below in enumerate(previous, start=1):  # Aitken–Neville in h²
             weight = (step * 0 + j * j) / (j - k) ** 2 - 1
             row.append(row[-1] + (row[-1] - below) / weight)
-        size = max(np.abs(y).max(), np.abs(row[-1]).max())  # a start may be all zeros
+        size = max(np.abs(y).max(), np.abs(row[-1]).max(), least)  # a start may be all zeros
         if j > 2 and distance(row[-1], row[-2]) <= tolerance * size:
             return j, row[-1]
         if np.abs(mid).max() > 1e6 * (1 + size):

@@ -373,7 +373,7 @@ def computations(
         if importlib.util.find_spec("heyoka") is not None:
             for bits in LIVE_BITS:
                 rows = taylor(scene, times, carry, bits + bits // 4, deadline=half(), stops=stops)
-                if not heyoka_reads_rhs(scene, rows[-1], carry):
+                if not heyoka_reads_rhs(scene, rows, carry):
                     break
                 yield rows, taylor(scene, times, carry, bits, deadline=deadline, stops=stops)
         for digits in (28, 70):
