@@ -23,7 +23,10 @@ Marks = tuple[dict[str, Array], Array, Array]
 
 
 def members(
-    scene: Scene, carry: tuple[str, ...], given: AnyState | Mapping[str, Any], parameters: Mapping[str, Any]
+    scene: Scene,
+    carry: tuple[str, ...],
+    given: AnyState | Mapping[str, object],
+    parameters: Mapping[str, object],
 ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """Return packed initial states (d, n), and by its place among the scene's numbers each parameter (n,)."""
     if isinstance(given, State | BodyState | DrivenState):

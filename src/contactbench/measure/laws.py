@@ -402,7 +402,7 @@ WITH_ERROR_BAR = ("contact_drift", "distribution_drift", "pairing_drift")
 CLAMPED = ("contact_drift", "pairing_drift", "hamiltonian_law", "momentum_law")
 
 
-def row(solution: Solution, without: str = "") -> dict[str, Any]:
+def row(solution: Solution, without: str = "") -> dict[str, object]:
     """Return every law the scene has, and whether it is kept, as columns; without : why no derivative is taken."""
     if not solution.ok:
         return {}

@@ -79,7 +79,7 @@ ROUNDINGS = 2**8
 
 #: what an attempt changes: the state, its slope, the time left, the step, how many were rejected
 Taken = tuple[OwnState, Vector | None, Arithmetic, Arithmetic, Arithmetic]
-#: what the loop carries: state, slope, factors and their step, the time left, step, error before, attempts, those rejected
+#: what the loop carries: state, slope, factors and their step, time left, step, error before, attempts, rejected ones
 Carried = tuple[
     OwnState,
     Vector | None,
@@ -144,7 +144,7 @@ class Nystrom(Explicit[Canonical, Undamped]):
     def enter(self, scene: Canonical, x: State | DrivenState) -> Undamped:
         return undamped(scene, x)
 
-    def leave(self, scene: Canonical, y: Undamped) -> State | DrivenState:
+    def leave(self, scene: Canonical, y: Undamped) -> OwnState:
         return damped(scene, y)
 
     def slope(self, scene: Canonical, y: Undamped, xp: Namespace) -> Vector:
@@ -240,7 +240,7 @@ def march[S: Scene](
     def scales(before: Sequence[Arithmetic], after: Sequence[Arithmetic]) -> list[Arithmetic]:
         return [a + rtol / 2 * (abs(b) + abs(c)) for a, b, c in zip(atol, before, after, strict=True)]
 
-    def first_step(y: OwnState) -> Arithmetic:
+    def first_step(y: OwnState) -> Any:
         packed = parts(y)
         weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
         size = norm(y.q if isinstance(form, Nystrom) else packed, xp) + atol[0] / rtol
@@ -282,7 +282,7 @@ def march[S: Scene](
         step, past = when(xp.where(within, 0.0, 1.0) > 0, changed, (step, 0.0), xp, h, square, past)
         return y, first, factors, h, left, step, past, tried + 1, rejected
 
-    def last_steps(step: Arithmetic, left: Arithmetic) -> Arithmetic:
+    def last_steps(step: Arithmetic, left: Arithmetic) -> Any:
         return xp.where(left <= STRETCH * step, left, left / 2)
 
     def changed(

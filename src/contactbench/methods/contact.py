@@ -55,8 +55,7 @@ class ContactMethod(FixedStep):
     def log_factor(self, scene: Scene, x: AnyState, h: float, n: int) -> float | None:
         if not scene.rate_changes:  # the coefficients of every composition add up to one
             return super().log_factor(scene, x, h, n)
-        total: float = log_factor(self.composition, scene, x, h, n, math)
-        return total
+        return float(log_factor(self.composition, scene, x, h, n, math))
 
     def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Arithmetic | None:
         if not (scene.canonical and scene.has_hamiltonian_law and has_modified_hamiltonian(self.composition)):

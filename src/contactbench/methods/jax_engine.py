@@ -85,7 +85,7 @@ class Xla:
         return np.asarray(self.program(start, self.fixed if fixed is None else fixed))
 
     def compiled(
-        self, purpose: str, function: Callable[..., jax.Array], *arguments: Any
+        self, purpose: str, function: Callable[..., jax.Array], *arguments: object
     ) -> tuple[Compiled, float]:
         """The program for a purpose, and the seconds it took to make; `CannotRecord` where it branches on values."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
 from time import monotonic
@@ -29,6 +29,7 @@ from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.scene import Cache, Scene, State, Vector, key
+from contactbench.scene.base import OwnState
 from contactbench.scene.many import Many
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.fields import FieldProgram, record_fields
@@ -65,7 +66,9 @@ SEEN = 3
 PILOT, ROUNDS, GAIN = 4, 3, 0.9
 
 
-def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, watch: bool) -> FieldProgram:
+def field_program(
+    advance: Callable[..., OwnState], scene: Many, packing: Packing, watch: bool
+) -> FieldProgram:
     """Record ``advance(scene, x, h, n, xp, repeat)``, on dual numbers with two blocks; may raise `CannotRecord`.
 
     watch : what is `SEEN` of the start and of the end follows the state, where that is asked for.
@@ -73,7 +76,14 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, wa
     (d, with_s, blocks), names = packing, tuple(scene.constants)
 
     def fields(
-        numbers: Vector, h: Arithmetic, n: Count, f: Any, s: Any, constants: Vector, xp: Any, repeat: Repeat
+        numbers: Vector,
+        h: Arithmetic,
+        n: Count,
+        f: Sequence[Arithmetic],
+        s: Sequence[Arithmetic],
+        constants: Vector,
+        xp: Any,
+        repeat: Repeat,
     ) -> list[Arithmetic]:
         if blocks > 1:
             f, s, xp = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else [], DualNumbers(xp)
@@ -140,7 +150,7 @@ class FieldLoop(Loop):
     program: Any
 
     def __init__(
-        self, advance: Callable[..., Any], scene: Many, packing: Packing, watch: bool = False
+        self, advance: Callable[..., OwnState], scene: Many, packing: Packing, watch: bool = False
     ) -> None:
         elapsed = stopwatch()
         self.seen = 2 * SEEN * watch
@@ -353,8 +363,8 @@ class Meshes(Traced):
     def key(self) -> tuple[Hashable, ...]:
         return (self.mesh,)
 
-    def start_of(self, scene: Scene, y0: jax.Array) -> Any:
-        x: Any = super().start_of(scene, y0)
+    def start_of(self, scene: Scene, y0: jax.Array) -> OwnState:
+        x: OwnState = super().start_of(scene, y0)
         divided = self.along("sites")
         if self.mesh is None:
             return x

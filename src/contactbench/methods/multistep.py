@@ -23,6 +23,7 @@ from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.protocol import Arithmetic, Namespace
 from contactbench.scene import Scene, State, Vector, dot, scaled
+from contactbench.scene.base import OwnState
 from contactbench.splitting import composition
 from contactbench.splitting.composition import number
 from contactbench.splitting.tables import STRANG
@@ -88,8 +89,8 @@ class Multistep(FixedStep):
         return self.forces * each + n + 1
 
     def advance(
-        self, scene: Any, x: Any, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
-    ) -> Any:
+        self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> OwnState:
         K, gamma, over_m = self.forces, scene.gamma, scene.inverse_mass
         beta, velocity = ([number(c, xp) for c in row] for row in (self.beta, self.velocity))
         alpha = list(accumulate((1, *self.alpha)))[1:-1]  # of the increments z_n − z_{n−1}
@@ -172,7 +173,7 @@ def single_step(*_: object) -> NoReturn:
     raise NotImplementedError("a multistep method has no map of a single step")
 
 
-def combine(coefficients: Sequence[Arithmetic | int], values: Sequence[Arithmetic]) -> Any:
+def combine(coefficients: Sequence[Arithmetic | int], values: Sequence[Arithmetic]) -> Arithmetic:
     """Return Σ c v; whole coefficients may be 0, and the last values may have none."""
     pairs = zip(coefficients, values, strict=False)
     return sum(c * v for c, v in pairs if not (isinstance(c, int) and c == 0))

@@ -214,7 +214,7 @@ def masses(scene: Canonical, q: Vector) -> Vector:
     return tuple(1 / c for c in scene.velocity(one))
 
 
-def at(scene: Canonical, q: Vector, t: Arithmetic | None) -> State | DrivenState:
+def at(scene: Canonical, q: Vector, t: Arithmetic | None) -> OwnState:
     return scene.state(q=q, p=q, **({} if t is None else {"t": t}))
 
 
@@ -225,7 +225,7 @@ def undamped(scene: Canonical, x: State | DrivenState) -> Undamped:
     return Undamped(x.q, u, getattr(x, "t", None), None if s is None else s - scene.product(x.q, x.p) / 2)
 
 
-def damped(scene: Canonical, y: Undamped) -> State | DrivenState:
+def damped(scene: Canonical, y: Undamped) -> OwnState:
     x = at(scene, y.q, y.t)
     half = scene.damping_at(x) / 2
     v = (u - half * c for u, c in zip(y.u, y.q, strict=True))

@@ -40,6 +40,8 @@ class Arithmetic(Protocol):
 Condition = Any
 #: the components of a vector
 Vector = tuple[Arithmetic, ...]
+#: how many: an engine of its own counts in numbers of its own
+Count = int | Arithmetic
 
 
 class Column(Protocol):

@@ -27,7 +27,7 @@ from contactbench.methods.prepared import NO_NUMBER, Request
 from contactbench.peers.base import Peer
 from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, Compiled
 from contactbench.peers.stepping import LibrarySteps, Stepper
-from contactbench.scene import Mechanical, State, norm
+from contactbench.scene import Mechanical, Scene, State, norm
 from contactbench.scene.many import Many, Particles
 from contactbench.solution import Counts, Status
 
@@ -94,7 +94,7 @@ def attraction(scene: Any) -> tuple[float, np.ndarray, np.ndarray, np.ndarray] |
 
 
 class WisdomHolman(Stepper):
-    def unfit(self, scene: Any) -> str | None:
+    def unfit(self, scene: Scene) -> str | None:
         found = attraction(scene)
         if found is None or scene.nonlinear_damping:
             needs = (

@@ -62,6 +62,7 @@ class Canonical(Scene):
     kinetic: Callable[[Vector], Arithmetic]
     potential_at: Callable[[Any], Arithmetic]
     gradient_at: Callable[[Any], Vector]
+    q: Vector
     gamma: Arithmetic
     inverse_mass: Arithmetic | Vector
     kappa: Arithmetic = 0.0

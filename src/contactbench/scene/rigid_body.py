@@ -239,7 +239,7 @@ class RigidBody(Scene):
         self._fix("rates", tuple(np.maximum(rates, 0.0).tolist()))
         self._fix("axes", None if axes is None else tuple(axes.ravel().tolist()))
 
-    def with_(self, **changes: Any) -> Self:
+    def with_(self, **changes: object) -> Self:
         if changes.get("gamma") is not None and "damping" not in changes:
             changes["damping"] = None
         if changes.get("damping") is not None and "gamma" not in changes:

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.numbers.protocol import Vector
+
 #: a size between these counts as one, so that scenes in sensible units are solved in these
 LEAST, MOST = 1e-2, 1e3
 #: spans that are tried, each so many times as long as the one before
@@ -32,7 +34,7 @@ def reach(scene: Any, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
             return max(map(abs, vector)) if sum(vector) == sum(vector) else np.nan
         return np.abs(np.array(np.broadcast_arrays(*vector), dtype=float)).max(axis=axes)
 
-    def pull(after: float, q: Any) -> Any:
+    def pull(after: float, q: Vector) -> Any:
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
         try:
             return scene.velocity(tuple(-g for g in scene.gradient_at(there)))

@@ -192,7 +192,7 @@ class RecordedArrays(RecordedNumbers):
         def outer(vector: Arithmetic, number: Arithmetic) -> Arithmetic:
             return vector * number
 
-    def asarray(self, values: Sequence[Any]) -> np.ndarray | Vector:
+    def asarray(self, values: Sequence[Arithmetic]) -> np.ndarray | Vector:
         if all(isinstance(value, int | np.integer) for value in values):
             return np.array(values)
         tape = self.tape

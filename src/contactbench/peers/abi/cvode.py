@@ -78,7 +78,9 @@ def library_file() -> Path:
     raise ImportError(f"scikit-sundae's CVODE library is not in {', '.join(map(str, places))}")
 
 
-def bind(path: Path, signatures: dict[str, str], index: str) -> tuple[ctypes.CDLL, Callable[[str], Any]]:
+def bind(
+    path: Path, signatures: dict[str, str], index: str
+) -> tuple[ctypes.CDLL, Callable[[str], Callable[..., Any]]]:
     """Load a library of SUNDIALS; return it, and what gives its functions to compiled code by their names."""
     words = {name: word.replace("n", index) for word, names in signatures.items() for name in names.split()}
     try:
@@ -89,14 +91,14 @@ def bind(path: Path, signatures: dict[str, str], index: str) -> tuple[ctypes.CDL
     except (OSError, AttributeError) as error:
         raise ImportError(f"{path.name}: {error}") from error
 
-    def function_of(name: str) -> Any:
+    def function_of(name: str) -> Callable[..., Any]:
         address = ctypes.cast(getattr(library, name), c_void_p).value
         return external(f"contactbench_{path.stem.partition('.')[0]}_{name}", address, words[name])
 
     return library, function_of
 
 
-def load() -> tuple[ctypes.CDLL, Callable[[str], Any]]:
+def load() -> tuple[ctypes.CDLL, Callable[[str], Callable[..., Any]]]:
     path = library_file()
     from sksundae._cy_common import config  # how the library was built
 
@@ -124,7 +126,9 @@ pointer, integer, real = types.intp, types.int32, types.float64
 
 
 @intrinsic
-def _call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> Any:
+def _call(
+    typing: object, function: object, out: object, t: object, y: object, data: object
+) -> tuple[object, object]:
     """``function(out, t, y, data)`` of a C function known by its address, all pointers as integers."""
     signature = types.void(pointer, pointer, real, pointer, pointer)
 
@@ -142,7 +146,7 @@ def _call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> An
     return signature, generate
 
 
-call: Any = _call  # compiled code calls it without the typing context
+call: Callable[..., object] = _call  # compiled code calls it without the typing context
 _user = types.CPointer(types.intp)
 
 
@@ -299,7 +303,7 @@ def check(name: str, *arguments: object) -> None:
 
 
 def free(
-    library: Any, name: str, memory: int, solvers: dict[str, int], vector: int, context: c_void_p
+    library: ctypes.CDLL, name: str, memory: int, solvers: dict[str, int], vector: int, context: c_void_p
 ) -> None:
     getattr(library, name)(byref(c_void_p(memory)))
     for name, solver in solvers.items():
