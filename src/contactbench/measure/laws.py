@@ -240,7 +240,7 @@ def momentum_balance(solution: Solution) -> float:
 
 # -- contact structure -----------------------------------------------------------------------------
 #: what the laws of Φ*η have in common
-CONTACT: dict[str, Any] = {"needs": ("R", "s"), "gate": Gate.structure, "differentiates": True}
+CONTACT: dict[str, object] = {"needs": ("R", "s"), "gate": Gate.structure, "differentiates": True}
 CONTACT["applies"] = lambda scene: scene.is_contact
 FROZEN = "the steps taken held fixed"
 
@@ -311,7 +311,7 @@ def own_factor_drift(solution: Solution) -> Deviation | float:
 
 # -- pairs of Lyapunov exponents -------------------------------------------------------------------
 #: what the laws of pairs have in common
-PAIRS: dict[str, Any] = {"applies": has_linear_damping, "gate": Gate.structure, "differentiates": True}
+PAIRS: dict[str, object] = {"applies": has_linear_damping, "gate": Gate.structure, "differentiates": True}
 
 
 @law(

@@ -77,19 +77,13 @@ TINY = 1e-30
 #: roundings of a time within which a break is passed by one step
 ROUNDINGS = 2**8
 
+#: at a state, where it is known
+Slope = Vector | None
 #: what an attempt changes: the state, its slope, the time left, the step, how many were rejected
-Taken = tuple[OwnState, Vector | None, Arithmetic, Arithmetic, Arithmetic]
+Taken = tuple[OwnState, Slope, Arithmetic, Arithmetic, Arithmetic]
 #: what the loop carries: state, slope, factors and their step, time left, step, error before, attempts, rejected ones
 Carried = tuple[
-    OwnState,
-    Vector | None,
-    Factors | None,
-    Arithmetic,
-    Arithmetic,
-    Arithmetic,
-    Arithmetic,
-    Arithmetic,
-    Arithmetic,
+    OwnState, Slope, Factors | None, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
 ]
 
 
@@ -104,7 +98,7 @@ def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNa
 
 
 @dataclass(frozen=True)
-class Explicit[S: Scene, Y: tuple[object, ...]]:
+class Explicit[S: Scene]:
     """What the loop asks of a pair for y' = f(y)."""
 
     tableau: Tableau
@@ -114,22 +108,22 @@ class Explicit[S: Scene, Y: tuple[object, ...]]:
 
     leave = enter
 
-    def slope(self, scene: S, y: Y, xp: Namespace) -> Vector:
+    def slope(self, scene: S, y: OwnState, xp: Namespace) -> Vector:
         return tuple(explicit_slope(scene, y))
 
     def factors(self, scene: S, h: Arithmetic, xp: Namespace) -> Factors | None:
         return None
 
     def attempt(
-        self, scene: S, y: Y, h: Arithmetic, xp: Namespace, first: Vector | None, factors: Factors | None
-    ) -> tuple[Y, Vector | None, Sequence[Arithmetic]]:
+        self, scene: S, y: OwnState, h: Arithmetic, xp: Namespace, first: Slope, factors: Factors | None
+    ) -> tuple[OwnState, Slope, Sequence[Arithmetic]]:
         """Return the state after a step, the slope there where the pair evaluates it, and the error."""
         tableau = self.tableau
         after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first=first)
         error = rebuild(y, combine(tableau.estimate[0], slopes, xp))
         return after, None, scene.without_clock(scene.pack(error))
 
-    def rate(self, scene: S, y: Y, slope: Vector, size: Arithmetic, xp: Namespace) -> Arithmetic:
+    def rate(self, scene: S, y: OwnState, slope: Vector, size: Arithmetic, xp: Namespace) -> Arithmetic:
         """Return how fast the slope changes along it: |λ| of y' = λy."""
         time = NUDGE * size / (norm(scene.without_clock(slope), xp) + TINY)
         nudged = rebuild(y, [a + time * b for a, b in zip(leaves(y), slope, strict=True)])
@@ -138,7 +132,7 @@ class Explicit[S: Scene, Y: tuple[object, ...]]:
 
 
 @dataclass(frozen=True)
-class Nystrom(Explicit[Canonical, Undamped]):
+class Nystrom(Explicit[Canonical]):
     """What the loop asks of a pair for z'' = f(t, z)."""
 
     def enter(self, scene: Canonical, x: State | DrivenState) -> Undamped:
@@ -159,9 +153,9 @@ class Nystrom(Explicit[Canonical, Undamped]):
         y: Undamped,
         h: Arithmetic,
         xp: Namespace,
-        first: Vector | None,
+        first: Slope,
         factors: Factors | None,
-    ) -> tuple[Undamped, Vector | None, Sequence[Arithmetic]]:
+    ) -> tuple[Undamped, Slope, Sequence[Arithmetic]]:
         tableau, d = self.tableau, len(y.q)
         factors = factors or factors_of(tableau, scene, y.t, h, xp)
         stages = len(tableau.nodes)
@@ -198,7 +192,7 @@ class PlainNumbers(ChoosingNumbers):
 
 
 @cache
-def unit_error(form: Explicit[Any, Any]) -> float:
+def unit_error(form: Explicit[Any]) -> float:
     """Return the largest error of a step of length one of an oscillator of frequency one."""
     scene, xp = (
         Mechanical(name="unit", potential=lambda q: q[0] * q[0] / 2, q=(1.0,), p=(0.0,), t_end=1.0),
@@ -214,14 +208,14 @@ def norm(v: Sequence[Arithmetic], xp: Namespace) -> Arithmetic:
 
 
 def march[S: Scene](
-    form: Explicit[S, Any],
+    form: Explicit[S],
     scene: S,
     x: OwnState,
     beside: Sequence[Arithmetic],
     span: Arithmetic,
     most: Arithmetic,
     tolerances: Sequence[Arithmetic],
-    xp: Any,
+    xp: ChoosingNamespace,
     plain: OwnState = None,
 ) -> tuple[OwnState, list[Any]]:
     """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run.
@@ -240,7 +234,7 @@ def march[S: Scene](
     def scales(before: Sequence[Arithmetic], after: Sequence[Arithmetic]) -> list[Arithmetic]:
         return [a + rtol / 2 * (abs(b) + abs(c)) for a, b, c in zip(atol, before, after, strict=True)]
 
-    def first_step(y: OwnState) -> Any:
+    def first_step(y: OwnState) -> Arithmetic:
         packed = parts(y)
         weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
         size = norm(y.q if isinstance(form, Nystrom) else packed, xp) + atol[0] / rtol
@@ -282,7 +276,7 @@ def march[S: Scene](
         step, past = when(xp.where(within, 0.0, 1.0) > 0, changed, (step, 0.0), xp, h, square, past)
         return y, first, factors, h, left, step, past, tried + 1, rejected
 
-    def last_steps(step: Arithmetic, left: Arithmetic) -> Any:
+    def last_steps(step: Arithmetic, left: Arithmetic) -> Arithmetic:
         return xp.where(left <= STRETCH * step, left, left / 2)
 
     def changed(
@@ -303,7 +297,7 @@ def march[S: Scene](
 
 
 # -- the run -------------------------------------------------------------------------------------------
-def pair_program(form: Explicit[Any, Any], scene: Scene, carry: tuple[str, ...], tangent: bool) -> Program:
+def pair_program(form: Explicit[Any], scene: Scene, carry: tuple[str, ...], tangent: bool) -> Program:
     """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`.
 
     tangent : a tangent vector follows the state and is carried along by the steps that are taken.
@@ -313,12 +307,7 @@ def pair_program(form: Explicit[Any, Any], scene: Scene, carry: tuple[str, ...],
     tolerances = 1 + d - (scene.clock is not None)
 
     def advance(
-        numbers: Sequence[Arithmetic],
-        span: Arithmetic,
-        most: Arithmetic,
-        y: Sequence[Arithmetic],
-        xp: Any,
-        repeat: object,
+        numbers: Vector, span: Arithmetic, most: Arithmetic, y: Sequence[Arithmetic], xp: Any, repeat: object
     ) -> list[Arithmetic]:
         twin, beside, plain = scene.with_numbers(numbers[:given]), y[whole:], scene.unpack(y[:d], carry)
         x = plain
@@ -470,7 +459,7 @@ class RungeKuttaPair(Adaptive):
     name: str
     order: int
     about: str
-    form: Explicit[Any, Any]
+    form: Explicit[Any]
     engines: tuple[str, ...] = ("numba", "python")
     family: str = "established"
     largest: int = 32
@@ -494,6 +483,7 @@ class RungeKuttaPair(Adaptive):
 
 _pair = "explicit Runge–Kutta pair by tolerance"
 _nystrom = "explicit Runge–Kutta–Nyström pair by tolerance, on z = e^{γt/2} q"
+_form: Explicit[Any]
 for _name, _about, _form in (
     ("rk8-7", _pair, Explicit(read_tableau("rk8-7"))),
     ("rkn8-6", _nystrom, Nystrom(RKN8)),

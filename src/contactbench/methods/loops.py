@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Count, Namespace
 from contactbench.scene import AnyState, Cache, Scene, key
+from contactbench.scene.base import OwnState
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Function, execute, lines
@@ -437,7 +438,7 @@ class Plain(StepLoop[Spans]):
 
 def trajectory(
     method: Steps, scene: Scene, x: AnyState, spans: Iterable[tuple[Arithmetic, Count]], xp: Namespace
-) -> Iterator[Any]:
+) -> Iterator[OwnState]:
     """Return the states after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
     for h, n in spans:
         x = method.advance(scene, x, h, n, xp)

@@ -178,7 +178,7 @@ class Prepared(ABC):
 
     def attributes(
         self, status: Status, message: str, counts: Counts, end: float, steps: tuple[float, float]
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         """Return all of a `Solution` but its states."""
         r, (chosen, longest) = self.request, steps
         control, value = r.asked

@@ -19,7 +19,9 @@ from contactbench.numbers.protocol import (
 )
 
 
-def _comparison(compare: Callable[[Any, Any], Condition]) -> Callable[[Dual, Arithmetic], Condition]:
+def _comparison(
+    compare: Callable[[Arithmetic, Arithmetic], Condition],
+) -> Callable[[Dual, Arithmetic], Condition]:
     return lambda self, other: compare(self.a, value(other))
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from ctypes import addressof
-from types import ModuleType
 from typing import Any, cast
 
 import numpy as np
@@ -25,7 +24,7 @@ import numpy as np
 from contactbench.methods.base import METHODS, ROUNDING, unfit
 from contactbench.methods.prepared import NO_NUMBER, Request
 from contactbench.peers.base import Peer
-from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, Compiled
+from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, Compiled, Connection
 from contactbench.peers.stepping import LibrarySteps, Stepper
 from contactbench.scene import Mechanical, Scene, State, norm
 from contactbench.scene.many import Many, Particles
@@ -109,7 +108,7 @@ class WisdomHolman(Stepper):
 class Ias15(Compiled):
     first_order = False
 
-    def connect(self, clock: int) -> tuple[ModuleType, tuple[Any, ...]]:
+    def connect(self, clock: int) -> Connection:
         from contactbench.peers.abi import rebound as abi
 
         r, scene = self.request, cast(Any, self.scene)

@@ -565,7 +565,7 @@ class Scene(System):
         """Return the initial data that a state is, by name, as `with_` takes them."""
         return {name: value for name, value in x._asdict().items() if value is not None}
 
-    def checked(self, data: Mapping[str, object]) -> dict[str, Any]:
+    def checked(self, data: Mapping[str, object]) -> dict[str, object]:
         """Return the initial data given by keyword, validated against the scene's own."""
         for key in data:
             if key not in self.initial_fields:
