@@ -23,10 +23,7 @@ Marks = tuple[dict[str, Array], Array, Array]
 
 
 def members(
-    scene: Scene,
-    carry: tuple[str, ...],
-    given: AnyState | Mapping[str, object],
-    parameters: Mapping[str, object],
+    scene: Scene, carry: tuple[str, ...], given: AnyState | Mapping[str, Any], parameters: Mapping[str, Any]
 ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """Return packed initial states (d, n), and by its place among the scene's numbers each parameter (n,)."""
     if isinstance(given, State | BodyState | DrivenState):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from functools import cache, cached_property
 from time import monotonic
@@ -76,14 +76,7 @@ def field_program(
     (d, with_s, blocks), names = packing, tuple(scene.constants)
 
     def fields(
-        numbers: Vector,
-        h: Arithmetic,
-        n: Count,
-        f: Sequence[Arithmetic],
-        s: Sequence[Arithmetic],
-        constants: Vector,
-        xp: Any,
-        repeat: Repeat,
+        numbers: Vector, h: Arithmetic, n: Count, f: Any, s: Any, constants: Vector, xp: Any, repeat: Repeat
     ) -> list[Arithmetic]:
         if blocks > 1:
             f, s, xp = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else [], DualNumbers(xp)

@@ -36,7 +36,7 @@ from contactbench.splitting.composition import number
 from contactbench.trace.formula import Formula, formula
 
 Row = tuple[Fraction, ...]
-Slopes = tuple[Sequence[Arithmetic], ...]
+Slopes = Sequence[Sequence[Arithmetic]]
 FOLDER = Path(__file__).parent / "tableaux"
 #: numbers of a state beyond which compiled code has the stages as a loop
 LARGE = 24
@@ -95,9 +95,7 @@ def read_tableau(name: str) -> Tableau:
     )
 
 
-def combine(
-    weights: Sequence[Fraction | Arithmetic], slopes: Sequence[Sequence[Arithmetic]], xp: Namespace
-) -> list[Arithmetic]:
+def combine(weights: Sequence[Fraction | Arithmetic], slopes: Slopes, xp: Namespace) -> list[Arithmetic]:
     """Return Σ w k, entry by entry; weights of later stages may be left out."""
     used = [
         (number(w, xp) if isinstance(w, Fraction) else w, k)

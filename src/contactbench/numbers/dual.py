@@ -19,9 +19,7 @@ from contactbench.numbers.protocol import (
 )
 
 
-def _comparison(
-    compare: Callable[[Arithmetic, Arithmetic], Condition],
-) -> Callable[[Dual, Arithmetic], Condition]:
+def _comparison(compare: Callable[..., Condition]) -> Callable[[Dual, Arithmetic], Condition]:
     return lambda self, other: compare(self.a, value(other))
 
 

@@ -28,16 +28,7 @@ from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
 from contactbench.trace.compiled import back_end, compile_c, intrinsic
-from contactbench.trace.form import (
-    Assign,
-    Element,
-    Function,
-    Operation,
-    Store,
-    digest,
-    execute,
-    read_by,
-)
+from contactbench.trace.form import Assign, Element, Function, Operation, Store, digest, execute, read_by
 from contactbench.trace.recording import Block, Tape, attempt, is_constant, operand_of
 
 #: places in data: the two counters, the time a run begins at, then the constants

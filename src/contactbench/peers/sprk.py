@@ -23,7 +23,7 @@ from contactbench.methods.base import CALLBACKS, METHODS, unfit
 from contactbench.methods.prepared import NO_NUMBER, Request
 from contactbench.numbers import functions as math
 from contactbench.numbers.protocol import Arithmetic
-from contactbench.peers.base import Variational, record_function
+from contactbench.peers.base import Rates, Variational, record_function
 from contactbench.peers.compiled import c_functions
 from contactbench.peers.stepping import LibrarySteps, Stepper
 from contactbench.scene import System, Vector, dot, key, scaled
@@ -32,9 +32,6 @@ from contactbench.scene.mechanical import Canonical
 
 if TYPE_CHECKING:
     from contactbench.peers.abi.arkode import Memory
-
-#: f(t, y)
-Slopes = Callable[[float, Sequence[float]], Sequence[float]]
 
 #: γt beyond which e^{γt} is no longer a double; components that are compiled one by one
 LONGEST, MOST = 700.0, 256
@@ -102,10 +99,10 @@ class Part(System):
 class Callbacks:
     """sundials4py as it is, with the interface of `abi.arkode.Memory`."""
 
-    def __init__(self, method: str, functions: Sequence[Slopes], size: int) -> None:
+    def __init__(self, method: str, functions: Sequence[Rates], size: int) -> None:
         from sundials4py import arkode, core
 
-        def calling(function: Slopes) -> Callable[..., int]:
+        def calling(function: Rates) -> Callable[..., int]:
             def call(t: float, y: object, dy: object, _: object) -> int:
                 with suppress(*NO_NUMBER):
                     core.N_VGetArrayPointer(dy)[:] = function(t, core.N_VGetArrayPointer(y).tolist())
@@ -184,7 +181,7 @@ class Steps(LibrarySteps):
 
     @cached_property
     def tangents(self) -> Memory:  # type: ignore[override]
-        parts: list[Any] = [Variational(name="", t_end=1.0, base=part, count=1) for part in self.parts]  # type: ignore[arg-type]
+        parts = [Variational(name="", t_end=1.0, base=part, count=1) for part in self.parts]  # type: ignore[arg-type]
         return self.compiled(parts, 2 * self.size)
 
     def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:

@@ -285,7 +285,7 @@ def _compare(scene: Mechanical, claim: Claim) -> None:
 
 
 def difference(
-    f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, direction: np.ndarray
+    f: Callable[..., np.ndarray], q: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Return the derivative along a direction by central differences of order 4, and about its error."""
     best, error = np.full_like(f(q), math.nan), math.inf

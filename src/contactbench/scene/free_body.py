@@ -274,7 +274,7 @@ def jacobi(u: Arithmetic, m: Arithmetic, m1: Arithmetic, xp: Namespace) -> Vecto
 
 
 #: what its duplication carries: the arguments and their mean, roots, the factor of a term, the excess, the sum
-Duplicated = tuple[Vector, Vector, Arithmetic, Arithmetic, Arithmetic]
+Terms = tuple[Vector, Vector, Arithmetic, Arithmetic, Arithmetic]
 
 
 def carlson(
@@ -290,7 +290,7 @@ def carlson(
     mean = (x + y + 1 + 2 * p) / 5
     away = (mean - x, mean - y, mean - 1)
 
-    def duplicate(carried: Duplicated) -> tuple[Duplicated, None]:
+    def duplicate(carried: Terms) -> tuple[Terms, None]:
         (x, y, z, p, mean), (rx, ry, rz), fourth, excess, total = carried
         rp = xp.sqrt(p)
         d = (rp + rx) * (rp + ry) * (rp + rz)
@@ -300,19 +300,13 @@ def carlson(
         roots = (xp.sqrt(x), xp.sqrt(y), xp.sqrt(z))
         return ((x, y, z, p, mean), roots, fourth / 4, excess / 64, total), None
 
-    def left_out(carried: Duplicated) -> Arithmetic:
+    def left_out(carried: Terms) -> Arithmetic:
         """Return the size of the first term beyond the series; that of p is at most 3/2 of the largest here."""
         (*_, mean), _, fourth, _, _ = carried
         share: Arithmetic = 2 * fourth * max(map(abs, away)) / mean
         return share**8
 
-    start: Duplicated = (
-        (x, y, one, p * one, mean),
-        (root_x * one, root_y * one, one),
-        one,
-        excess * one,
-        0 * one,
-    )
+    start: Terms = ((x, y, one, p * one, mean), (root_x * one, root_y * one, one), one, excess * one, 0 * one)
     carried, _ = scan(duplicate, start, DUPLICATIONS, left_out, xp)
     (*_, mean), _, fourth, _, total = carried
     X, Y, Z = (fourth * c / mean for c in away)

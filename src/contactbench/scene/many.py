@@ -575,7 +575,7 @@ class Bodies:
 
 def unrolled(scene: Many, potential: Callable[..., Arithmetic]) -> Mechanical:
     """Return a scene of many sites component by component."""
-    masses: Any = scene.weight
+    masses = scene.weight
     if not scene.uniform:
         masses = tuple(np.repeat(masses, scene.dimensions).tolist())
     same = {name: getattr(scene, name) for name in ("name", "s", "gamma", "parameters", "t_end", "about")}

@@ -388,7 +388,7 @@ class RigidBody(Scene):
             return moved
         w, a, b, c = x.R
         half = quaternion_product((w, -a, -b, -c), v.R)[1:]
-        size: Any = norm(half)
+        size = norm(half)
         scale = math.sin(size * amount) / size if size > 0 else 0.0
         turned = quaternion_product(x.R, (math.cos(size * amount), *(scale * h for h in half)))
         return moved._replace(R=turned)

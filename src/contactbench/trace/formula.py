@@ -205,9 +205,7 @@ def argument_names(arguments: tuple[int | str, ...], names: Sequence[str]) -> tu
     return tuple(f"v{i}" for i in range(sum(n or 1 for n in arguments if isinstance(n, int)) + len(names)))
 
 
-def formula(
-    function: Callable[..., object], arguments: tuple[int | str, ...], names: Sequence[str]
-) -> Formula:
+def formula(function: Callable[..., Any], arguments: tuple[int | str, ...], names: Sequence[str]) -> Formula:
     tape = Tape()
     supply = (Recorded(tape, name, "f", tape.root) for name in argument_names(arguments, names))
     given: list[object] = []

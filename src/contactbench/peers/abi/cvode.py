@@ -78,9 +78,7 @@ def library_file() -> Path:
     raise ImportError(f"scikit-sundae's CVODE library is not in {', '.join(map(str, places))}")
 
 
-def bind(
-    path: Path, signatures: dict[str, str], index: str
-) -> tuple[ctypes.CDLL, Callable[[str], Callable[..., Any]]]:
+def bind(path: Path, signatures: dict[str, str], index: str) -> tuple[ctypes.CDLL, Callable[[str], Any]]:
     """Load a library of SUNDIALS; return it, and what gives its functions to compiled code by their names."""
     words = {name: word.replace("n", index) for word, names in signatures.items() for name in names.split()}
     try:
@@ -98,7 +96,7 @@ def bind(
     return library, function_of
 
 
-def load() -> tuple[ctypes.CDLL, Callable[[str], Callable[..., Any]]]:
+def load() -> tuple[ctypes.CDLL, Callable[[str], Any]]:
     path = library_file()
     from sksundae._cy_common import config  # how the library was built
 

@@ -65,9 +65,7 @@ steps, set_integrator = (
 )
 
 
-def simulation(
-    integrator: str, masses: np.ndarray, force: Any, extras: np.ndarray, G: float
-) -> rebound.Simulation:
+def simulation(integrator: str, masses: np.ndarray, force: Any, extras: np.ndarray, G: float) -> Simulation:
     """Return a simulation of so many particles with a force that depends on velocities; extras : what it reads."""
     made = rebound.Simulation()
     for mass in masses:
