@@ -9,9 +9,8 @@ from functools import partial
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep, Piece
-from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import AnyState, Scene
 from contactbench.scene.base import OwnState
 from contactbench.splitting.composition import (

@@ -9,10 +9,10 @@ import numpy as np
 
 from contactbench.methods.base import CALLBACKS, METHODS, Method
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Count, Plain, Recorded, StepLoop
+from contactbench.methods.loops import Plain, Recorded, StepLoop
 from contactbench.methods.prepared import Outcome, Prepared, Request
 from contactbench.numbers.control import Repeat, XlaNumbers
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import BodyState, Scene
 from contactbench.scene.base import OwnState
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST

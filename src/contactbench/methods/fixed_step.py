@@ -15,12 +15,12 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Count, Plain, Recorded, StepLoop, is_fixed
+from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
 from contactbench.methods.many import SITE_LOOPS
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.registry import NAME
 from contactbench.scene import AnyState, Scene
 from contactbench.scene.base import TRIED, OwnState

@@ -13,10 +13,9 @@ from typing import Any
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Arithmetic, Condition, Namespace
+from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace
 from contactbench.scene import AnyState, Mechanical, Scene, State, Vector, dot, shifted
 
 #: iterations that may differ by more than the one before

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.methods.loops import Count, StepLoop, Steps, identity
+from contactbench.methods.loops import StepLoop, Steps, identity
 from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.control import Repeat, XlaNumbers
+from contactbench.numbers.protocol import Count
 from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.trace.recording import reason_of
 from contactbench.xla import jax, jnp, lax

@@ -14,7 +14,6 @@ import numpy as np
 
 from contactbench.methods.jax_engine import Traced
 from contactbench.methods.loops import (
-    Count,
     Loop,
     Plain,
     StepLoop,
@@ -27,7 +26,7 @@ from contactbench.methods.loops import (
 from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.protocol import Arithmetic, CannotRecord
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Count
 from contactbench.scene import Cache, Scene, State, Vector, key
 from contactbench.scene.base import OwnState
 from contactbench.scene.many import Many

@@ -19,9 +19,8 @@ from typing import Any, NoReturn
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import Scene, State, Vector, dot, scaled
 from contactbench.scene.base import OwnState
 from contactbench.splitting import composition
@@ -30,6 +29,8 @@ from contactbench.splitting.tables import STRANG
 
 #: γt beyond which e^{γt/2} is no longer a double
 LONGEST = 1400.0
+#: what a step carries: z, increments, z'' and ψ of the points before, the fading sum of ψ, e^{−γt/2} and e^{γt/2}
+Carried = tuple[Vector, tuple[Vector, ...], tuple[Vector, ...], Vector, Arithmetic, Arithmetic, Arithmetic]
 
 
 def weights(nodes: Sequence[int], moments: Iterable[Fraction]) -> list[Fraction]:
@@ -120,7 +121,7 @@ class Multistep(FixedStep):
             )
             return at, older, shrunk, grown, *histories
 
-        def step(carried: Any) -> Any:
+        def step(carried: Carried) -> Carried:
             z, increments, rates, psis, total, shrunk, grown = carried
             increment = tuple(
                 h * h * combine(beta, [rate[i] for rate in rates])

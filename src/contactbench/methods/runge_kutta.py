@@ -23,11 +23,10 @@ from typing import Any, NamedTuple
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.loops import Count
 from contactbench.numbers import quadrature
 from contactbench.numbers.control import Repeat, repeat, settle
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Arithmetic, Column, Namespace, Vector
+from contactbench.numbers.protocol import Arithmetic, Column, Count, Namespace, Vector
 from contactbench.scene import Scene, State, System
 from contactbench.scene.algebra import DrivenState, scaled
 from contactbench.scene.base import OwnState

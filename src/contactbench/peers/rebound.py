@@ -111,7 +111,7 @@ class Ias15(Compiled):
     def connect(self, clock: int) -> Connection:
         from contactbench.peers.abi import rebound as abi
 
-        r, scene = self.request, cast(Any, self.scene)
+        r, scene = self.request, cast("Mechanical | Many", self.scene)
         assert r.rtol is not None
         size, n = len(self.split_clock(r.start)[1]), scene.motion // 2
         unit = scene.velocity(tuple(1.0 + 0 * c for c in scene.initial(()).p))

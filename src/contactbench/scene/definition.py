@@ -161,7 +161,7 @@ def _time(scene: Mechanical, y: np.ndarray) -> list[float]:
 
 
 def _potential(scene: Mechanical, q: np.ndarray, time: list[float]) -> float:
-    value: Any = scene.V(tuple(q.tolist()), *time)
+    value = scene.V(tuple(q.tolist()), *time)
     if not is_number(value):
         there = f"{excerpt(value)} at q = {_at(q)}"
         raise BadInput(f"scene {scene.name!r}: its potential is {there}: must be a number")
