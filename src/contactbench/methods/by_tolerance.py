@@ -77,10 +77,8 @@ TINY = 1e-30
 #: roundings of a time within which a break is passed by one step
 ROUNDINGS = 2**8
 
-#: at a state, where it is known
+#: of the motion at a state, where it is known
 Slope = Vector | None
-#: what an attempt changes: the state, its slope, the time left, the step, how many were rejected
-Taken = tuple[OwnState, Slope, Arithmetic, Arithmetic, Arithmetic]
 #: what the loop carries: state, slope, factors and their step, time left, step, error before, attempts, rejected ones
 Carried = tuple[
     OwnState, Slope, Factors | None, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
@@ -267,7 +265,7 @@ def march[S: Scene](
         square = value(sum(e * e for e in weighed))
         accepted = square <= 1
 
-        def advance(_: object) -> Taken:
+        def advance(_: object) -> tuple[OwnState, Slope, Arithmetic, Arithmetic, Arithmetic]:
             return after, slope if reuses else None, left - h, xp.where(step > h, step, h), rejected
 
         kept = y, first, left, step, rejected + 1
@@ -279,9 +277,7 @@ def march[S: Scene](
     def last_steps(step: Arithmetic, left: Arithmetic) -> Arithmetic:
         return xp.where(left <= STRETCH * step, left, left / 2)
 
-    def changed(
-        step_and_past: tuple[Arithmetic, Arithmetic], h: Arithmetic, square: Arithmetic, past: Arithmetic
-    ) -> tuple[Arithmetic, Arithmetic]:
+    def changed(step_and_past: Vector, h: Arithmetic, square: Arithmetic, past: Arithmetic) -> Vector:
         step, _ = step_and_past
         log = xp.log(xp.maximum(square, TINY)) / 2 - math.log(AIM)
         log = xp.where(square <= 1 / TINY, log, -math.log(TINY))  # of what is not finite, too

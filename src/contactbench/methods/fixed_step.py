@@ -25,9 +25,9 @@ from contactbench.registry import NAME
 from contactbench.scene import AnyState, Scene
 from contactbench.scene.base import TRIED, OwnState
 
-Step = Callable[..., OwnState]  # (scene, x, h, xp) -> x
+Step = Callable[[Any, OwnState, Arithmetic, Namespace], OwnState]  # (scene, x, h, xp) -> x
 Piece = Callable[[Scene, AnyState, Arithmetic, Namespace, Repeat], AnyState]  # (scene, x, h, xp, repeat) -> x
-Factor = Callable[..., Arithmetic]  # (scene, h, xp) -> conformal factor of one step
+Factor = Callable[[Any, Arithmetic, Namespace], Arithmetic]  # (scene, h, xp) -> conformal factor of one step
 
 #: who takes the steps; an engine gets its loop here
 LOOPS: dict[str, type[StepLoop[Any]]] = {"numba": Recorded, "jax": Traced, "python": Plain}

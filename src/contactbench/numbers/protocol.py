@@ -40,7 +40,7 @@ class Arithmetic(Protocol):
 Condition = Any
 #: the components of a vector
 Vector = tuple[Arithmetic, ...]
-#: how many: an engine of its own counts in numbers of its own
+#: how many steps or stages: an engine of its own counts in numbers of its own
 Count = int | Arithmetic
 
 
