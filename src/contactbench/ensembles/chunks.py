@@ -135,6 +135,10 @@ def on_cores(
             partial(side_by_side, run, loop, names),
             equal_share(y0.shape[1], cores, chunk, loop.lanes),
         )
+        n = y0.shape[1]
+        if share >= n and not loop.is_long(run.needed * n):  # no thread is worth its start
+            yield work(y0, own)
+            return
     ahead: deque[Future[Result]] = deque()
     threads = futures.ThreadPoolExecutor(cores)
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from contactbench.numbers.protocol import Vector
 LEAST, MOST = 1e-2, 1e3
 #: spans that are tried, each so many times as long as the one before
 SPANS, RATIO = 18, 8.0
+#: numbers up to which all spans are tried at once
+FEW = 2**16
 
 
 def in_order(sizes: object) -> np.ndarray:
@@ -27,12 +30,12 @@ def reach(scene: Any, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
     A body is thrown from x with its first acceleration, over the longest of some spans up to `end` in which the
     change of the force does not outweigh what it has: a fraction of a period, or all the time of a free body.
     """
-    axes = (0, 1) if scene.by_sites else 0
 
     def size(vector: Any) -> Any:
         if all(isinstance(c, float) for c in vector):
             return max(map(abs, vector)) if sum(vector) == sum(vector) else np.nan
-        return np.abs(np.array(np.broadcast_arrays(*vector), dtype=float)).max(axis=axes)
+        largest = reduce(np.maximum, map(np.abs, vector))
+        return largest.max(axis=0) if scene.by_sites else largest
 
     def pull(after: float, q: Vector) -> Any:
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
@@ -46,14 +49,23 @@ def reach(scene: Any, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
     spans = [end / RATIO**k for k in reversed(range(SPANS))]
     if scene.clock is not None:  # a force that is yet to come
         force = np.fmax.reduce([force, *(size(pull(span, x.q)) for span in spans)])
-    fits, way, gain = True, 0.0 * fast, 0.0 * fast
-    for span in spans:
+
+    def fits(span: Any) -> Any:
         thrown = tuple(c + span * (d + span / 2 * e) for c, d, e in zip(x.q, v, a, strict=True))
         here = a if scene.clock is None else pull(span, x.q)
         change = size([there - c for there, c in zip(pull(span, thrown), here, strict=True)])
-        fits = fits & (change * span <= fast + force * span / 2)
-        if not np.any(fits):
-            break
-        way = np.where(fits, span * (fast + span / 2 * force), way)
-        gain = np.where(fits, span * force, gain)
-    return np.fmax(far, way), fast + gain
+        return change * span <= fast + force * span / 2
+
+    longest = 0.0 * fast
+    if np.ndim(fast) == 1 and not scene.by_sites and SPANS * len(fast) <= FEW:
+        each = np.array(spans)[:, None]
+        longest = np.where(np.logical_and.accumulate(fits(each)), each, 0.0).max(axis=0)
+    else:
+        going = True
+        for span in spans:
+            going = going & fits(span)
+            if not np.any(going):
+                break
+            longest = np.where(going, span, longest)
+    way, gain = longest * (fast + longest / 2 * force), longest * force
+    return np.fmax(far, np.where(longest > 0, way, 0.0)), fast + np.where(longest > 0, gain, 0.0)
