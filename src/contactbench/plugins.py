@@ -16,7 +16,6 @@ import warnings
 from importlib.machinery import SourceFileLoader
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 from contactbench.blame import their_code, user_error
 from contactbench.errors import BadInput, one_line
@@ -132,7 +131,7 @@ def _warn(what: str, error: BaseException) -> None:
     warnings.warn(message, RuntimeWarning, stacklevel=3)
 
 
-def _register(registry: Registry, item: Any) -> None:
+def _register(registry: Registry, item: object) -> None:
     """Add what an entry point names, unless importing its module has done so."""
     if any(item is known or item is getattr(known, "step", None) for known in registry.values()):
         return

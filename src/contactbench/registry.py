@@ -54,12 +54,12 @@ class Registry(dict[str, Any]):
     def _repr_html_(self) -> str:
         return html_table({name: getattr(item, "about", "") for name, item in self.items()}, self.kind)
 
-    def __getitem__(self, name: Any) -> Any:
+    def __getitem__(self, name: object) -> Any:
         if not isinstance(name, str) or name not in self:  # perhaps something that cannot be a key at all
             raise unknown_name(self.kind, name, self)
         return super().__getitem__(name)
 
-    def add(self, item: Any) -> Any:
+    def add[Item](self, item: Item) -> Item:
         """Register `item` under its name and return it; raises `BadInput` for a taken or bad name, or no such item."""
         name = getattr(item, "name", None)
         if isinstance(name, str) and name in self:
@@ -67,7 +67,7 @@ class Registry(dict[str, Any]):
         self[name] = item
         return item
 
-    def __setitem__(self, name: Any, item: Any) -> None:
+    def __setitem__(self, name: object, item: object) -> None:
         """Register `item` under its own name, in place of what had it; raises `BadInput` as `add` does."""
         own = getattr(item, "name", None)
         if not isinstance(item, self.of) or own is None:

@@ -13,6 +13,7 @@ import numpy as np
 from contactbench.errors import BadInput
 from contactbench.notebook import html_table
 from contactbench.scene import Scene, rotation_matrix
+from contactbench.scene.base import OwnState
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -185,7 +186,7 @@ class Solution:
     truth: Reference | None = None
 
     @staticmethod
-    def of(ending: dict[str, Any], y: np.ndarray, y0: np.ndarray) -> Solution:
+    def of(ending: dict[str, object], y: np.ndarray, y0: np.ndarray) -> Solution:
         """Return the solution with these states and all other attributes as they are, in a third of the time."""
         made = _new(Solution)
         made.__dict__ = {**ending, "y": y, "y0": y0}
@@ -341,11 +342,11 @@ class Solution:
             return None
         return np.moveaxis(np.array(rotation_matrix(tuple(quaternion.T))), -1, 0)
 
-    def states(self) -> Any:
+    def states(self) -> OwnState:
         """Return all saved states at once: a state whose components are arrays over the saved times."""
         return self.scene.unpack(self.y.T, self.carry)
 
-    def start(self) -> Any:
+    def start(self) -> OwnState:
         """Return the initial state."""
         return self.scene.unpack(self.scene.entries(self.y0), self.carry)
 

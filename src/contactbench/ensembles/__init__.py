@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.loops import is_fixed
 from contactbench.methods.prepared import Refused
 from contactbench.scene import BodyState, DrivenState, Scene, State
+from contactbench.scene.base import OwnState
 from contactbench.solution import Counts, Status
 
 
@@ -52,7 +52,7 @@ class Ensemble:
     counts: Counts
     statistics: dict[str, Statistic]
     endings: dict[Status, int]
-    final: Any = None
+    final: OwnState = None
     measures: dict[str, np.ndarray] | None = None
     end_time: np.ndarray | None = None
 
@@ -69,11 +69,11 @@ class Ensemble:
 def ensemble(
     scene: Scene | str,
     method: str,
-    initial_conditions: State | BodyState | DrivenState | Mapping[str, Any],
+    initial_conditions: State | BodyState | DrivenState | Mapping[str, object],
     *,
     step: float | Sequence[float] | np.ndarray,
     measure_at: Sequence[float] | np.ndarray | None = None,
-    parameters: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, object] | None = None,
     carry: Sequence[str] | None = None,
     keep: bool = True,
     chunk: int | None = None,

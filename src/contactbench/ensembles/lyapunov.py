@@ -95,7 +95,7 @@ def lyapunov(
     settle: int = 16,
     step: float | None = None,
     rtol: float | None = None,
-    initial_conditions: Mapping[str, Any] | None = None,
+    initial_conditions: Mapping[str, object] | None = None,
     carry: Sequence[str] = (),
 ) -> Lyapunov:
     """Return the Lyapunov spectrum of a scene under a method, with its error bar.

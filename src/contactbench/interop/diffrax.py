@@ -13,7 +13,7 @@ from contactbench.methods.prepared import METHODS
 from contactbench.numbers import quadrature
 from contactbench.numbers.control import XlaNumbers
 from contactbench.scene import Scene
-from contactbench.scene.base import scene_of
+from contactbench.scene.base import OwnState, scene_of
 from contactbench.scene.flow import damped_time
 from contactbench.splitting.composition import Composition, Plan, Stage, arrange
 from contactbench.xla import configure
@@ -415,7 +415,7 @@ def terms_of(scene: Scene | str) -> Terms:
                 raise unknown_name("parameter", name, sorted(known))
         return scene.with_numbers([given.get(name, x) for name, x in zip(names, own, strict=True)])
 
-    def state(t: Real, q: PyTree, p: PyTree) -> Any:
+    def state(t: Real, q: PyTree, p: PyTree) -> OwnState:
         return scene.unpack(scene.with_clock([*q, *p], t), ())
 
     def velocity(t: Real, p: PyTree, args: PyTree) -> PyTree:

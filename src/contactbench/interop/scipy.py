@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,13 +13,13 @@ from scipy.integrate._ivp.common import warn_extraneous
 
 from contactbench.checks import positive
 from contactbench.errors import BadInput, excerpt
-from contactbench.methods.loops import Count, Loop, identity
+from contactbench.methods.loops import Loop, identity
 from contactbench.methods.one_step import OneStep, step_map
 from contactbench.methods.prepared import NO_NUMBER, furthest
 from contactbench.methods.prescribed import steps_in
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.dual import Dual, slope
-from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Count, Namespace
 from contactbench.scene import Cache, Scene, Vector, key, verify
 from contactbench.scene.algebra import AnyState
 from contactbench.solution import DIVERGENCE
@@ -131,7 +131,7 @@ class ContactSolver(OdeSolver):
 
     #: what is solved, and by what
     step_map: ClassVar[OneStep]
-    rhs: ClassVar[Any]
+    rhs: ClassVar[staticmethod[[float, ArrayLike], np.ndarray]]
     start: ClassVar[np.ndarray]
     labels: ClassVar[list[str]]
 

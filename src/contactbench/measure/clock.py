@@ -11,7 +11,7 @@ import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -132,7 +132,7 @@ class Race:
                     return
 
 
-def time_columns(visits: Sequence[Visit]) -> dict[str, Any]:
+def time_columns(visits: Sequence[Visit]) -> dict[str, object]:
     """Return the time columns of one call: the estimate is the least round, the rest says how it came about."""
     rounds = np.concatenate([visit.whole for visit in visits])
     low, median, high = np.percentile(rounds, (25, 50, 75)).tolist()

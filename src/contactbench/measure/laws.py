@@ -240,7 +240,7 @@ def momentum_balance(solution: Solution) -> float:
 
 # -- contact structure -----------------------------------------------------------------------------
 #: what the laws of Φ*η have in common
-CONTACT: dict[str, Any] = {"needs": ("R", "s"), "gate": Gate.structure, "differentiates": True}
+CONTACT: dict[str, object] = {"needs": ("R", "s"), "gate": Gate.structure, "differentiates": True}
 CONTACT["applies"] = lambda scene: scene.is_contact
 FROZEN = "the steps taken held fixed"
 
@@ -311,7 +311,7 @@ def own_factor_drift(solution: Solution) -> Deviation | float:
 
 # -- pairs of Lyapunov exponents -------------------------------------------------------------------
 #: what the laws of pairs have in common
-PAIRS: dict[str, Any] = {"applies": has_linear_damping, "gate": Gate.structure, "differentiates": True}
+PAIRS: dict[str, object] = {"applies": has_linear_damping, "gate": Gate.structure, "differentiates": True}
 
 
 @law(
@@ -402,7 +402,7 @@ WITH_ERROR_BAR = ("contact_drift", "distribution_drift", "pairing_drift")
 CLAMPED = ("contact_drift", "pairing_drift", "hamiltonian_law", "momentum_law")
 
 
-def row(solution: Solution, without: str = "") -> dict[str, Any]:
+def row(solution: Solution, without: str = "") -> dict[str, object]:
     """Return every law the scene has, and whether it is kept, as columns; without : why no derivative is taken."""
     if not solution.ok:
         return {}

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.errors import BadInput
+from contactbench.numbers.protocol import Arithmetic, Condition
 
 
 def costs_to_reach(errors: Sequence[float], costs: Sequence[float], targets: Sequence[float]) -> list[float]:
@@ -117,7 +118,7 @@ def margin(halves: Iterable[float], processes: float) -> float:
     return max(FLOOR, math.exp(math.hypot(*logs)))
 
 
-def ties(value: Any, least: Any, margin: float) -> Any:
+def ties(value: Arithmetic, least: Arithmetic, margin: float) -> Condition:
     """Return whether a cost or an error, or each of a column, is no more than the least but for a margin."""
     return value <= margin * least
 

@@ -24,7 +24,9 @@ from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request,
 from contactbench.methods.runge_kutta import (
     RKN8,
     RKN12,
+    Factors,
     Tableau,
+    Undamped,
     combine,
     damped,
     explicit_slope,
@@ -39,11 +41,23 @@ from contactbench.methods.runge_kutta import (
 )
 from contactbench.numbers.control import repeat_while
 from contactbench.numbers.dual import Dual, DualNumbers, leaves, rebuild, slope, value
-from contactbench.numbers.protocol import Abilities, CannotRecord, ChoosingNumbers, abilities
+from contactbench.numbers.protocol import (
+    Abilities,
+    Arithmetic,
+    CannotRecord,
+    ChoosingNamespace,
+    ChoosingNumbers,
+    Condition,
+    Namespace,
+    Vector,
+    abilities,
+)
 from contactbench.scene import Cache, Mechanical, Scene, State, key
-from contactbench.scene.algebra import scaled
+from contactbench.scene.algebra import DrivenState, scaled
+from contactbench.scene.base import OwnState
+from contactbench.scene.mechanical import Canonical
 from contactbench.solution import DIVERGENCE, Counts, Solution, Status
-from contactbench.trace.form import Assign, Element, Update, execute
+from contactbench.trace.form import Assign, Element, Statement, Update, execute
 from contactbench.trace.program import Program, record
 
 #: a step is aimed at this part of the tolerance; the least and the most that it changes
@@ -63,8 +77,15 @@ TINY = 1e-30
 #: roundings of a time within which a break is passed by one step
 ROUNDINGS = 2**8
 
+#: of the motion at a state, where it is known
+Slope = Vector | None
+#: what the loop carries: state, slope, factors and their step, time left, step, error before, attempts, rejected ones
+Carried = tuple[
+    OwnState, Slope, Factors | None, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
+]
 
-def when(condition: Any, body: Callable[..., Any], x: Any, xp: Any, *given: Any) -> Any:
+
+def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNamespace, *given: object) -> X:
     """Return body(x, *given) where the condition holds, else x.
 
     What the body computes of its arguments is computed there alone: recorded loops leave what they do not change to the
@@ -75,32 +96,32 @@ def when(condition: Any, body: Callable[..., Any], x: Any, xp: Any, *given: Any)
 
 
 @dataclass(frozen=True)
-class Explicit:
+class Explicit[S: Scene]:
     """What the loop asks of a pair for y' = f(y)."""
 
     tableau: Tableau
 
-    def enter(self, scene: Any, x: Any) -> Any:
+    def enter(self, scene: S, x: OwnState) -> OwnState:
         return x
 
     leave = enter
 
-    def slope(self, scene: Any, y: Any, xp: Any) -> Any:
+    def slope(self, scene: S, y: OwnState, xp: Namespace) -> Vector:
         return tuple(explicit_slope(scene, y))
 
-    def factors(self, scene: Any, h: Any, xp: Any) -> Any:
+    def factors(self, scene: S, h: Arithmetic, xp: Namespace) -> Factors | None:
         return None
 
     def attempt(
-        self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any
-    ) -> tuple[Any, Any, list[Any]]:
+        self, scene: S, y: OwnState, h: Arithmetic, xp: Namespace, first: Slope, factors: Factors | None
+    ) -> tuple[OwnState, Slope, Sequence[Arithmetic]]:
         """Return the state after a step, the slope there where the pair evaluates it, and the error."""
         tableau = self.tableau
         after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first=first)
         error = rebuild(y, combine(tableau.estimate[0], slopes, xp))
         return after, None, scene.without_clock(scene.pack(error))
 
-    def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
+    def rate(self, scene: S, y: OwnState, slope: Vector, size: Arithmetic, xp: Namespace) -> Arithmetic:
         """Return how fast the slope changes along it: |λ| of y' = λy."""
         time = NUDGE * size / (norm(scene.without_clock(slope), xp) + TINY)
         nudged = rebuild(y, [a + time * b for a, b in zip(leaves(y), slope, strict=True)])
@@ -109,24 +130,30 @@ class Explicit:
 
 
 @dataclass(frozen=True)
-class Nystrom(Explicit):
+class Nystrom(Explicit[Canonical]):
     """What the loop asks of a pair for z'' = f(t, z)."""
 
-    def enter(self, scene: Any, x: Any) -> Any:
+    def enter(self, scene: Canonical, x: State | DrivenState) -> Undamped:
         return undamped(scene, x)
 
-    def leave(self, scene: Any, y: Any) -> Any:
+    def leave(self, scene: Canonical, y: Undamped) -> OwnState:
         return damped(scene, y)
 
-    def slope(self, scene: Any, y: Any, xp: Any) -> Any:
+    def slope(self, scene: Canonical, y: Undamped, xp: Namespace) -> Vector:
         return tuple(pull(scene, y.q, y.t, y.action is not None))
 
-    def factors(self, scene: Any, h: Any, xp: Any) -> Any:
+    def factors(self, scene: Canonical, h: Arithmetic, xp: Namespace) -> Factors | None:
         return None if scene.rate_changes else factors_of(self.tableau, scene, None, h, xp)
 
     def attempt(
-        self, scene: Any, y: Any, h: Any, xp: Any, first: Any, factors: Any
-    ) -> tuple[Any, Any, list[Any]]:
+        self,
+        scene: Canonical,
+        y: Undamped,
+        h: Arithmetic,
+        xp: Namespace,
+        first: Slope,
+        factors: Factors | None,
+    ) -> tuple[Undamped, Slope, Sequence[Arithmetic]]:
         tableau, d = self.tableau, len(y.q)
         factors = factors or factors_of(tableau, scene, y.t, h, xp)
         stages = len(tableau.nodes)
@@ -138,7 +165,9 @@ class Nystrom(Explicit):
         action = [] if y.action is None else [keep * keep * change[d]]
         return after, tuple(slope), [*q, *p, *action]
 
-    def rate(self, scene: Any, y: Any, slope: Any, size: Any, xp: Any) -> Any:
+    def rate(
+        self, scene: Canonical, y: Undamped, slope: Vector, size: Arithmetic, xp: Namespace
+    ) -> Arithmetic:
         """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
         force = slope[: len(y.q)]
         parts = [scaled(share / (norm(way, xp) + TINY), way) for share, way in ((1.0, force), (0.5, y.u))]
@@ -156,12 +185,12 @@ class PlainNumbers(ChoosingNumbers):
     def __getattr__(self, name: str) -> Any:
         return getattr(math, name)
 
-    def where(self, condition: Any, a: Any, b: Any) -> Any:
+    def where[X](self, condition: Condition, a: X, b: X) -> X:
         return a if condition else b
 
 
 @cache
-def unit_error(form: Explicit) -> float:
+def unit_error(form: Explicit[Any]) -> float:
     """Return the largest error of a step of length one of an oscillator of frequency one."""
     scene, xp = (
         Mechanical(name="unit", potential=lambda q: q[0] * q[0] / 2, q=(1.0,), p=(0.0,), t_end=1.0),
@@ -169,24 +198,24 @@ def unit_error(form: Explicit) -> float:
     )
     starts = (form.enter(scene, State((q,), (1.0 - q,))) for q in (0.0, 1.0))
     found = (form.attempt(scene, y, 1.0, xp, None, form.factors(scene, 1.0, xp))[2] for y in starts)
-    return max(abs(error) for errors in found for error in errors)
+    return float(max(abs(error) for errors in found for error in errors))
 
 
-def norm(v: Sequence[Any], xp: Any) -> Any:
+def norm(v: Sequence[Arithmetic], xp: Namespace) -> Arithmetic:
     return xp.sqrt(sum((c * c for c in v[1:]), v[0] * v[0]))
 
 
-def march(
-    form: Explicit,
-    scene: Any,
-    x: Any,
-    beside: Sequence[Any],
-    span: Any,
-    most: Any,
-    tolerances: Sequence[Any],
-    xp: Any,
-    plain: Any = None,
-) -> tuple[Any, list[Any]]:
+def march[S: Scene](
+    form: Explicit[S],
+    scene: S,
+    x: OwnState,
+    beside: Sequence[Arithmetic],
+    span: Arithmetic,
+    most: Arithmetic,
+    tolerances: Sequence[Arithmetic],
+    xp: ChoosingNamespace,
+    plain: OwnState = None,
+) -> tuple[OwnState, list[Any]]:
     """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run.
 
     plain : the same state x, where its numbers are dual.
@@ -197,13 +226,13 @@ def march(
     #: squares of errors after which a step stays as it is
     keeps = tuple((AIM * STAY ** (way / power)) ** 2 for way in (-1, 1))
 
-    def parts(y: Any) -> list[Any]:
+    def parts(y: OwnState) -> Sequence[Arithmetic]:
         return scene.without_clock(scene.pack(form.leave(scene, y)))
 
-    def scales(before: Any, after: Any) -> list[Any]:
+    def scales(before: Sequence[Arithmetic], after: Sequence[Arithmetic]) -> list[Arithmetic]:
         return [a + rtol / 2 * (abs(b) + abs(c)) for a, b, c in zip(atol, before, after, strict=True)]
 
-    def first_step(y: Any) -> Any:
+    def first_step(y: OwnState) -> Arithmetic:
         packed = parts(y)
         weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
         size = norm(y.q if isinstance(form, Nystrom) else packed, xp) + atol[0] / rtol
@@ -218,11 +247,11 @@ def march(
     first = form.slope(scene, y, xp) if reuses else None
     factors = rebuild(known := form.factors(scene, span, xp), [0 * span] * len(leaves(known)))
 
-    def going(carried: Any) -> Any:
+    def going(carried: Carried) -> Condition:
         _, _, _, _, left, step, _, tried, _ = carried
         return (left > 0) & (tried < most) & (step > SHORTEST * span)
 
-    def turn(carried: Any) -> Any:
+    def turn(carried: Carried) -> Carried:
         y, first, factors, at, left, step, past, tried, rejected = carried
         h = when(left < 2 * step, last_steps, step, xp, left)
         factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
@@ -236,7 +265,7 @@ def march(
         square = value(sum(e * e for e in weighed))
         accepted = square <= 1
 
-        def advance(_: Any) -> Any:
+        def advance(_: object) -> tuple[OwnState, Slope, Arithmetic, Arithmetic, Arithmetic]:
             return after, slope if reuses else None, left - h, xp.where(step > h, step, h), rejected
 
         kept = y, first, left, step, rejected + 1
@@ -245,10 +274,10 @@ def march(
         step, past = when(xp.where(within, 0.0, 1.0) > 0, changed, (step, 0.0), xp, h, square, past)
         return y, first, factors, h, left, step, past, tried + 1, rejected
 
-    def last_steps(step: Any, left: Any) -> Any:
+    def last_steps(step: Arithmetic, left: Arithmetic) -> Arithmetic:
         return xp.where(left <= STRETCH * step, left, left / 2)
 
-    def changed(step_and_past: Any, h: Any, square: Any, past: Any) -> Any:
+    def changed(step_and_past: Vector, h: Arithmetic, square: Arithmetic, past: Arithmetic) -> Vector:
         step, _ = step_and_past
         log = xp.log(xp.maximum(square, TINY)) / 2 - math.log(AIM)
         log = xp.where(square <= 1 / TINY, log, -math.log(TINY))  # of what is not finite, too
@@ -264,7 +293,7 @@ def march(
 
 
 # -- the run -------------------------------------------------------------------------------------------
-def pair_program(form: Explicit, scene: Any, carry: tuple[str, ...], tangent: bool) -> Program:
+def pair_program(form: Explicit[Any], scene: Scene, carry: tuple[str, ...], tangent: bool) -> Program:
     """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`.
 
     tangent : a tangent vector follows the state and is carried along by the steps that are taken.
@@ -273,7 +302,9 @@ def pair_program(form: Explicit, scene: Any, carry: tuple[str, ...], tangent: bo
     whole = d * (1 + tangent)
     tolerances = 1 + d - (scene.clock is not None)
 
-    def advance(numbers: Any, span: Any, most: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+    def advance(
+        numbers: Vector, span: Arithmetic, most: Arithmetic, y: Sequence[Arithmetic], xp: Any, repeat: object
+    ) -> list[Arithmetic]:
         twin, beside, plain = scene.with_numbers(numbers[:given]), y[whole:], scene.unpack(y[:d], carry)
         x = plain
         if tangent:
@@ -282,7 +313,7 @@ def pair_program(form: Explicit, scene: Any, carry: tuple[str, ...], tangent: bo
         end = scene.pack(x)
         return [*map(value, end), *(map(slope, end) if tangent else ()), *beside]
 
-    def started(statement: Any) -> Any:
+    def started(statement: Statement) -> Statement:
         """A packed state alone is given; zeros are beside it."""
         match statement:
             case Assign(target, Element("start", (int(i),))) if i >= whole:
@@ -300,7 +331,7 @@ _loops: Cache[Loop] = Cache(256)
 class ToleranceRun(Prepared):
     """Run a pair, from saved time to saved time and from break to break."""
 
-    method_: Any
+    method_: RungeKuttaPair
 
     sensitivity_source = "forward-mode AD through the steps taken"
 
@@ -349,13 +380,13 @@ class ToleranceRun(Prepared):
         known = key(self.request.scene.identity, self.method_, self.request.carry, tangent)
         return _loops.get(known, lambda: self.make(tangent))
 
-    def compiled(self) -> tuple[Callable[..., Any], Any, Any]:
+    def compiled(self) -> tuple[Callable[..., int], np.ndarray, np.ndarray]:
         loop = self.loop()
         run, tables = loop.run, self.arguments(loop)
         self.compile_s = loop.seconds
         return run, *tables
 
-    def in_python(self) -> tuple[Callable[..., Any], Any, Any]:
+    def in_python(self) -> tuple[Callable[..., object], object, object]:
         """Return the same in floats: as it is written, where a function cannot be recorded or a float says "no"."""
         r, recorded, tables = self.request, None, list[Any]((None, None))
         with suppress(CannotRecord):
@@ -370,7 +401,7 @@ class ToleranceRun(Prepared):
                 rows += [*r.scene.pack(x), *beside]
             return rows
 
-        def run(y0: np.ndarray, w: Any, shape: Any, after: np.ndarray) -> None:
+        def run(y0: np.ndarray, w: object, shape: object, after: np.ndarray) -> None:
             if recorded is not None:
                 with suppress(*NO_NUMBER):
                     recorded(y0.tolist(), w, shape, found := [0.0] * len(after))
@@ -389,7 +420,7 @@ class ToleranceRun(Prepared):
             columns.append(np.where(after[self.saved, -1:] == 0, after[self.saved, d : 2 * d], math.nan))
         return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
 
-    def __call__(self, **data: Any) -> Solution:
+    def __call__(self, **data: object) -> Solution:
         """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
         r = self.request
         if data and r.scales is not None:
@@ -424,7 +455,7 @@ class RungeKuttaPair(Adaptive):
     name: str
     order: int
     about: str
-    form: Explicit
+    form: Explicit[Any]
     engines: tuple[str, ...] = ("numba", "python")
     family: str = "established"
     largest: int = 32
@@ -448,6 +479,7 @@ class RungeKuttaPair(Adaptive):
 
 _pair = "explicit Runge–Kutta pair by tolerance"
 _nystrom = "explicit Runge–Kutta–Nyström pair by tolerance, on z = e^{γt/2} q"
+_form: Explicit[Any]
 for _name, _about, _form in (
     ("rk8-7", _pair, Explicit(read_tableau("rk8-7"))),
     ("rkn8-6", _nystrom, Nystrom(RKN8)),

@@ -6,14 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep, Piece
-from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import AnyState, Scene
+from contactbench.scene.base import OwnState
 from contactbench.splitting.composition import (
     Composition,
     advance,
@@ -55,10 +54,9 @@ class ContactMethod(FixedStep):
     def log_factor(self, scene: Scene, x: AnyState, h: float, n: int) -> float | None:
         if not scene.rate_changes:  # the coefficients of every composition add up to one
             return super().log_factor(scene, x, h, n)
-        total: float = log_factor(self.composition, scene, x, h, n, math)
-        return total
+        return float(log_factor(self.composition, scene, x, h, n, math))
 
-    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Arithmetic | None:
+    def modified_hamiltonian(self, scene: Scene, x: OwnState, h: float) -> Arithmetic | None:
         if not (scene.canonical and scene.has_hamiltonian_law and has_modified_hamiltonian(self.composition)):
             return None
         value: Arithmetic = modified_hamiltonian(scene, self.composition, x, h)

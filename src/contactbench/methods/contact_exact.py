@@ -9,11 +9,12 @@ import numpy as np
 
 from contactbench.methods.base import CALLBACKS, METHODS, Method
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Count, Plain, Recorded, StepLoop
+from contactbench.methods.loops import Plain, Recorded, StepLoop
 from contactbench.methods.prepared import Outcome, Prepared, Request
 from contactbench.numbers.control import Repeat, XlaNumbers
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import BodyState, Scene
+from contactbench.scene.base import OwnState
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
 from contactbench.solution import Counts, Status
 from contactbench.xla import jax, jnp
@@ -98,8 +99,8 @@ class ExactMethod(Method):
         return FREE_COST if engine in CALLBACKS else None
 
     def advance(
-        self, scene: Any, x: Any, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat | None = None
-    ) -> Any:
+        self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat | None = None
+    ) -> OwnState:
         """The state after the time nh, for engines that write loops of steps."""
         return evolve(scene, x, n * h, xp)
 

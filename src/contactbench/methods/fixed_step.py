@@ -15,19 +15,19 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import Traced
-from contactbench.methods.loops import Count, Plain, Recorded, StepLoop, is_fixed
+from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
 from contactbench.methods.many import SITE_LOOPS
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.registry import NAME
 from contactbench.scene import AnyState, Scene
-from contactbench.scene.base import TRIED
+from contactbench.scene.base import TRIED, OwnState
 
-Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
+Step = Callable[[Any, OwnState, Arithmetic, Namespace], OwnState]  # (scene, x, h, xp) -> x
 Piece = Callable[[Scene, AnyState, Arithmetic, Namespace, Repeat], AnyState]  # (scene, x, h, xp, repeat) -> x
-Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
+Factor = Callable[[Any, Arithmetic, Namespace], Arithmetic]  # (scene, h, xp) -> conformal factor of one step
 
 #: who takes the steps; an engine gets its loop here
 LOOPS: dict[str, type[StepLoop[Any]]] = {"numba": Recorded, "jax": Traced, "python": Plain}
@@ -73,7 +73,7 @@ class FixedStep(Method):
 
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
-    ) -> Any:
+    ) -> OwnState:
         """n ≥ 1 steps of size h."""
         after: AnyState = repeat(n, lambda x: self.step(scene, x, h, xp), x)
         return after
@@ -161,7 +161,7 @@ def _one_of(allowed: tuple[str, ...]) -> Callable[[str, object], None]:
 
 
 #: what a step map may declare, and the check of each
-CLAIMS: dict[str, Callable[[str, Any], object]] = {
+CLAIMS: dict[str, Callable[[str, object], object]] = {
     "kind": _one_of(("rhs", "gradient", "rotation")),
     "family": _one_of(FAMILIES),
     "contact": switch,

@@ -14,6 +14,7 @@ from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.methods.prescribed import EQUAL, UNCOUNTED, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
+from contactbench.scene.base import Numeric
 from contactbench.solution import Counts, Solution, Status
 
 if TYPE_CHECKING:
@@ -195,7 +196,7 @@ class FixedStepRun(Prepared):
             return None
         return np.append([0.0] if self.saves_start else [], np.cumsum(known)[self.saved])
 
-    def modified_hamiltonian(self, x: AnyState) -> Any | None:
+    def modified_hamiltonian(self, x: AnyState) -> Numeric:
         """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
         if np.ptp(self.h) > EQUAL * self.h[0]:
             return None

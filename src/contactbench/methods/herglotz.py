@@ -15,10 +15,10 @@ from typing import Any
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import Mechanical, Scene, State, Vector, mechanical
+from contactbench.scene.base import OwnState
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Herglotz(FixedStep):
     def __post_init__(self) -> None:
         object.__setattr__(self, "factor", lambda scene, h, xp: self.sigma(h, scene.gamma, scene.gamma))
 
-    def log_factor(self, scene: Any, x: Any, h: float, n: int) -> float | None:
+    def log_factor(self, scene: Any, x: OwnState, h: float, n: int) -> float | None:
         """As in `FixedStep`; of steps that differ where γ depends on the time."""
         if self.refuses(scene) is not None or not scene.rate_changes:
             return super().log_factor(scene, x, h, n)
@@ -38,7 +38,7 @@ class Herglotz(FixedStep):
         factors = [self.sigma(h, before, after) for before, after in pairwise(rates)]
         return sum(map(math.log, factors)) if min(factors) > 0 else math.nan
 
-    def refuses(self, scene: Any) -> str | None:
+    def refuses(self, scene: Scene) -> str | None:
         fits = scene.canonical and not scene.nonlinear_damping
         return unfit(self, scene, fits, "a configuration q in Rⁿ and damping Γ = γ s")
 
@@ -65,7 +65,7 @@ def pull(scene: Mechanical, x: State) -> tuple[Vector, Arithmetic | None]:
     return scene.gradient_at(x), None if x.s is None else scene.potential_at(x)
 
 
-def drift(scene: Mechanical, x: Any, h: Arithmetic, xp: Namespace) -> State:
+def drift(scene: Mechanical, x: OwnState, h: Arithmetic, xp: Namespace) -> State:
     x = mechanical.drift(scene, x, h, xp)
     after: State = x if scene.clock is None else x._replace(t=x.t + h)
     return after
@@ -100,8 +100,8 @@ def factor2(h: Arithmetic, before: Arithmetic, after: Arithmetic) -> Arithmetic:
 @dataclass(frozen=True)
 class SecondHerglotz(Herglotz):
     def advance(
-        self, scene: Any, x: Any, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
-    ) -> Any:
+        self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> State:
         half = h / 2
 
         def joined(x: State) -> State:

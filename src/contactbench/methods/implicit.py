@@ -13,10 +13,9 @@ from typing import Any
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace
 from contactbench.scene import AnyState, Mechanical, Scene, State, Vector, dot, shifted
 
 #: iterations that may differ by more than the one before
@@ -29,14 +28,14 @@ TYPICAL = 8
 
 def fixed_point[K](
     update: Callable[[K], K], k: K, xp: Namespace, part: Callable[[K], object] = lambda k: k
-) -> tuple[K, Any, Arithmetic]:
+) -> tuple[K, Condition, Arithmetic]:
     """Return k with update(k) = k, whether it was found, and after how many updates; part : of k, what settles."""
     nothing: Arithmetic = 0 * leaves(k)[0]
 
     def size(components: Iterable[Arithmetic]) -> Arithmetic:
         return sum(map(abs, components), nothing)
 
-    def going(carried: tuple[K, Arithmetic, Arithmetic, Arithmetic]) -> Any:
+    def going(carried: tuple[K, Arithmetic, Arithmetic, Arithmetic]) -> Condition:
         _, turns, gap, before = carried
         return (gap > 0) & ((gap < before) | (turns < FIRST)) & (turns < MOST)
 
@@ -108,7 +107,7 @@ def gauss_tableau(stages: int, xp: Namespace) -> tuple[list[list[Arithmetic]], l
     return A, [one * 5 / 18, one * 4 / 9, one * 5 / 18]
 
 
-def gauss(stages: int) -> Callable[[Any, State, Arithmetic, Namespace], tuple[State, Arithmetic]]:
+def gauss(stages: int) -> Callable[[Scene, State, Arithmetic, Namespace], tuple[State, Arithmetic]]:
     """Return a step of Gauss's collocation; an iteration takes momenta first, which converges faster."""
 
     def step(scene: Any, x: State, h: Arithmetic, xp: Namespace) -> tuple[State, Arithmetic]:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.methods.loops import Count, StepLoop, Steps, identity
+from contactbench.methods.loops import StepLoop, Steps, identity
 from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.control import Repeat, XlaNumbers
+from contactbench.numbers.protocol import Count
 from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.trace.recording import reason_of
 from contactbench.xla import jax, jnp, lax
@@ -85,7 +86,7 @@ class Xla:
         return np.asarray(self.program(start, self.fixed if fixed is None else fixed))
 
     def compiled(
-        self, purpose: str, function: Callable[..., jax.Array], *arguments: Any
+        self, purpose: str, function: Callable[..., jax.Array], *arguments: object
     ) -> tuple[Compiled, float]:
         """The program for a purpose, and the seconds it took to make; `CannotRecord` where it branches on values."""
 

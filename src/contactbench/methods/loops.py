@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from contactbench.blame import is_ours
 from contactbench.methods.prepared import NO_NUMBER, Request, stopwatch
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Count, Namespace
 from contactbench.scene import AnyState, Cache, Scene, key
+from contactbench.scene.base import OwnState
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Function, execute, lines
@@ -41,8 +42,6 @@ Watched = Callable[[np.ndarray], tuple[np.ndarray, bool]]
 #: intervals of n steps of size h: as they are; and as arrays, with the arguments of the loop unless they are too many
 Spans = list[tuple[float, int]]
 Rows = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]
-#: how many steps: a loop of an engine of its own counts in numbers of its own
-Count = int | Arithmetic
 
 
 def total(n: np.ndarray) -> int:
@@ -172,7 +171,7 @@ def program_of(
 
 
 @cache
-def is_fixed(method: Any) -> bool:
+def is_fixed(method: Hashable) -> bool:
     """Return whether a step map is one of this package, which computes the same tomorrow."""
     return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
 
@@ -198,7 +197,7 @@ class Loop:
         self.seconds = seconds
         self._rows: Cache[tuple[np.ndarray, np.ndarray]] = Cache(KEPT)
 
-    def compiled(self, function: Function, **options: Any) -> Callable[..., int]:
+    def compiled(self, function: Function, **options: int) -> Callable[..., int]:
         elapsed = stopwatch()
         made: Callable[..., int] = compile_function(function, **options)
         self.seconds += elapsed()
@@ -439,7 +438,7 @@ class Plain(StepLoop[Spans]):
 
 def trajectory(
     method: Steps, scene: Scene, x: AnyState, spans: Iterable[tuple[Arithmetic, Count]], xp: Namespace
-) -> Iterator[Any]:
+) -> Iterator[OwnState]:
     """Return the states after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
     for h, n in spans:
         x = method.advance(scene, x, h, n, xp)

@@ -14,7 +14,6 @@ import numpy as np
 
 from contactbench.methods.jax_engine import Traced
 from contactbench.methods.loops import (
-    Count,
     Loop,
     Plain,
     StepLoop,
@@ -27,8 +26,9 @@ from contactbench.methods.loops import (
 from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.protocol import Arithmetic, CannotRecord
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Count
 from contactbench.scene import Cache, Scene, State, Vector, key
+from contactbench.scene.base import OwnState
 from contactbench.scene.many import Many
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.fields import FieldProgram, record_fields
@@ -65,7 +65,9 @@ SEEN = 3
 PILOT, ROUNDS, GAIN = 4, 3, 0.9
 
 
-def field_program(advance: Callable[..., Any], scene: Many, packing: Packing, watch: bool) -> FieldProgram:
+def field_program(
+    advance: Callable[..., OwnState], scene: Many, packing: Packing, watch: bool
+) -> FieldProgram:
     """Record ``advance(scene, x, h, n, xp, repeat)``, on dual numbers with two blocks; may raise `CannotRecord`.
 
     watch : what is `SEEN` of the start and of the end follows the state, where that is asked for.
@@ -140,7 +142,7 @@ class FieldLoop(Loop):
     program: Any
 
     def __init__(
-        self, advance: Callable[..., Any], scene: Many, packing: Packing, watch: bool = False
+        self, advance: Callable[..., OwnState], scene: Many, packing: Packing, watch: bool = False
     ) -> None:
         elapsed = stopwatch()
         self.seen = 2 * SEEN * watch
@@ -353,8 +355,8 @@ class Meshes(Traced):
     def key(self) -> tuple[Hashable, ...]:
         return (self.mesh,)
 
-    def start_of(self, scene: Scene, y0: jax.Array) -> Any:
-        x: Any = super().start_of(scene, y0)
+    def start_of(self, scene: Scene, y0: jax.Array) -> OwnState:
+        x: OwnState = super().start_of(scene, y0)
         divided = self.along("sites")
         if self.mesh is None:
             return x

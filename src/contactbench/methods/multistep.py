@@ -19,16 +19,18 @@ from typing import Any, NoReturn
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.loops import Count
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import Scene, State, Vector, dot, scaled
+from contactbench.scene.base import OwnState
 from contactbench.splitting import composition
 from contactbench.splitting.composition import number
 from contactbench.splitting.tables import STRANG
 
 #: γt beyond which e^{γt/2} is no longer a double
 LONGEST = 1400.0
+#: what a step carries: z, increments, z'' and ψ of the points before, the fading sum of ψ, e^{−γt/2} and e^{γt/2}
+Carried = tuple[Vector, tuple[Vector, ...], tuple[Vector, ...], Vector, Arithmetic, Arithmetic, Arithmetic]
 
 
 def weights(nodes: Sequence[int], moments: Iterable[Fraction]) -> list[Fraction]:
@@ -88,8 +90,8 @@ class Multistep(FixedStep):
         return self.forces * each + n + 1
 
     def advance(
-        self, scene: Any, x: Any, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
-    ) -> Any:
+        self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> OwnState:
         K, gamma, over_m = self.forces, scene.gamma, scene.inverse_mass
         beta, velocity = ([number(c, xp) for c in row] for row in (self.beta, self.velocity))
         alpha = list(accumulate((1, *self.alpha)))[1:-1]  # of the increments z_n − z_{n−1}
@@ -119,7 +121,7 @@ class Multistep(FixedStep):
             )
             return at, older, shrunk, grown, *histories
 
-        def step(carried: Any) -> Any:
+        def step(carried: Carried) -> Carried:
             z, increments, rates, psis, total, shrunk, grown = carried
             increment = tuple(
                 h * h * combine(beta, [rate[i] for rate in rates])
@@ -172,7 +174,7 @@ def single_step(*_: object) -> NoReturn:
     raise NotImplementedError("a multistep method has no map of a single step")
 
 
-def combine(coefficients: Sequence[Arithmetic | int], values: Sequence[Arithmetic]) -> Any:
+def combine(coefficients: Sequence[Arithmetic | int], values: Sequence[Arithmetic]) -> Arithmetic:
     """Return Σ c v; whole coefficients may be 0, and the last values may have none."""
     pairs = zip(coefficients, values, strict=False)
     return sum(c * v for c, v in pairs if not (isinstance(c, int) and c == 0))

@@ -16,7 +16,7 @@ from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.base import lookup
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import XlaNumbers
-from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Condition, Namespace
 from contactbench.scene import Scene, Vector
 from contactbench.trace.form import Function, Unpack, Update, execute
 from contactbench.trace.formula import argument_names, formula
@@ -78,7 +78,7 @@ class OneStep:
 
     def __call__(
         self,
-        y: Any,
+        y: Packed,
         h: Arithmetic,
         numbers: Numbers | None = None,
         **parameters: Arithmetic,
@@ -102,7 +102,7 @@ class OneStep:
             return self.step(y, h, scene, xp)
         return self.traced(y, h, given, xp)
 
-    def fits(self, numbers: Numbers) -> Any:
+    def fits(self, numbers: Numbers) -> Condition:
         """Return whether numbers are those of the scene's structure, entry by entry."""
         known = [*numbers, 0.0]
         orders = self.scene.orders()
@@ -123,7 +123,7 @@ class OneStep:
 
     def traced(self, y: Packed, h: Arithmetic, numbers: Numbers, xp: Any) -> Packed:
         """Step with numbers that may not be looked at; nan, derivatives too, where there is no step of that kind."""
-        scene: Any = self.scene.with_numbers(numbers)
+        scene = self.scene.with_numbers(numbers)
         place = self.names.index("kappa") if "kappa" in scene.coefficients else None
         if place is None or numbers[place] is self.scene.numbers()[place]:
             fits = self.fits(numbers)
@@ -145,7 +145,7 @@ class OneStep:
         return after
 
     @property
-    def _numba_type_(self) -> Any:
+    def _numba_type_(self) -> object:
         """Return what numba takes this for where compiled code calls it: a compiled function."""
         return self.compiled._numba_type_
 

@@ -19,6 +19,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.registry import Registry
 from contactbench.scene import AnyState, Cache, Scene, key, norm, verify
+from contactbench.scene.base import Numeric
 from contactbench.solution import DIVERGENCE, EXACT, Counts, Differential, Solution, Status, setting_key
 
 #: name → method, each a `base.Method`
@@ -48,7 +49,7 @@ class Request:
     steps: np.ndarray | None = None
     scales: Any = None
 
-    def to_scale(self, takes_atol: bool, **data: Any) -> Request:
+    def to_scale(self, takes_atol: bool, **data: object) -> Request:
         """Return the request with the scales of the motion from its start, or other data, and the atol of these.
 
         Coordinates have one, and momenta, the largest of theirs: with one for every component the momenta of light
@@ -156,7 +157,7 @@ class Prepared(ABC):
         #: the saved times > 0
         self.later = r.save_at[1:] if self.saves_start else r.save_at
 
-    def __call__(self, **data: Any) -> Solution:
+    def __call__(self, **data: object) -> Solution:
         y0 = self.packed(data) if data else self.start
         at_once = self.at_once
         return at_once(y0) if at_once else self.solved(y0, self.integrate)
@@ -177,7 +178,7 @@ class Prepared(ABC):
 
     def attributes(
         self, status: Status, message: str, counts: Counts, end: float, steps: tuple[float, float]
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         """Return all of a `Solution` but its states."""
         r, (chosen, longest) = self.request, steps
         control, value = r.asked
@@ -364,7 +365,7 @@ class Prepared(ABC):
         """Log of the product of the conformal factors up to each saved time, (k,); None without contact maps."""
         return None
 
-    def modified_hamiltonian(self, x: AnyState) -> Any | None:
+    def modified_hamiltonian(self, x: AnyState) -> Numeric:
         """H̃ at x (see `splitting.modified`), None where the run is not known to be the flow of one."""
         return None
 
@@ -444,7 +445,7 @@ ROUNDINGS = 8
 BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 
 
-def scale(x: Any, v: Any, units: Any) -> float:
+def scale(x: AnyState, v: AnyState, units: AnyState) -> float:
     """Return the size of the field that v moves, where it is zero what the motion makes of it."""
     for own, part, unit in zip(x, v, units, strict=True):
         moved = part if isinstance(part, tuple) else (part or 0.0,)

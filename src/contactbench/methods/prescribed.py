@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -113,7 +113,7 @@ def saved_times(save_at: object) -> np.ndarray:
     return times
 
 
-def steps_of(value: Any) -> np.ndarray:
+def steps_of(value: object) -> np.ndarray:
     """Return a sequence of steps as an array of its own, or raise `BadInput`."""
     steps = np.array(real_array("step", value, "a number, or a sequence of them"), ndmin=1)
     if steps.ndim != 1 or not len(steps) or not np.all(np.isfinite(steps) & (steps > 0)):

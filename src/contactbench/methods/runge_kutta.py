@@ -26,12 +26,16 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers import quadrature
 from contactbench.numbers.control import Repeat, repeat, settle
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.scene import Scene
-from contactbench.scene.algebra import scaled
+from contactbench.numbers.protocol import Arithmetic, Column, Count, Namespace, Vector
+from contactbench.scene import Scene, State, System
+from contactbench.scene.algebra import DrivenState, scaled
+from contactbench.scene.base import OwnState
+from contactbench.scene.mechanical import Canonical
 from contactbench.splitting.composition import number
 from contactbench.trace.formula import Formula, formula
 
 Row = tuple[Fraction, ...]
+Slopes = Sequence[Sequence[Arithmetic]]
 FOLDER = Path(__file__).parent / "tableaux"
 #: numbers of a state beyond which compiled code has the stages as a loop
 LARGE = 24
@@ -90,7 +94,7 @@ def read_tableau(name: str) -> Tableau:
     )
 
 
-def combine(weights: Sequence[Any], slopes: Sequence[Sequence[Any]], xp: Any) -> list[Any]:
+def combine(weights: Sequence[Fraction | Arithmetic], slopes: Slopes, xp: Namespace) -> list[Arithmetic]:
     """Return Σ w k, entry by entry; weights of later stages may be left out."""
     used = [
         (number(w, xp) if isinstance(w, Fraction) else w, k)
@@ -107,12 +111,12 @@ def combine(weights: Sequence[Any], slopes: Sequence[Sequence[Any]], xp: Any) ->
 def run_stages(
     tableau: Tableau,
     stages: int,
-    evaluate: Callable[[Any, list[Any] | None], list[Any]],
-    x: Any,
+    evaluate: Callable[[Count, list[Arithmetic] | None], list[Arithmetic]],
+    x: Sequence[Arithmetic],
     xp: Any,
     loop: Repeat | None = None,
-    first: list[Any] | None = None,
-) -> list[list[Any]]:
+    first: list[Arithmetic] | None = None,
+) -> list[list[Arithmetic]]:
     """Return the slopes of all stages, ``evaluate(i, Σ a k)`` at stage i, None for Σ a k where there are none.
 
     loop : makes them one loop, whose code is short where states are large; x : leaves like those of a slope.
@@ -129,7 +133,7 @@ def run_stages(
     ]
     weights = [xp.asarray([number(w, xp) for w in column]) if any(column) else None for column in columns]
 
-    def another(carried: Any) -> Any:
+    def another(carried: tuple[int, Slopes]) -> tuple[int, Slopes]:
         i, slopes = carried
         pairs = [(w[i], k) for w, k in zip(weights, slopes, strict=False) if w is not None]
         moved = [
@@ -138,34 +142,34 @@ def run_stages(
         return i + 1, (tuple(evaluate(i, moved)), *slopes[:-1])
 
     # in the place of stages to come any numbers do, as their weights are 0
-    start = tuple(tuple((2.0 + r) * c for c in x) for r in range(stages))
+    start: Slopes = tuple(tuple((2.0 + r) * c for c in x) for r in range(stages))
     return [*map(list, loop(stages, another, (0, start))[1][::-1])]
 
 
-def table(values: Sequence[Any], xp: Any, loop: Repeat | None) -> Any:
+def table(values: Sequence[Fraction], xp: Any, loop: Repeat | None) -> Any:
     """Return constants of the stages, of which a loop takes the i-th."""
     return [number(v, xp) for v in values] if loop is None else xp.asarray([number(v, xp) for v in values])
 
 
 # -- y' = f(y) -----------------------------------------------------------------------------------------
-def explicit_slope(scene: Any, x: Any) -> list[Any]:
+def explicit_slope(scene: System, x: OwnState) -> list[Arithmetic]:
     return leaves(scene.rhs(x))
 
 
-def explicit_step(
+def explicit_step[X](
     tableau: Tableau,
-    scene: Any,
-    x: Any,
-    h: Any,
-    xp: Any,
+    scene: System,
+    x: X,
+    h: Arithmetic,
+    xp: Namespace,
     stages: int,
     loop: Repeat | None = None,
-    first: Any = None,
-) -> tuple[Any, list[list[Any]]]:
+    first: Sequence[Arithmetic] | None = None,
+) -> tuple[X, list[list[Arithmetic]]]:
     """Return the state after a step, and h times the slopes of all stages; first : the slope at its beginning."""
     y = leaves(x)
 
-    def evaluate(i: Any, moved: list[Any] | None) -> list[Any]:
+    def evaluate(i: Count, moved: list[Arithmetic] | None) -> list[Arithmetic]:
         at = x if moved is None else rebuild(x, [a + d for a, d in zip(y, moved, strict=True)])
         return [h * c for c in explicit_slope(scene, at)]
 
@@ -179,46 +183,46 @@ def explicit_step(
 class Undamped(NamedTuple):
     """q and u, which are z and z' where a step begins; the time, where the scene has one; and s − ½ q·p."""
 
-    q: Any
-    u: Any
-    t: Any = None
-    action: Any = None
+    q: Vector
+    u: Vector
+    t: Arithmetic | None = None
+    action: Arithmetic | None = None
 
 
 class Factors(NamedTuple):
     """e^{G/2} at every stage of a step of size h, times h; e^{−G/2}, times h, and ch; 1 − e^{−G/2} at the end."""
 
-    grown: Any
-    pushed: Any
-    shrunk: Any
-    way: Any
-    far: Any
-    loss: Any
+    grown: Column
+    pushed: Column
+    shrunk: Column
+    way: Column
+    far: Column
+    loss: Arithmetic
 
 
 @lru_cache(64)
-def rate_slope(rate: Any, names: tuple[str, ...]) -> Formula:
+def rate_slope(rate: Callable[..., Arithmetic], names: tuple[str, ...]) -> Formula:
     """Return γ'(t); may raise `CannotRecord`."""
     return (rate if isinstance(rate, Formula) else formula(rate, (0,), names)).gradient()
 
 
-def masses(scene: Any, q: Any) -> tuple[Any, ...]:
+def masses(scene: Canonical, q: Vector) -> Vector:
     one = tuple(1.0 + 0 * c for c in q) if scene.by_sites else (1.0,) * len(q)
     return tuple(1 / c for c in scene.velocity(one))
 
 
-def at(scene: Any, q: Any, t: Any) -> Any:
+def at(scene: Canonical, q: Vector, t: Arithmetic | None) -> OwnState:
     return scene.state(q=q, p=q, **({} if t is None else {"t": t}))
 
 
-def undamped(scene: Any, x: Any) -> Undamped:
+def undamped(scene: Canonical, x: State | DrivenState) -> Undamped:
     half = scene.damping_at(x) / 2
     u = tuple(v + half * c for v, c in zip(scene.velocity(x.p), x.q, strict=True))
     s = x.s
     return Undamped(x.q, u, getattr(x, "t", None), None if s is None else s - scene.product(x.q, x.p) / 2)
 
 
-def damped(scene: Any, y: Undamped) -> Any:
+def damped(scene: Canonical, y: Undamped) -> OwnState:
     x = at(scene, y.q, y.t)
     half = scene.damping_at(x) / 2
     v = (u - half * c for u, c in zip(y.u, y.q, strict=True))
@@ -250,10 +254,10 @@ def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any, loop: Repe
     return Factors(grown, pushed, shrunk, way, far, -xp.expm1(-whole))
 
 
-def exponentials(nodes: Sequence[Fraction], whole: Any, xp: Any) -> list[tuple[Any, Any]]:
+def exponentials(nodes: Sequence[Fraction], whole: Arithmetic, xp: Namespace) -> list[Vector]:
     """Return e^{cx} and e^{−cx} for some c, those of a sum of two or three others as products."""
     one = 1.0 + 0 * whole
-    found: dict[Fraction, Any] = {Fraction(0): (one, one)}
+    found: dict[Fraction, Vector] = {Fraction(0): (one, one)}
     for c in sorted(set(nodes) - found.keys()):
         sums = (terms for n in (2, 3) for terms in combinations_with_replacement(found, n) if sum(terms) == c)
         if (terms := next(sums, None)) is not None:
@@ -264,7 +268,7 @@ def exponentials(nodes: Sequence[Fraction], whole: Any, xp: Any) -> list[tuple[A
     return [found[c] for c in nodes]
 
 
-def pull(scene: Any, q: Any, t: Any, acts: bool) -> list[Any]:
+def pull(scene: Any, q: Vector, t: Arithmetic | None, acts: bool) -> list[Arithmetic]:
     """Return what a stage evaluates: e^{−G/2} z''; ½ q·∇V − V where s is carried; γ'/2 where γ changes."""
     x = at(scene, q, t)
     gradient, gamma = tuple(scene.gradient_at(x)), scene.damping_at(x)
@@ -279,28 +283,28 @@ def pull(scene: Any, q: Any, t: Any, acts: bool) -> list[Any]:
 
 def nystrom_step(
     tableau: Tableau,
-    scene: Any,
+    scene: Canonical,
     y: Undamped,
-    h: Any,
-    xp: Any,
+    h: Arithmetic,
+    xp: Namespace,
     stages: int,
     loop: Repeat | None = None,
-    first: Any = None,
+    first: Sequence[Arithmetic] | None = None,
     factors: Factors | None = None,
-) -> tuple[Undamped, list[list[Any]], list[Any]]:
+) -> tuple[Undamped, list[list[Arithmetic]], list[Arithmetic]]:
     """Return the state after a step, and h times what its stages are worth: z'', e^{G} (½ q·∇V − V), γ'/2.
 
     first : `pull` at its beginning; that of its last stage comes last.
     """
     grown, pushed, shrunk, way, far, loss = factors or factors_of(tableau, scene, y.t, h, xp, loop)
     acts, nodes, d = y.action is not None, table(tableau.nodes, xp, loop), len(y.q)
-    seen: list[list[Any]] = []
+    seen: list[list[Arithmetic]] = []
 
-    def scale(i: Any, own: Sequence[Any]) -> list[Any]:
+    def scale(i: Count, own: Sequence[Arithmetic]) -> list[Arithmetic]:
         rest = [pushed[i] * grown[i] * own[d]] if acts else []
         return [*scaled(pushed[i], own[:d]), *rest, *(h * c for c in own[d + acts :])]
 
-    def evaluate(i: Any, moved: list[Any] | None) -> list[Any]:
+    def evaluate(i: Count, moved: list[Arithmetic] | None) -> list[Arithmetic]:
         if moved is None:
             seen.append(pull(scene, y.q, y.t, acts))
         else:
@@ -309,7 +313,7 @@ def nystrom_step(
             seen.append(pull(scene, q, None if y.t is None else y.t + nodes[i] * h, acts))
         return scale(i, seen[-1])
 
-    like = [*y.q, *([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
+    like: list[Any] = [*y.q, *([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
     slopes = run_stages(tableau, stages, evaluate, like, xp, loop, None if first is None else scale(0, first))
     position, change = (combine(row, slopes, xp) for row in tableau.weights)
     z = (a + h * (b + c) for a, b, c in zip(y.q, y.u, position[:d], strict=True))
@@ -335,7 +339,9 @@ class RungeKutta(FixedStep):
     def refuses(self, scene: Scene) -> str | None:
         return refusal(self.name, self.tableau, scene)
 
-    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+    def advance(
+        self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> OwnState:
         tableau, stages = self.tableau, self.tableau.used
         large = scene.by_sites or len(leaves(x)) > LARGE
         loop = repeat if repeat.over_stages and large and stages > 4 and not scene.rate_changes else None
@@ -346,7 +352,7 @@ class RungeKutta(FixedStep):
         return damped(scene, repeat(n, another, undamped(scene, x)))
 
 
-def refusal(name: str, tableau: Tableau, scene: Any) -> str | None:
+def refusal(name: str, tableau: Tableau, scene: Scene) -> str | None:
     """Return why a scene is out of reach, or None."""
     if not tableau.nystrom:
         return None
@@ -358,7 +364,7 @@ def refusal(name: str, tableau: Tableau, scene: Any) -> str | None:
 
 
 def runge_kutta(name: str, tableau: Tableau, about: str) -> RungeKutta:
-    def step(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+    def step(scene: Scene, x: OwnState, h: Arithmetic, xp: Namespace) -> OwnState:
         return METHODS[name].advance(scene, x, h, 1, xp)
 
     kind = "gradient" if tableau.nystrom else "rhs"

@@ -141,7 +141,7 @@ class ChosenStep(Prepared):
                 if not math.isfinite(larger):
                     return finer.asked
                 shorter = math.log(target / error) / math.log(larger / error)
-                return max(finer.asked, finer.size * (pilot.size / finer.size) ** shorter)
+                return float(max(finer.asked, finer.size * (pilot.size / finer.size) ** shorter))
             finer, error = pilot, max(larger, error)
         return finer.asked
 

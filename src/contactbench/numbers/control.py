@@ -14,6 +14,7 @@ from contactbench.numbers.protocol import (
     Abilities,
     Arithmetic,
     Condition,
+    Count,
     Namespace,
     Numbers,
     abilities,
@@ -28,7 +29,7 @@ ENDLESS = 200
 class Iteration(Protocol):
     """Apply a body n times."""
 
-    def __call__[X](self, n: Any, body: Callable[[X], X], x: X, /) -> X: ...
+    def __call__[X](self, n: Count, body: Callable[[X], X], x: X, /) -> X: ...
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Repeat:
     over_stages: bool = False
     joint_first: bool = False
 
-    def __call__[X](self, n: Any, body: Callable[[X], X], x: X) -> X:
+    def __call__[X](self, n: Count, body: Callable[[X], X], x: X) -> X:
         return self.loop(n, body, x)
 
 
@@ -74,7 +75,7 @@ def settle[X](x: X, xp: Namespace) -> X:
 
 
 def scan[X](
-    body: Callable[[X], tuple[X, Any]], x: X, turns: int, rest: Callable[[X], Arithmetic], xp: Namespace
+    body: Callable[[X], tuple[X, object]], x: X, turns: int, rest: Callable[[X], Arithmetic], xp: Namespace
 ) -> tuple[X, Any]:
     """Return x after `turns` of ``x, out = body(x)``, and the outs; of plain numbers until rest(x) is negligible."""
     can = abilities(xp)

@@ -19,7 +19,7 @@ from contactbench.numbers.protocol import (
 )
 
 
-def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Dual, Arithmetic], Any]:
+def _comparison(compare: Callable[..., Condition]) -> Callable[[Dual, Arithmetic], Condition]:
     return lambda self, other: compare(self.a, value(other))
 
 
@@ -27,7 +27,7 @@ class Dual(Number):
     __slots__ = ("a", "b")
     __array_ufunc__ = None  # NumPy arrays leave mixed arithmetic to us
 
-    def __init__(self, a: Any, b: Any) -> None:
+    def __init__(self, a: Arithmetic, b: Arithmetic) -> None:
         self.a, self.b = a, b
 
     @property
@@ -88,7 +88,7 @@ def slope(x: Arithmetic) -> Arithmetic:
     return x.b if isinstance(x, Dual) else 0.0
 
 
-def linear(function: Callable[..., Any]) -> Callable[..., Arithmetic]:
+def linear(function: Callable[..., Arithmetic]) -> Callable[..., Arithmetic]:
     """Let a linear function of its first argument take dual numbers, too."""
 
     @wraps(function)

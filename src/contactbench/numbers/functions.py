@@ -60,7 +60,7 @@ def call(name: str, own: Callable[..., Arithmetic], *numbers: Arithmetic) -> Ari
 
 def function(name: str) -> Callable[[Arithmetic], Arithmetic]:
     """Return the function of that name of whatever number it is given."""
-    plain: Callable[[Any], float] = getattr(math, name)
+    plain: Callable[[float], float] = getattr(math, name)
 
     def apply(x: Arithmetic) -> Arithmetic:
         if isinstance(x, float):  # the common case, and the only one that raises

@@ -7,8 +7,9 @@ package.  `abilities` says what that kind can do.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, TypeGuard
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import Any, NamedTuple, NoReturn, Protocol, TypeGuard
 
 
 class Arithmetic(Protocol):
@@ -39,6 +40,14 @@ class Arithmetic(Protocol):
 Condition = Any
 #: the components of a vector
 Vector = tuple[Arithmetic, ...]
+#: how many steps or stages: an engine of its own counts in numbers of its own
+Count = int | Arithmetic
+
+
+class Column(Protocol):
+    """Constants of the stages: a tuple, or an array that a loop takes the i-th of."""
+
+    def __getitem__(self, i: Any, /) -> Arithmetic: ...
 
 
 class Namespace(Protocol):
@@ -65,6 +74,10 @@ class ChoosingNamespace(Namespace, Protocol):
 
     @property
     def where(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def maximum(self) -> Callable[..., Arithmetic]: ...
+    @property
+    def minimum(self) -> Callable[..., Arithmetic]: ...
 
 
 #: a function that makes, joins or compares arrays
@@ -86,7 +99,7 @@ class ArrayNamespace(Namespace, Protocol):
     minimum: ArrayFunction
     isfinite: ArrayFunction
     abs: ArrayFunction
-    linalg: Any
+    linalg: ModuleType
 
 
 class ExactNamespace(Namespace, Protocol):
@@ -94,8 +107,8 @@ class ExactNamespace(Namespace, Protocol):
 
     dps: int
 
-    def mpf(self, x: Any, /) -> Arithmetic: ...
-    def quad(self, f: Callable[[Any], Arithmetic], span: Any, /) -> Arithmetic: ...
+    def mpf(self, x: float, /) -> Arithmetic: ...
+    def quad(self, f: Callable[[Arithmetic], Arithmetic], span: Sequence[Arithmetic], /) -> Arithmetic: ...
 
 
 class Abilities(NamedTuple):
@@ -129,12 +142,12 @@ class Numbers:
 class ChoosingNumbers(Numbers):
     """A namespace whose ``where`` chooses the larger and the smaller number, too."""
 
-    where: Callable[..., Any]
+    where: Callable[..., Arithmetic]
 
-    def maximum(self, a: Any, b: Any) -> Any:
+    def maximum(self, a: Arithmetic, b: Arithmetic) -> Arithmetic:
         return self.where(a >= b, a, b)
 
-    def minimum(self, a: Any, b: Any) -> Any:
+    def minimum(self, a: Arithmetic, b: Arithmetic) -> Arithmetic:
         return self.where(a <= b, a, b)
 
 
@@ -171,7 +184,7 @@ class CannotRecord(TypeError):
 
 
 def _refuse(question: str) -> Callable[..., Any]:
-    def refuse(self: Any, *_: Any) -> Any:
+    def refuse(self: object, *_: object) -> NoReturn:
         raise CannotRecord(f"{question} a number that is known only when the program runs")
 
     return refuse

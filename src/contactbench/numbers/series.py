@@ -100,7 +100,7 @@ class SeriesNumbers(Numbers):
         return lambda *numbers: Series(function(*map(expression_of, numbers)))
 
 
-def equations(system: Any, variables: Sequence[object], carry: tuple[str, ...]) -> list[Any]:
+def equations(system: Any, variables: Sequence[object], carry: tuple[str, ...]) -> list[object]:
     """Return the right-hand side of a scene as heyoka's expressions, on its variables."""
     x = system.unpack([Series(variable) for variable in variables], carry)
     return [expression_of(slope) for slope in system.pack(system.rhs(x))]

@@ -163,7 +163,7 @@ class PeerRun(Prepared):
         equations = "variational equations, a run of its own" if varies else ""
         self.sensitivity_source = self.call.derivative or equations
 
-    def __call__(self, **data: Any) -> Solution:
+    def __call__(self, **data: object) -> Solution:
         """Run as `Prepared` does; an atol that is not the user's follows the scale of the motion."""
         r = self.request
         if data and r.scales is not None:
@@ -287,7 +287,7 @@ class Variational(System):
     def unrolled(self) -> Self:
         return self
 
-    def initial(self, carry: Sequence[str], **data: Any) -> Bundle:
+    def initial(self, carry: Sequence[str], **data: object) -> Bundle:
         x = self.base.initial(carry, **data)
         return Bundle(x, tuple(self.base.tangents(x)))
 

@@ -133,7 +133,7 @@ def _body(
     carry: tuple[str, ...],
     function: Callable[[AnyState], list[Arithmetic]],
     name: str,
-) -> list[Any]:
+) -> list[Assign | Store]:
     block = tape.block = Block(tape.root)
     size = len(scene.without_clock(scene.labels(carry)))
     y = [tape.assign(Element("y", (i,)), "f", block) for i in range(size)]

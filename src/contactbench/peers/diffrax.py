@@ -64,7 +64,7 @@ class Diffrax(Call):
         as_array = implicit or len(y) > 3 or len(atol) > 1
         atol = atol if len(atol) > 1 else atol[0]
 
-        def field(t: jax.Array, x: Any, args: object) -> Any:
+        def field(t: jax.Array, x: Any, args: object) -> object:
             slopes = scene.slopes(start + t, scene.entries(x) if as_array else list(x), r.carry)
             return jnp.stack(slopes) if as_array else tuple(slopes)
 

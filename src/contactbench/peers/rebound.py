@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from ctypes import addressof
-from types import ModuleType
 from typing import Any, cast
 
 import numpy as np
@@ -25,9 +24,9 @@ import numpy as np
 from contactbench.methods.base import METHODS, ROUNDING, unfit
 from contactbench.methods.prepared import NO_NUMBER, Request
 from contactbench.peers.base import Peer
-from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, Compiled
+from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, Compiled, Connection
 from contactbench.peers.stepping import LibrarySteps, Stepper
-from contactbench.scene import Mechanical, State, norm
+from contactbench.scene import Mechanical, Scene, State, norm
 from contactbench.scene.many import Many, Particles
 from contactbench.solution import Counts, Status
 
@@ -94,7 +93,7 @@ def attraction(scene: Any) -> tuple[float, np.ndarray, np.ndarray, np.ndarray] |
 
 
 class WisdomHolman(Stepper):
-    def unfit(self, scene: Any) -> str | None:
+    def unfit(self, scene: Scene) -> str | None:
         found = attraction(scene)
         if found is None or scene.nonlinear_damping:
             needs = (
@@ -109,10 +108,10 @@ class WisdomHolman(Stepper):
 class Ias15(Compiled):
     first_order = False
 
-    def connect(self, clock: int) -> tuple[ModuleType, tuple[Any, ...]]:
+    def connect(self, clock: int) -> Connection:
         from contactbench.peers.abi import rebound as abi
 
-        r, scene = self.request, cast(Any, self.scene)
+        r, scene = self.request, cast("Mechanical | Many", self.scene)
         assert r.rtol is not None
         size, n = len(self.split_clock(r.start)[1]), scene.motion // 2
         unit = scene.velocity(tuple(1.0 + 0 * c for c in scene.initial(()).p))

@@ -15,18 +15,23 @@ from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, Self
 
 import numpy as np
 
 from contactbench.methods.base import CALLBACKS, METHODS, unfit
 from contactbench.methods.prepared import NO_NUMBER, Request
 from contactbench.numbers import functions as math
-from contactbench.peers.base import Variational, record_function
+from contactbench.numbers.protocol import Arithmetic
+from contactbench.peers.base import Rates, Variational, record_function
 from contactbench.peers.compiled import c_functions
 from contactbench.peers.stepping import LibrarySteps, Stepper
 from contactbench.scene import System, Vector, dot, key, scaled
 from contactbench.scene.many import Many
+from contactbench.scene.mechanical import Canonical
+
+if TYPE_CHECKING:
+    from contactbench.peers.abi.arkode import Memory
 
 #: γt beyond which e^{γt} is no longer a double; components that are compiled one by one
 LONGEST, MOST = 700.0, 256
@@ -36,27 +41,27 @@ class Stretched(NamedTuple):
     """z, the time since the start, that of the start where forces depend on it, z', and S."""
 
     q: Vector
-    t: Any
-    origin: Any
+    t: Arithmetic
+    origin: Arithmetic | None
     p: Vector
-    s: Any = None
+    s: Arithmetic | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part(System):
     """What moves momenta, a kick, or else what moves coordinates."""
 
-    base: Any
+    base: Canonical
     kick: bool
 
     def labels(self, carry: Sequence[str]) -> list[str]:
         z, w = ([f"{name}{i + 1}" for i in range(len(self.base.q))] for name in "zw")
         return [*z, "t", *(["origin"] if self.base.clock is not None else []), *w, *carry]
 
-    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+    def initial(self, carry: Sequence[str], **data: object) -> NoReturn:
         raise NotImplementedError("a part of equations has no motion")
 
-    def unpack(self, y: Any, carry: Sequence[str]) -> Stretched:
+    def unpack(self, y: Sequence[Arithmetic], carry: Sequence[str]) -> Stretched:
         n, timed = len(self.base.q), self.base.clock is not None
         p = tuple(y[n + 1 + timed : 2 * n + 1 + timed])
         return Stretched(tuple(y[:n]), y[n], y[n + 1] if timed else None, p, y[-1] if carry else None)
@@ -64,11 +69,11 @@ class Part(System):
     def numbers(self) -> list[float]:
         return self.base.numbers()
 
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
         return self._replaced(base=self.base.with_numbers(numbers))
 
     @property
-    def structure(self) -> tuple[Any, ...]:
+    def structure(self) -> tuple[Hashable, ...]:
         return (Part, self.kick, *self.base.structure)
 
     @property
@@ -80,9 +85,9 @@ class Part(System):
         origin, s = None if x.origin is None else 0.0, None if x.s is None else 0.0
         if not self.kick:
             return Stretched(x.p, 1.0, origin, rest, s)
-        grown = math.exp(base.gamma * x.t / 2)
+        grown: Any = math.exp(base.gamma * x.t / 2)
         q = scaled(1 / grown, x.q)
-        at: Any = base.state(q, None) if origin is None else base.state(q, None, x.origin + x.t)
+        at = base.state(q, None) if origin is None else base.state(q, None, x.origin + x.t)
         gradient = base.gradient_at(at)
         pull = scaled(base.inverse_mass, gradient)
         p = tuple(base.gamma * base.gamma / 4 * z - grown * g for z, g in zip(x.q, pull, strict=True))
@@ -94,11 +99,11 @@ class Part(System):
 class Callbacks:
     """sundials4py as it is, with the interface of `abi.arkode.Memory`."""
 
-    def __init__(self, method: str, functions: Sequence[Callable[[float, Any], Any]], size: int) -> None:
+    def __init__(self, method: str, functions: Sequence[Rates], size: int) -> None:
         from sundials4py import arkode, core
 
-        def calling(function: Callable[[float, Any], Any]) -> Callable[..., int]:
-            def call(t: float, y: Any, dy: Any, _: Any) -> int:
+        def calling(function: Rates) -> Callable[..., int]:
+            def call(t: float, y: object, dy: object, _: object) -> int:
                 with suppress(*NO_NUMBER):
                     core.N_VGetArrayPointer(dy)[:] = function(t, core.N_VGetArrayPointer(y).tolist())
                     return 0
@@ -138,7 +143,7 @@ class Steps(LibrarySteps):
         self.parts = [Part(name="", t_end=1.0, base=scene, kick=kick) for kick in (True, False)]
         over_m = np.array(list(scaled(scene.inverse_mass, (1.0,) * len(scene.q))), dtype=float)
         self.place = over_m, scene.gamma, -1 if scene.clock is None else scene.clock
-        self.memory: Any = None
+        self.memory: Memory | Callbacks
         if request.engine in CALLBACKS:
             calls = (record_function(each, "rhs", self.carry) for each in self.parts)
             given = [c or partial(p.slopes, carry=self.carry) for c, p in zip(calls, self.parts, strict=True)]
@@ -150,7 +155,7 @@ class Steps(LibrarySteps):
     def size(self) -> int:
         return len(self.parts[0].labels(self.carry))
 
-    def compiled(self, parts: Sequence[Any], size: int) -> Any:
+    def compiled(self, parts: Sequence[Any], size: int) -> Memory:
         kick, drift = (c_functions(part, self.carry, jacobian=False) for part in parts)
         self.seconds += kick.compile_s + drift.compile_s
         return self.abi.Memory(self.method.solver, kick, drift, self.parts[0].numbers(), size)
@@ -175,8 +180,8 @@ class Steps(LibrarySteps):
         return lambda y0, owner=memory: advance(y0, *rest)  # type: ignore[misc]
 
     @cached_property
-    def tangents(self) -> Any:  # type: ignore[override]
-        parts: list[Any] = [Variational(name="", t_end=1.0, base=part, count=1) for part in self.parts]  # type: ignore[arg-type]
+    def tangents(self) -> Memory:  # type: ignore[override]
+        parts = [Variational(name="", t_end=1.0, base=part, count=1) for part in self.parts]  # type: ignore[arg-type]
         return self.compiled(parts, 2 * self.size)
 
     def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:

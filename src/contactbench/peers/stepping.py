@@ -56,7 +56,7 @@ class Stepper(Method):
     name: str
     order: int
     about: str
-    loop: Callable[[Any, Request], LibrarySteps]
+    loop: Callable[[Stepper, Request], LibrarySteps]
     package: str
     stages: int = 1
     solver: str = ""
@@ -72,7 +72,7 @@ class Stepper(Method):
         return self.unfit(scene)
 
     @abstractmethod
-    def unfit(self, scene: Any) -> str | None:
+    def unfit(self, scene: Scene) -> str | None:
         """Return why the library does not take a scene, or None."""
 
     def prepare(self, request: Request) -> Prepared:
@@ -94,8 +94,8 @@ class Stepper(Method):
     def step_cost(self, scene: Scene, engine: str) -> float | None:
         return 3 * self.stages if engine in CALLBACKS else None
 
-    def log_factor(self, scene: Any, x: Any, h: float, n: int) -> float | None:
+    def log_factor(self, scene: Any, x: object, h: float, n: int) -> float | None:
         return -scene.gamma * h * n if self.contact else None
 
-    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
+    def modified_hamiltonian(self, scene: Scene, x: object, h: float) -> None:
         return None

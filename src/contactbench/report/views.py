@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Any
 
 import pandas as pd
 
@@ -118,7 +117,7 @@ def matrix(
     row: str,
     column: str,
     cell: Callable[[pd.DataFrame], object],
-    label: Callable[[Any], str] = str,
+    label: Callable[..., str] = str,
 ) -> pd.DataFrame:
     """Return a row for each value of one column and a column for each of another; cell(rows that have both)."""
     groups = dict(list(frame.groupby([row, column], sort=False)))

@@ -78,7 +78,7 @@ def shifted[X: AnyState](x: X, h: Arithmetic, slope: X) -> X:
     >>> cb.shifted(x, 0.0, scene.rhs(x)) == x
     True
     """
-    moved: list[Any] = []
+    moved: list[object] = []
     for part, rate in zip(x, slope, strict=True):
         if isinstance(part, tuple):
             moved.append(tuple(a + h * b for a, b in zip(part, rate, strict=True)))

@@ -45,7 +45,7 @@ Numeric = Any
 #: a packed state: a sequence of numbers, or an array with one component after the other along its first axis
 Packed = Any
 #: what returns the value of a field as it is kept, or raises `BadInput`; called with its name and the value given
-Check = Callable[[str, object], Any]
+Check = Callable[[str, object], object]
 
 
 def optional(check: Check) -> Check:
@@ -188,7 +188,7 @@ class System(ABC):
         return tuple(y)
 
     @staticmethod
-    def pack(state: Iterable[Any]) -> list[Any]:
+    def pack(state: Iterable[object]) -> list[Any]:
         """Return a state, numbers and tuples of them, as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
         for each in state:
@@ -198,7 +198,7 @@ class System(ABC):
                 flat.append(each)
         return flat
 
-    def unrolled(self) -> Any:
+    def unrolled(self) -> System:
         """Return the scene component by component, for solvers that know no arrays: itself, but of many sites."""
         return self
 
@@ -217,7 +217,7 @@ class System(ABC):
         """Return everything but the numbers."""
 
     @property
-    def given(self) -> dict[str, Callable[..., Any]]:
+    def given(self) -> dict[str, Callable[..., object]]:
         """Return the functions that it has, by name."""
         return {name: f for name in self.functions if (f := getattr(self, name)) is not None}
 
@@ -252,7 +252,7 @@ class System(ABC):
         found = {name: made for name in self.functions if (made := self._formula(name)) is not None}
         return self._replaced(**found) if found else self
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self) -> tuple[object, ...]:
         """Pickle the scene with its functions recorded; `BadInput` for one that can be neither recorded nor found."""
         scene = self.recorded()
         for name in (*self.functions, "exact"):
@@ -265,12 +265,12 @@ class System(ABC):
                 ) from error
         return copyreg.__newobj__, (type(self),), scene.__dict__  # type: ignore[attr-defined]
 
-    def _start(self, name: str) -> tuple[list[Any], dict[str, float]]:
+    def _start(self, name: str) -> tuple[list[object], dict[str, float]]:
         given, wanted = {"xp": math, "h": TRIED * self.t_end}, self.functions[name]
         plain = [given[each] if each in given else getattr(self, each) for each in wanted if each != "**"]
         return plain, dict(getattr(self, "parameters", {})) if "**" in wanted else {}
 
-    def _value(self, name: str) -> Any:
+    def _value(self, name: str) -> object:
         plain, parameters = self._start(name)
         with their_code(f"scene {self.name!r}"):
             return getattr(self, name)(*plain, **parameters)
@@ -561,11 +561,11 @@ class Scene(System):
         kept = self.fields_in(carry)
         return self.state(**{name: tuple(values[name]) if name in vectors else values[name] for name in kept})
 
-    def data(self, x: OwnState) -> dict[str, Any]:
+    def data(self, x: OwnState) -> dict[str, object]:
         """Return the initial data that a state is, by name, as `with_` takes them."""
         return {name: value for name, value in x._asdict().items() if value is not None}
 
-    def checked(self, data: Mapping[str, object]) -> dict[str, Any]:
+    def checked(self, data: Mapping[str, object]) -> dict[str, object]:
         """Return the initial data given by keyword, validated against the scene's own."""
         for key in data:
             if key not in self.initial_fields:

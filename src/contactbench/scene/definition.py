@@ -132,10 +132,10 @@ class Claim(NamedTuple):
     user's: what is given, or where `derived` the derivative of f.
     """
 
-    f: Callable[[np.ndarray], Any]
-    x: Any
-    given: Any
-    size: Any
+    f: Callable[[np.ndarray], object]
+    x: object
+    given: object
+    size: object
     says: str
     of: str
     where: str
@@ -152,7 +152,7 @@ def _check(scene: Mechanical, states: np.ndarray, claims: Callable[..., Iterator
         _symmetry(scene, some[:, : len(scene.q)])
 
 
-def _is_given(function: Any) -> bool:
+def _is_given(function: object) -> bool:
     return function is not None and not (isinstance(function, Formula) and function.live is None)
 
 
@@ -161,7 +161,7 @@ def _time(scene: Mechanical, y: np.ndarray) -> list[float]:
 
 
 def _potential(scene: Mechanical, q: np.ndarray, time: list[float]) -> float:
-    value: Any = scene.V(tuple(q.tolist()), *time)
+    value = scene.V(tuple(q.tolist()), *time)
     if not is_number(value):
         there = f"{excerpt(value)} at q = {_at(q)}"
         raise BadInput(f"scene {scene.name!r}: its potential is {there}: must be a number")
@@ -284,7 +284,9 @@ def _compare(scene: Mechanical, claim: Claim) -> None:
     )
 
 
-def difference(f: Callable[[Any], Any], q: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
+def difference(
+    f: Callable[..., np.ndarray], q: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Return the derivative along a direction by central differences of order 4, and about its error."""
     best, error = np.full_like(f(q), math.nan), math.inf
     for step in STEPS:

@@ -24,7 +24,7 @@ traced numbers they have a fixed length instead, enough for double precision.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from contactbench.numbers.control import choose, scan, settle, unwind
 from contactbench.numbers.protocol import Arithmetic, Condition, Namespace
@@ -273,6 +273,10 @@ def jacobi(u: Arithmetic, m: Arithmetic, m1: Arithmetic, xp: Namespace) -> Vecto
     return sn, cn, dn, xp.pi / (2 * scale)
 
 
+#: what its duplication carries: the arguments and their mean, roots, the factor of a term, the excess, the sum
+Terms = tuple[Vector, Vector, Arithmetic, Arithmetic, Arithmetic]
+
+
 def carlson(
     root_x: Arithmetic, root_y: Arithmetic, p: Arithmetic, excess: Arithmetic, xp: Namespace
 ) -> Arithmetic:
@@ -286,7 +290,7 @@ def carlson(
     mean = (x + y + 1 + 2 * p) / 5
     away = (mean - x, mean - y, mean - 1)
 
-    def duplicate(carried: Any) -> tuple[Any, None]:
+    def duplicate(carried: Terms) -> tuple[Terms, None]:
         (x, y, z, p, mean), (rx, ry, rz), fourth, excess, total = carried
         rp = xp.sqrt(p)
         d = (rp + rx) * (rp + ry) * (rp + rz)
@@ -296,13 +300,13 @@ def carlson(
         roots = (xp.sqrt(x), xp.sqrt(y), xp.sqrt(z))
         return ((x, y, z, p, mean), roots, fourth / 4, excess / 64, total), None
 
-    def left_out(carried: Any) -> Arithmetic:
+    def left_out(carried: Terms) -> Arithmetic:
         """Return the size of the first term beyond the series; that of p is at most 3/2 of the largest here."""
         (*_, mean), _, fourth, _, _ = carried
         share: Arithmetic = 2 * fourth * max(map(abs, away)) / mean
         return share**8
 
-    start = ((x, y, one, p * one, mean), (root_x * one, root_y * one, one), one, excess * one, 0 * one)
+    start: Terms = ((x, y, one, p * one, mean), (root_x * one, root_y * one, one), one, excess * one, 0 * one)
     carried, _ = scan(duplicate, start, DUPLICATIONS, left_out, xp)
     (*_, mean), _, fourth, _, total = carried
     X, Y, Z = (fourth * c / mean for c in away)

@@ -179,7 +179,7 @@ class Many(Canonical):
             raise BadInput(why)
         return frozen(values.reshape(size))
 
-    def with_(self, **changes: Any) -> Self:
+    def with_(self, **changes: object) -> Self:
         """Return a copy with some parameters changed; q and p given as functions of the index follow their number."""
         if changes.keys() & {"n", "q", "p", *([self.weights] if self.dimensions > 1 else [])}:
             changes = self._given | changes  # type: ignore[attr-defined]
@@ -195,7 +195,7 @@ class Many(Canonical):
 
     __hash__ = None  # type: ignore[assignment]
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self) -> tuple[object, ...]:
         twin = self._replaced(_given={name: f for name, f in self._given.items() if picklable(f)})  # type: ignore[attr-defined]
         return super(Many, twin).__reduce__()
 
@@ -227,7 +227,7 @@ class Many(Canonical):
         s = block[2 * half] if "s" in carry else None
         return State(self._columns(block[:half]), self._columns(block[half : 2 * half]), s)
 
-    def data(self, x: State) -> dict[str, Any]:
+    def data(self, x: State) -> dict[str, object]:
         flat = self.pack(x._replace(s=None))
         flat = flat.reshape(2, self.motion // 2, *flat.shape[1:])
         return {"q": flat[0], "p": flat[1]} | ({} if x.s is None else {"s": x.s})
@@ -237,7 +237,7 @@ class Many(Canonical):
 
     components = entries
 
-    def pack(self, state: Any) -> Any:  # type: ignore[override]
+    def pack(self, state: State) -> Any:  # type: ignore[override]
         xp = namespace(state.q[0])
         rest = xp.shape(state.q[0])[1:]
         flat = [
@@ -268,7 +268,7 @@ class Many(Canonical):
         functions = tuple(getattr(self, name) for name in self.functions)
         return (type(self), *functions, self.dimensions, tuple(self.parameters), self.uniform)
 
-    def named(self, name: str) -> dict[str, Any]:
+    def named(self, name: str) -> dict[str, float]:
         """Return the parameters that one of the scalar functions takes."""
         given = getattr(self, name)
         if isinstance(given, Formula):
@@ -575,7 +575,7 @@ class Bodies:
 
 def unrolled(scene: Many, potential: Callable[..., Arithmetic]) -> Mechanical:
     """Return a scene of many sites component by component."""
-    masses: Any = scene.weight
+    masses = scene.weight
     if not scene.uniform:
         masses = tuple(np.repeat(masses, scene.dimensions).tolist())
     same = {name: getattr(scene, name) for name in ("name", "s", "gamma", "parameters", "t_end", "about")}

@@ -17,7 +17,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import AnyState, DrivenState, State, Vector, cross, dot, norm, scaled, times
-from contactbench.scene.base import Check, Numeric, Scene, named_numbers, optional
+from contactbench.scene.base import Check, Numeric, OwnState, Scene, named_numbers, optional
 from contactbench.scene.flow import Constants, Flow, damped_time, damping, linear_log_factor, plain
 from contactbench.scene.scales import in_order, reach
 from contactbench.trace.formula import Formula, formula
@@ -60,8 +60,9 @@ class Canonical(Scene):
 
     #: T(p), and V and ∇V at a state
     kinetic: Callable[[Vector], Arithmetic]
-    potential_at: Callable[[Any], Arithmetic]
-    gradient_at: Callable[[Any], Vector]
+    potential_at: Callable[[OwnState], Arithmetic]
+    gradient_at: Callable[[OwnState], Vector]
+    q: Vector
     gamma: Arithmetic
     inverse_mass: Arithmetic | Vector
     kappa: Arithmetic = 0.0
@@ -73,7 +74,7 @@ class Canonical(Scene):
     def product(self, a: Vector, b: Vector) -> Arithmetic:
         return dot(a, b)
 
-    def damping_at(self, x: Any) -> Arithmetic:
+    def damping_at(self, x: OwnState) -> Arithmetic:
         return self.gamma
 
     @property
@@ -190,7 +191,7 @@ def _drift_damp_constants(scene: Canonical, h: Arithmetic, xp: Namespace) -> Con
     return times(scene.inverse_mass, phi), phi, *damping(scene.gamma, h, xp), *half_kappa
 
 
-def drift_damp(scene: Canonical, x: Any, constants: Constants, xp: Namespace) -> Any:
+def drift_damp(scene: Canonical, x: OwnState, constants: Constants, xp: Namespace) -> OwnState:
     """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p.
 
     With ½κs² added, and k = ½κφ, a = 1 + ks, b² = kφT(p):
@@ -428,10 +429,10 @@ class Mechanical(Canonical):
     def dV(self, q: Vector) -> Vector:
         return (self.gradient or self.recorded().gradient)(q, **self.parameters)  # type: ignore[misc]
 
-    def potential_at(self, x: Any) -> Arithmetic:
+    def potential_at(self, x: OwnState) -> Arithmetic:
         return self.V(x.q)
 
-    def gradient_at(self, x: Any) -> Vector:
+    def gradient_at(self, x: OwnState) -> Vector:
         return self.dV(x.q)
 
     @property

@@ -239,7 +239,7 @@ class RigidBody(Scene):
         self._fix("rates", tuple(np.maximum(rates, 0.0).tolist()))
         self._fix("axes", None if axes is None else tuple(axes.ravel().tolist()))
 
-    def with_(self, **changes: Any) -> Self:
+    def with_(self, **changes: object) -> Self:
         if changes.get("gamma") is not None and "damping" not in changes:
             changes["damping"] = None
         if changes.get("damping") is not None and "gamma" not in changes:
@@ -388,7 +388,7 @@ class RigidBody(Scene):
             return moved
         w, a, b, c = x.R
         half = quaternion_product((w, -a, -b, -c), v.R)[1:]
-        size: Any = norm(half)
+        size = norm(half)
         scale = math.sin(size * amount) / size if size > 0 else 0.0
         turned = quaternion_product(x.R, (math.cos(size * amount), *(scale * h for h in half)))
         return moved._replace(R=turned)

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.numbers.protocol import Condition, Vector
+
 #: a size between these counts as one, so that scenes in sensible units are solved in these
 LEAST, MOST = 1e-2, 1e3
 #: spans that are tried, each so many times as long as the one before
@@ -35,7 +37,7 @@ def reach(scene: Any, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
         largest = reduce(np.maximum, map(np.abs, vector))
         return largest.max(axis=0) if scene.by_sites else largest
 
-    def pull(after: float, q: Any) -> Any:
+    def pull(after: float | np.ndarray, q: Vector) -> Any:
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
         try:
             return scene.velocity(tuple(-g for g in scene.gradient_at(there)))
@@ -48,7 +50,7 @@ def reach(scene: Any, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
     if scene.clock is not None:  # a force that is yet to come
         force = np.fmax.reduce([force, *(size(pull(span, x.q)) for span in spans)])
 
-    def fits(span: Any) -> Any:
+    def fits(span: float | np.ndarray) -> Condition:
         thrown = tuple(c + span * (d + span / 2 * e) for c, d, e in zip(x.q, v, a, strict=True))
         here = a if scene.clock is None else pull(span, x.q)
         change = size([there - c for there, c in zip(pull(span, thrown), here, strict=True)])

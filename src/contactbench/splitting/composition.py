@@ -22,8 +22,9 @@ from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.control import turns as unrolled
-from contactbench.numbers.protocol import Arithmetic, Namespace, has_arrays, has_digits
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace, has_arrays, has_digits
 from contactbench.scene import BodyState, Flow, RigidBody, Scene
+from contactbench.scene.base import OwnState
 from contactbench.scene.flow import Constants, damped_time
 from contactbench.scene.rigid_body import rotation, spin, top_rate, turn_rate
 
@@ -168,12 +169,12 @@ def arrange(stages: tuple[Stage, ...], before: tuple[Stage, ...] = (), clocked: 
 def advance(
     composition: Composition,
     scene: Scene,
-    x: Any,
+    x: OwnState,
     h: Arithmetic,
-    n: Any,
+    n: Count,
     xp: Namespace,
     repeat: Repeat = repeat,
-) -> Any:
+) -> OwnState:
     """Advance the state x by n ≥ 1 steps of size h, merged at the joints."""
     if by_the_clock(composition, scene):
         assert isinstance(scene, RigidBody)
@@ -202,26 +203,26 @@ def pieces(composition: Composition, scene: Scene, whole: bool) -> tuple[tuple[S
 
 
 def run_stages(
-    stages: Sequence[Stage], scene: Scene, x: Any, h: Arithmetic, xp: Namespace, repeat: Repeat = repeat
-) -> Any:
+    stages: Sequence[Stage], scene: Scene, x: OwnState, h: Arithmetic, xp: Namespace, repeat: Repeat = repeat
+) -> OwnState:
     """Apply stages one after the other, of a step of size h."""
     return runner(stages, scene, h, xp, repeat)(stages, x)
 
 
 def runner(
     stages: Iterable[Stage], scene: Scene, h: Arithmetic, xp: Namespace, repeat: Repeat
-) -> Callable[[Sequence[Stage], Any], Any]:
+) -> Callable[[Sequence[Stage], OwnState], OwnState]:
     """Return ``run(some, x)``, which applies some of the stages, whose constants are computed once."""
     flows, constants, rolled = scene.flows, stage_constants(stages, scene, h, xp), repeat.over_stages
 
-    def run(stages: Sequence[Stage], x: Any) -> Any:
+    def run(stages: Sequence[Stage], x: OwnState) -> OwnState:
         if rolled and len(stages) % 2 and len(stages) > 1:  # a processor: one stage ahead of the pairs
             return run(stages[1:], run(stages[:1], x))
         flows_in_turn = [name for name, _ in stages]
         period = shortest_period(flows_in_turn) if rolled and stages else len(stages)
         columns = [constants(stages[i::period]) for i in range(period)]
 
-        def round_of(k: Any, x: Any) -> Any:
+        def round_of(k: Count, x: OwnState) -> OwnState:
             for name, column in zip(flows_in_turn, columns, strict=False):
                 x = flows[name].apply(scene, x, column(k), xp)
             return x
@@ -234,7 +235,9 @@ def runner(
     return run
 
 
-def log_factor(composition: Composition, scene: Scene, x: Any, h: Arithmetic, n: int, xp: Namespace) -> Any:
+def log_factor(
+    composition: Composition, scene: Scene, x: OwnState, h: Arithmetic, n: int, xp: Namespace
+) -> Arithmetic:
     """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
     flows, steps = scene.flows, plan(composition, scene)
     total: Arithmetic = 0.0
@@ -276,7 +279,7 @@ def stage_constants(
     return constants
 
 
-def entry(constants: Constants, i: Any) -> Constants:
+def entry(constants: Constants, i: object) -> Constants:
     """Return entry i of constants that are a vector, None, or a tuple of such; several for an array i."""
     if isinstance(constants, tuple):
         return tuple(entry(c, i) for c in constants)
@@ -294,7 +297,7 @@ def advance_by_the_clock(
     scene: RigidBody,
     x: BodyState,
     h: Arithmetic,
-    n: Any,
+    n: Count,
     xp: Namespace,
     repeat: Repeat,
 ) -> BodyState:

@@ -112,7 +112,7 @@ def truth(name: str, end: float) -> np.ndarray:
     """Return the derivative by the variational equations: no flow and no step of a method under test."""
     scene, (x, datum) = cb.SCENES[name], arguments(name)
     one = np.eye(len(x), dtype=np.longdouble)
-    duals = [Dual(np.longdouble(a), row) for a, row in zip(x, one, strict=True)]
+    duals: list[Any] = [Dual(np.longdouble(a), row) for a, row in zip(x, one, strict=True)]
     given = {"gamma": duals[0], PARAMETERS[name]: duals[1]}
     pairs = zip(scene.number_names(), scene.numbers(), strict=True)
     twin = scene.with_numbers([given.get(*pair) for pair in pairs])

@@ -91,7 +91,7 @@ def starts(n: int) -> np.ndarray:
     """Return initial data: those of the scene, and others near them."""
     off = AMPLITUDE * np.random.default_rng(SEED).normal(size=(STARTS, 2, n))
     off[0] = 0
-    sites: Any = np.arange(n)
+    sites = np.arange(n)
     return np.array([long_wave(sites, n), two_waves(sites, n)]) + off
 
 

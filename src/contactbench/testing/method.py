@@ -81,7 +81,7 @@ class MethodCase:
         a[:, part] *= np.where(turned, -1.0, 1.0)
         return float(np.abs(a - b).max() / np.abs(b).max())
 
-    def error(self, level: str = "coarse", **options: Any) -> float:
+    def error(self, level: str = "coarse", **options: object) -> float:
         return float(LAWS["solution_error"](self.run(level, **options)()))
 
     def require_below(self, bound: float, what: str, value: float, message: str) -> None:

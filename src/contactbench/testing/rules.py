@@ -53,7 +53,7 @@ def require(condition: object, message: str) -> None:
 
 
 def follow(
-    rules: Mapping[int, Callable[[Any], str | None]], case: Any, what: str, engine: str, scene: str
+    rules: Mapping[int, Callable[..., str | None]], case: Any, what: str, engine: str, scene: str
 ) -> Iterator[Finding]:
     for number, rule in rules.items():
         case.measured.clear()

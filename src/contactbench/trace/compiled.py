@@ -28,6 +28,8 @@ from contactbench.trace.form import Statement
 if TYPE_CHECKING:
     from llvmlite.ir import IRBuilder, Value
     from numba.core.base import BaseContext
+    from numba.core.codegen import CPUCodegen
+    from numba.core.cpu import CPUContext
     from numba.core.types import Type
     from numba.core.typing import Context, Signature
 
@@ -311,13 +313,13 @@ class Kept:
     def __init__(self, key: str) -> None:
         self.key = key
 
-    def path(self, signature: Signature, codegen: Any) -> Path:
+    def path(self, signature: Signature, codegen: CPUCodegen) -> Path:
         from numba import __version__
 
         key = form.digest(self.key, str(signature), codegen.magic_tuple(), __version__, sys.version)
         return folder() / f"{key}.program"
 
-    def load_overload(self, signature: Signature, context: Any) -> Any:
+    def load_overload(self, signature: Signature, context: CPUContext) -> Any:
         from numba.core.compiler import CompileResult
 
         context.refresh()

@@ -15,7 +15,7 @@ import numpy as np
 
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.dual import Dual, leaves, rebuild, value
-from contactbench.numbers.protocol import Arithmetic, CannotRecord, Vector
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Count, Vector
 from contactbench.trace.form import (
     Assign,
     Element,
@@ -213,7 +213,7 @@ class FieldTape(ProgramTape):
             self.known_at[sweep.sums[name]] = sweep.owner, sweep.order[0], sweep.order[1] + 1
         return Recorded(self, sweep.sums[name], "f", sweep.owner)
 
-    def repeat[X](self, n: Any, body: Callable[[X], X], x: X) -> X:
+    def repeat[X](self, n: Count, body: Callable[[X], X], x: X) -> X:
         outer: Any = self.block
         start = leaves(x)
         times = n if isinstance(n, Recorded) else self.size(("times", n), lambda: n)

@@ -52,7 +52,7 @@ class Formula(form.Digested):
     names: tuple[str, ...]
     body: tuple[Assign, ...]
     results: Results
-    live: Callable[..., Any] | None = field(default=None, compare=False)
+    live: Callable[..., object] | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         name = getattr(self.live, "__name__", "derived" if self.live is None else type(self.live).__name__)
@@ -177,7 +177,7 @@ def slopes(
     return [constant(DERIVATIVES[function](xp, x[0], y))]
 
 
-def constant(x: Any) -> Amount:
+def constant(x: Arithmetic) -> Amount:
     """Return a number as an amount."""
     return (1.0, x) if isinstance(x, Recorded) else (float(x), 1.0)
 
@@ -208,7 +208,7 @@ def argument_names(arguments: tuple[int | str, ...], names: Sequence[str]) -> tu
 def formula(function: Callable[..., Any], arguments: tuple[int | str, ...], names: Sequence[str]) -> Formula:
     tape = Tape()
     supply = (Recorded(tape, name, "f", tape.root) for name in argument_names(arguments, names))
-    given: list[Any] = []
+    given: list[object] = []
     for n in arguments:
         if isinstance(n, str):
             given.append(RecordedNumbers(tape))
@@ -223,7 +223,7 @@ def make_formula(
     names: tuple[str, ...],
     tape: Tape,
     results: object,
-    live: Callable[..., Any] | None = None,
+    live: Callable[..., object] | None = None,
 ) -> Formula:
     found = tape.results(results)
     return Formula(arguments, names, form.prune(tape.root.statements, found), found, live)

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.protocol import Abilities, Arithmetic, CannotRecord
+from contactbench.numbers.protocol import Abilities, Arithmetic, CannotRecord, Count
 from contactbench.trace.form import (
     Assign,
     Element,
@@ -120,7 +120,7 @@ class ProgramTape(Tape):
         super().__init__()
         #: whole numbers both functions are called with: known when everything is recorded
         self.whole = Block()
-        self.shape: list[Callable[[], int]] = [lambda: 0]  # the first is STOP
+        self.shape: list[Callable[[], Count]] = [lambda: 0]  # the first is STOP
         self.root = Block(self.whole)
         self.main = self.block = Block(self.root)
         self.columns: list[Column] = []
@@ -146,7 +146,7 @@ class ProgramTape(Tape):
         width = len(self.exported) + sum(len(column.data) * len(column.stored) for column in self.columns)
         return data, np.array([number() for number in self.shape], dtype=np.int64), width
 
-    def size(self, key: Hashable, number: Callable[[], int]) -> Recorded:
+    def size(self, key: Hashable, number: Callable[[], Count]) -> Recorded:
         if key not in self.whole.known:
             i, name = len(self.shape), f"i0{len(self.shape)}"
             self.whole.known[key] = name
@@ -177,7 +177,7 @@ class ProgramTape(Tape):
         made = super().assign(value, kind, block)
         return Vector(self, made.name, block) if isinstance(block, Column) else made
 
-    def repeat[X](self, n: Any, body: Callable[[X], X], x: X) -> X:
+    def repeat[X](self, n: Count, body: Callable[[X], X], x: X) -> X:
         times = n if isinstance(n, Recorded) else self.size(("times", n), lambda: n)
         return super().repeat(times, body, x)
 
@@ -192,7 +192,7 @@ class RecordedArrays(RecordedNumbers):
         def outer(vector: Arithmetic, number: Arithmetic) -> Arithmetic:
             return vector * number
 
-    def asarray(self, values: Sequence[Any]) -> np.ndarray | Vector:
+    def asarray(self, values: Sequence[Arithmetic]) -> np.ndarray | Vector:
         if all(isinstance(value, int | np.integer) for value in values):
             return np.array(values)
         tape = self.tape

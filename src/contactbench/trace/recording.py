@@ -22,6 +22,7 @@ from contactbench.numbers.protocol import (
     CannotRecord,
     ChoosingNumbers,
     Condition,
+    Count,
     Unknown,
 )
 from contactbench.trace import form
@@ -77,7 +78,7 @@ class Tape:
             return tuple(map(self.results, numbers))
         return self.read(numbers, self.root)
 
-    def repeat[X](self, n: Any, body: Callable[[X], X], x: X) -> X:
+    def repeat[X](self, n: Count, body: Callable[[X], X], x: X) -> X:
         return self._loop(x, body, lambda inner: form.Loop("_", self.read(n, self.block, "i"), tuple(inner)))
 
     def repeat_while[X](self, condition: Callable[[X], Condition], body: Callable[[X], X], x: X) -> X:
@@ -134,7 +135,7 @@ def _arithmetic(
 ) -> Callable[..., Recorded]:
     """Return an operator; neutral : the operand that changes nothing."""
 
-    def apply(self: Recorded, other: Any) -> Recorded:
+    def apply(self: Recorded, other: Arithmetic) -> Recorded:
         if isinstance(other, Dual | np.ndarray):
             return NotImplemented  # type: ignore[no-any-return]
         if neutral is not None and is_constant(other, neutral):
@@ -206,7 +207,7 @@ class Recorded(Unknown):
     def __array__(self, *_: object, **__: object) -> np.ndarray:
         raise CannotRecord("an array cannot hold a number that is known only when the program runs")
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: object) -> Arithmetic:
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: object, **options: object) -> Arithmetic:
         """NumPy's functions, so that ``np.sin(q)`` and ``np.float64(2) * q`` in a force are recorded."""
         name = ufunc.__name__
         if method != "__call__" or options or any(isinstance(x, np.ndarray) and x.ndim for x in inputs):
@@ -291,7 +292,7 @@ class RecordedNumbers(ChoosingNumbers):
             return a if condition else b
         return self.tape.operation("where", "f", condition, a, b)
 
-    def logical_not(self, a: Any) -> Any:
+    def logical_not(self, a: Condition) -> Condition:
         return ~a if isinstance(a, Recorded) else not a
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
@@ -19,7 +19,7 @@ from contactbench.scene import Scene
 from contactbench.trace.formula import Formula
 
 
-def name_of(function: Any) -> list[str]:
+def name_of(function: Callable[..., object]) -> list[str]:
     """Return a function of this package by its name; a user's by what it computes, or, unknown, as none other."""
     if is_ours(function):
         return [function.__module__, function.__qualname__]

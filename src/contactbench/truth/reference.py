@@ -22,7 +22,7 @@ from contactbench.checks import is_real, real_array
 from contactbench.errors import BadInput, excerpt, one_line
 from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Cache, Scene, key, verify
-from contactbench.scene.base import scene_of
+from contactbench.scene.base import OwnState, scene_of
 from contactbench.scene.definition import difference, verify_along
 from contactbench.truth.engines import (
     NEVER,
@@ -89,7 +89,7 @@ class Reference:
         what = f"{len(self.t)} states to t = {self.t.max():g}, {self.digits} digits, {self.source}"
         return f"<Reference of {self.scene.name}: {what}>"
 
-    def states(self) -> Any:
+    def states(self) -> OwnState:
         """Return the states as one NamedTuple of arrays over time."""
         return self.scene.unpack(self.y.T, self.carry)
 

@@ -39,9 +39,10 @@ SOURCES = digest(
 )
 
 
-def kept(function: Callable[..., object]) -> Any:
+def kept[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     """Compile as numba's `njit` does, and keep the program."""
-    return keep(function, SOURCES, nogil=True)
+    made: Callable[P, R] = keep(function, SOURCES, nogil=True)
+    return made
 
 
 def kept_c(*signature: Any) -> Any:
@@ -49,7 +50,7 @@ def kept_c(*signature: Any) -> Any:
     return lambda function: keep_c(function, *signature, SOURCES)
 
 
-def external(name: str, address: int | None, word: str) -> Any:
+def external(name: str, address: int | None, word: str) -> Callable[..., Any]:
     llvmlite.binding.add_symbol(name, address)
     result, *arguments = (LETTERS[letter][1] for letter in word)
     return types.ExternalFunction(name, result(*arguments))

@@ -67,7 +67,7 @@ def _drift(t, y, dy, user):  # type: ignore[no-untyped-def]
 
 
 @kept
-def stretch(state, over_m, gamma, clock, y):  # type: ignore[no-untyped-def]
+def stretch(state, over_m, gamma, clock, y: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
     """A packed state of the scene as (z, τ, origin, z', e^{γτ}(s − q·p/2)) at τ = 0; no origin without a clock."""
     n, timed, product = len(over_m), clock >= 0, 0.0
     for i in range(n):
@@ -83,7 +83,7 @@ def stretch(state, over_m, gamma, clock, y):  # type: ignore[no-untyped-def]
 
 
 @kept
-def unstretch(y, over_m, gamma, clock, state):  # type: ignore[no-untyped-def]
+def unstretch(y, over_m, gamma, clock, state: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
     """The packed state of the scene again."""
     n, timed, product = len(over_m), clock >= 0, 0.0
     shrunk = np.exp(-gamma * y[n] / 2)

@@ -89,7 +89,7 @@ def bind(path: Path, signatures: dict[str, str], index: str) -> tuple[ctypes.CDL
     except (OSError, AttributeError) as error:
         raise ImportError(f"{path.name}: {error}") from error
 
-    def function_of(name: str) -> Any:
+    def function_of(name: str) -> Callable[..., Any]:
         address = ctypes.cast(getattr(library, name), c_void_p).value
         return external(f"contactbench_{path.stem.partition('.')[0]}_{name}", address, words[name])
 
@@ -124,7 +124,9 @@ pointer, integer, real = types.intp, types.int32, types.float64
 
 
 @intrinsic
-def _call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> Any:
+def _call(
+    typing: object, function: object, out: object, t: object, y: object, data: object
+) -> tuple[object, object]:
     """``function(out, t, y, data)`` of a C function known by its address, all pointers as integers."""
     signature = types.void(pointer, pointer, real, pointer, pointer)
 
@@ -142,7 +144,7 @@ def _call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> An
     return signature, generate
 
 
-call: Any = _call  # compiled code calls it without the typing context
+call: Callable[..., object] = _call  # compiled code calls it without the typing context
 _user = types.CPointer(types.intp)
 
 
@@ -299,7 +301,7 @@ def check(name: str, *arguments: object) -> None:
 
 
 def free(
-    library: Any, name: str, memory: int, solvers: dict[str, int], vector: int, context: c_void_p
+    library: ctypes.CDLL, name: str, memory: int, solvers: dict[str, int], vector: int, context: c_void_p
 ) -> None:
     getattr(library, name)(byref(c_void_p(memory)))
     for name, solver in solvers.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import CyRK
@@ -22,7 +23,7 @@ if not CyRK.__version__.startswith(INTERFACE):
     raise ImportError(why)
 
 
-def function(name: str, word: str) -> Any:
+def function(name: str, word: str) -> Callable[..., Any]:
     return external(f"contactbench_cyrk_{name}", getattr(numba_c_api, f"get_{name}_func_ptr")(), word)
 
 

@@ -6,6 +6,7 @@ What is read and written of REBOUND's structures lies where the classes of its P
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from ctypes import c_void_p, cast, sizeof
 from typing import Any
 
@@ -35,10 +36,12 @@ FIRST = 1e-3
 STUCK = 0
 
 
-def pointer_to(kind: Any, width: Any) -> Any:
+def pointer_to(kind: types.Type, width: ir.Type) -> Callable[..., Any]:
     @intrinsic
-    def view(typing: Any, address: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def view(typing: object, address: object) -> tuple[object, object]:
+        def generate(
+            context: object, builder: ir.IRBuilder, signature: object, arguments: Sequence[ir.Value]
+        ) -> ir.Value:
             return builder.inttoptr(arguments[0], ir.PointerType(width))
 
         return types.CPointer(kind)(types.intp), generate
@@ -46,12 +49,12 @@ def pointer_to(kind: Any, width: Any) -> Any:
     return view
 
 
-doubles: Any = pointer_to(types.float64, ir.DoubleType())
-integers: Any = pointer_to(types.intp, ir.IntType(64))
-flags: Any = pointer_to(types.int32, ir.IntType(32))
+doubles = pointer_to(types.float64, ir.DoubleType())
+integers = pointer_to(types.intp, ir.IntType(64))
+flags = pointer_to(types.int32, ir.IntType(32))
 
 
-def function(name: str, word: str) -> Any:
+def function(name: str, word: str) -> Callable[..., Any]:
     address = cast(getattr(rebound.clibrebound, name), c_void_p).value
     return external(f"contactbench_{name}", address, word)
 
@@ -62,7 +65,7 @@ steps, set_integrator = (
 )
 
 
-def simulation(integrator: str, masses: np.ndarray, force: Any, extras: np.ndarray, G: float) -> Any:
+def simulation(integrator: str, masses: np.ndarray, force: Any, extras: np.ndarray, G: float) -> Simulation:
     """Return a simulation of so many particles with a force that depends on velocities; extras : what it reads."""
     made = rebound.Simulation()
     for mass in masses:
@@ -169,7 +172,7 @@ def drag(simulation):  # type: ignore[no-untyped-def]
 
 
 @kept
-def advance(state, h, steps_, simulation, own, order, over_m, masses):  # type: ignore[no-untyped-def]
+def advance(state, h, steps_, simulation, own, order, over_m, masses) -> np.ndarray:  # type: ignore[no-untyped-def]
     """From a packed state to another, about the centre of mass, which REBOUND leaves without drag."""
     now, p, gamma, action = (
         doubles(simulation),
