@@ -13,7 +13,7 @@ import numpy as np
 from contactbench.errors import BadInput
 from contactbench.files import replacing
 from contactbench.report import draw, headline, markdown, page
-from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, every
+from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, discovered, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View, frame_of
 from contactbench.results.provenance import runs
@@ -30,6 +30,8 @@ NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 def tables(results: Path) -> Tables:
+    """Return every table of a folder, those included that modules of this package declare."""
+    discovered()
     return Tables({name: read(table, results) for name, table in TABLES.items()})
 
 
