@@ -23,7 +23,7 @@ from contactbench.results.store import read
 #: the caller hands over the registries: the report itself knows no solvers
 Registries = Mapping[str, Mapping[str, Any]]
 README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from results/: end -->")
-#: points by which what is drawn may be elsewhere
+#: largest shift, in points, between drawings that count as the same
 APART = 0.11
 NAME = re.compile(r"\b[a-z]+[0-9a-f]{10}\b")
 NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
@@ -123,7 +123,7 @@ def differing(results: Path, readme: Path | None, registries: Registries) -> lis
 
 
 def same(one: str, other: str, drawn: bool) -> bool:
-    """Return whether two texts are the same; drawings but for the last digits of places."""
+    """Return whether two texts are the same; in drawings coordinates may differ by `APART`."""
     if one == other or not drawn:
         return one == other
     (words, numbers), (other_words, other_numbers) = split(one), split(other)
