@@ -14,6 +14,7 @@ from cases import refusal
 from contactbench.cli import main
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import definition
+from contactbench.testing import check_method, check_scene
 from properties import GENERAL
 
 PARTICLE = cb.SCENES["particle"]
@@ -185,6 +186,9 @@ CALLS = [
     (made(cb.Driven, rate=lambda t: None), "rate: must return a real number; it returns None"),
     (made(cb.Driven, span=lambda t, h, xp: 1.0), "span: must return a pair"),
     (made(cb.GeneralDamping, damping_flow=lambda s, h, xp: None), "damping_flow: must return a real"),
+    (lambda: cb.reference(user(exact=lambda t: t), [1.0]), "scene 'mine': its closed form: TypeError"),
+    (lambda: check_method("rk4"), "method = 'rk4': must be a method"),
+    (lambda: check_scene("particle"), "scene = 'particle': must be a scene"),
 ]
 
 
@@ -302,6 +306,7 @@ LINES = [
     ("check particel", "unknown method or scene 'particel': did you mean 'particle'?"),
     ("check central --engine numba", "--engine numba: central is a scene"),
     ("claim C99", "unknown claim 'C99'"),
+    ("bench --all --profile smoke -k nothing", "-k 'nothing': no cell of this run has such a name"),
     ("gate --budget 0", "--budget = 0.0: must be > 0"),
 ]
 

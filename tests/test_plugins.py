@@ -23,6 +23,7 @@ from contactbench.report import write
 from contactbench.results.provenance import runs
 from contactbench.results.store import read
 from contactbench.results.tables import CONVERGENCE, WORK_PRECISION
+from made_up import RUN
 
 MINE = ("my-method", "double-well")
 REGISTRIES = {"methods": cb.METHODS, "scenes": cb.SCENES}
@@ -132,6 +133,25 @@ def test_a_law_and_a_question_have_their_documents_and_are_gated(results, given,
         moved[column] *= 10
         moved.to_csv(fresh / f"{file}.csv", index=False)
         assert column in contactbench(*gate, fresh, code=1)
+
+
+def test_report_and_gate_know_a_table_that_a_module_among_the_chapters_declares(tmp_path):
+    chapters, tables = tmp_path / "chapters", tmp_path / "tables"
+    chapters.mkdir()
+    shutil.copy(EXTENSIONS[-1], chapters / "half_life.py")
+    run(sys.executable, EXTENSIONS[-1], tables).check_returncode()
+    (tables / "environment.json").write_text(json.dumps({"runs": [RUN]}))
+    line = "import sys, contactbench.report as r; r.__path__.append(sys.argv.pop(1)); "
+    line += "from contactbench.cli import main; sys.exit(main(sys.argv[1:]))"
+    contactbench = partial(run, sys.executable, "-c", line, chapters)
+    contactbench("report", "--results", tables).check_returncode()
+    assert "When is half of the energy gone?" in (tables / "half_life.md").read_text()
+    fresh = shutil.copytree(tables, tmp_path / "fresh")
+    moved = pd.read_csv(fresh / "half_life.csv")
+    moved["half_life"] *= 10
+    moved.to_csv(fresh / "half_life.csv", index=False)
+    gate = contactbench("gate", "--baseline", tables, "--fresh", fresh)
+    assert (gate.returncode, "half_life" in gate.stdout) == (1, True)
 
 
 @pytest.mark.slow

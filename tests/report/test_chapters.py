@@ -1,6 +1,7 @@
 """Every chapter from its own table alone; summaries count rows, and a row that contradicts one changes it."""
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -9,7 +10,10 @@ from contactbench.report.chapters import chapters, discovered, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View
 from contactbench.results.schema import TABLES
+from contactbench.results.store import read
 from frames import frames, row
+
+RESULTS = Path(__file__).parents[2] / "results"
 
 
 def judged(scene, method, value, claimed=True, drift=1e-15):
@@ -61,8 +65,10 @@ def test_a_chapter_speaks_from_its_own_table_alone_and_is_silent_without(name):
     chapter = discovered()[name]
     assert chapter not in chapters(frames())
     first = chapter.tables[0]
-    alone = frames(**{first: SOME[first]})
-    assert chapter in chapters(alone)
+    alone = frames(**{first: SOME.get(first, ())})
+    if first not in SOME:  # of a new chapter, the committed rows
+        alone[first] = read(TABLES[first], RESULTS)
+    assert chapter in chapters(alone), f"no rows: run contactbench bench --all -k {first}"
     text = markdown.document(chapter.fill(alone))
     assert text.startswith(f"# {chapter.title}\n")
     assert not re.search(r"\bnan\b", text)

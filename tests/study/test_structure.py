@@ -22,7 +22,7 @@ def row(method, value, case=SHORT):
 
 
 def test_the_energy_left_is_that_of_the_scene_without_its_centre_of_mass():
-    scene = structure.shaped("rk4", *SHORT)
+    scene = structure.ring_for("rk4", *SHORT)
     q, p = structure.starts(structure.N)[0]
     assert structure.energy_left(q, p) == pytest.approx(
         scene.energy(scene.initial(())) - structure.N * 0.3**2 / 2
@@ -31,7 +31,9 @@ def test_the_energy_left_is_that_of_the_scene_without_its_centre_of_mass():
 
 def test_either_shape_has_the_same_motion():
     lattice = structure.runs("rk4", SHORT, step=0.05)[0][0]
-    flat = cb.solve(structure.shaped("contact-strang", *SHORT), "rk4", step=0.05, save_at=lattice.t, carry=())
+    flat = cb.solve(
+        structure.ring_for("contact-strang", *SHORT), "rk4", step=0.05, save_at=lattice.t, carry=()
+    )
     assert (lattice.scene.kind, flat.scene.kind) == ("many", "mechanical")
     np.testing.assert_allclose(lattice.y[0], flat.y[0], rtol=0, atol=1e-10)
 

@@ -24,11 +24,12 @@ WINDOW = 4
 POWERS = (1, 2)
 #: slopes further than this from the order they extrapolate to are not asymptotic
 ASYMPTOTIC = 0.5
-#: an order less certain than this is none
+#: an order of larger uncertainty is not reported
 USELESS = 0.5
-#: round-off of an error, as a part of the floor below which it is nothing else
+#: round-off in an error, as a fraction of the floor, below which an error is round-off alone
 ROUND_OFF = 0.03
-#: several differences of successive extrapolations estimate the error of the last; none bounds it
+#: factors on the last difference of extrapolations, an estimate of the error and no bound: where another difference
+#: checks it, and where none does
 SAFETY, UNCHECKED = 3.0, 9.0
 
 
@@ -80,9 +81,11 @@ def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.
 
 
 def extrapolate(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[float, float]:
-    """Return the limit of three or four slopes, finest first, and its uncertainty; blur : relative, of the errors.
+    """Return the limit of three or four slopes, finest first, and its uncertainty.
 
-    That is the last difference of limits, or what falling like h² leads to expect; the power is that of the least.
+    blur : the relative round-off in the errors.  The uncertainty is the difference of successive extrapolations, each
+    scaled to the finest step as if it fell like h², times a safety factor, and the effect of round-off.  The power of
+    h is the one of `POWERS` whose differences are least.
     """
     spans = np.log(h[1:] / h[:-1])
     noise = blur[1:3] + blur[:2]

@@ -11,7 +11,7 @@ from contactbench.report.chapters import Answer, Frames, Part, chapter, view
 from contactbench.report.numbers import duration, names, power, scientific, times
 from contactbench.report.views import Mark, Show, View, as_cell, frame_of, pick
 
-#: modes that are none in reverse: what is timed without a derivative, and six tangents
+#: the modes that are not in reverse: the loss without a derivative, and six tangents forward
 ALONE, FORWARD = "loss alone", "forward"
 CASE = ["scene", "t_end", "error_asked"]
 

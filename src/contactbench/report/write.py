@@ -13,7 +13,7 @@ import numpy as np
 from contactbench.errors import BadInput
 from contactbench.files import replacing
 from contactbench.report import draw, headline, markdown, page
-from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, every
+from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, discovered, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View, frame_of
 from contactbench.results.provenance import runs
@@ -23,13 +23,15 @@ from contactbench.results.store import read
 #: the caller hands over the registries: the report itself knows no solvers
 Registries = Mapping[str, Mapping[str, Any]]
 README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from results/: end -->")
-#: points by which what is drawn may be elsewhere
+#: largest shift, in points, between drawings that count as the same
 APART = 0.11
 NAME = re.compile(r"\b[a-z]+[0-9a-f]{10}\b")
 NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 def tables(results: Path) -> Tables:
+    """Return every table of a folder, those included that modules of this package declare."""
+    discovered()
     return Tables({name: read(table, results) for name, table in TABLES.items()})
 
 
@@ -121,7 +123,7 @@ def differing(results: Path, readme: Path | None, registries: Registries) -> lis
 
 
 def same(one: str, other: str, drawn: bool) -> bool:
-    """Return whether two texts are the same; drawings but for the last digits of places."""
+    """Return whether two texts are the same; in drawings coordinates may differ by `APART`."""
     if one == other or not drawn:
         return one == other
     (words, numbers), (other_words, other_numbers) = split(one), split(other)

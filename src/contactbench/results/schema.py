@@ -27,8 +27,8 @@ type Row = Mapping[str, object]
 
 #: how much is run, from little to much; each makes the rows of those before it, and more
 PROFILES = ("smoke", "standard", "full")
-SEPARATOR = " // "  #: between the measurements listed in one cell
-BEYOND = "beyond the paper"  #: where a claim stands that is not the paper's
+SEPARATOR = " // "  #: stands between the measurements that one cell lists
+BEYOND = "beyond the paper"  #: the place (`where`) of a claim that the paper does not make
 
 
 class Rule(Enum):
@@ -148,11 +148,11 @@ def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Seri
 
 
 def floor(rule: Rule | None, rows: pd.DataFrame) -> np.ndarray:
-    """Return below what an error with this rule says nothing, row by row: zero for what is no error.
+    """Return, row by row, the size below which an error with this rule is round-off; zero for what is no error.
 
-    The gate does not judge there, and the tables write one digit.  100 ε, and √n ε for n evaluations, whose rounding
-    errors walk at random; times the condition number of the motion, where the table has one.  The references' 40
-    digits are beyond that; they are the limit of rows at 50 digits, ten times their uncertainty.
+    Below it the gate does not judge, and tables show one digit.  It is the larger of 100 ε and √n ε, since the rounding
+    errors of n evaluations walk at random, times the condition number of the motion where the table has one.  Rows
+    computed with 50 digits are limited by the references, of 40 digits: it is ten times the uncertainty of these.
     """
     if rule is None or not rule.decades:
         return np.zeros(len(rows))

@@ -9,7 +9,7 @@ import numpy as np
 
 from contactbench.numbers.protocol import Condition, Vector
 
-#: a size between these counts as one, so that scenes in sensible units are solved in these
+#: a size between these counts as 1: a scene in sensible units keeps them
 LEAST, MOST = 1e-2, 1e3
 #: spans that are tried, each so many times as long as the one before
 SPANS, RATIO = 18, 8.0

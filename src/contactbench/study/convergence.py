@@ -33,7 +33,7 @@ def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, flo
 
 
 def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, float, float]]:
-    """Yield the same on mpmath numbers: the error at t = 4, relative to the larger of start and truth there."""
+    """Yield rows of runs on mpmath numbers: the error at t = 4, relative to the larger of the start and the truth."""
     truth = cb.reference(scene, [EXTENDED_TIME], scene.optional).y[0]
     size = max(math.hypot(*scene.pack(scene.initial(scene.optional))), math.hypot(*truth))
     for n in EXTENDED_STEPS:

@@ -31,7 +31,7 @@ def laws(cell: Cell, profile: Profile) -> Recorded:
             yield from ((LAWS_TIME, each) for each in along_time(solution))
 
 
-#: of the time table
+#: the columns of `laws_time`, and the laws whose deviations they hold
 DEVIATIONS = {"energy": "energy_law_relative", "hamiltonian": "hamiltonian_law"}
 DEVIATIONS |= {"momentum": "momentum_law", "contact": "contact_drift"}
 

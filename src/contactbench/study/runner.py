@@ -217,8 +217,11 @@ def time(run: Run, cells: list[journal.Cell]) -> list[str]:
 def work(run: Run, keyword: str = "", resume: bool = False) -> int:
     """Do a run in processes of its own; return how many cells failed, each with a line on stderr."""
     settle()
+    chosen = [task for task in run.tasks() if task.matches(keyword)]
+    if keyword and not chosen:
+        raise BadInput(f"-k {keyword!r}: no cell of this run has such a name")
     run.begin()
-    tasks = run.remaining([task for task in run.tasks() if task.matches(keyword)], resume)
+    tasks = run.remaining(chosen, resume)
     timed, others = (
         [task for task in tasks if (task.experiment.timed and run.timed) is which] for which in (True, False)
     )

@@ -78,8 +78,11 @@ def rungs(scene: str, name: str, gamma: float, span: float, n: int) -> list[Cell
 
 
 @cache
-def shaped(method: str, name: str, gamma: float, span: float, n: int) -> Scene:
-    """Return the ring in the shape that a method is faster on: as a lattice, or component by component."""
+def ring_for(method: str, name: str, gamma: float, span: float, n: int) -> Scene:
+    """Return the ring in the form that a method is faster on: a lattice, or written out component by component.
+
+    One with damping quadratic in s is always written out, another of more than N sites never.
+    """
     bonds: Row = {"bond": quartic_bond, "parameters": {"beta": 1.0}}
     ring = cb.Lattice(name=name, n=n, gamma=gamma, t_end=span, **bonds, q=long_wave, p=two_waves)
     if name == QUADRATIC:
@@ -104,7 +107,7 @@ def energy_left(q: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 def prepared(method: str, case: Cell, end: float, saves: int, **setting: float) -> Prepared:
     given: Row = {"save_at": end * np.arange(1, saves + 1) / saves, "carry": (), **setting}
-    return cb.prepare(shaped(method, *case), method, max_steps=MOST_STEPS, **given)
+    return cb.prepare(ring_for(method, *case), method, max_steps=MOST_STEPS, **given)
 
 
 def runs(method: str, case: Cell, **setting: float) -> tuple[list[Solution], np.ndarray]:
@@ -145,7 +148,7 @@ def errors(cell: Cell) -> Row:
     found, left = runs(method, case, **keywords(control, value))
     last, (true, floor) = found[-1], truth(*case)
     row = key(name, method, engine, control, value) | {"gamma": gamma, "t_end": span, "n": n}
-    row |= {"shape": shaped(method, *case).kind, "starts": STARTS, "floor": floor}
+    row |= {"shape": ring_for(method, *case).kind, "starts": STARTS, "floor": floor}
     row |= {"status": str(last.status), "message": last.message, "evaluation_kind": last.counts.kind}
     if not last.ok:
         return row

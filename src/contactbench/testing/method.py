@@ -366,7 +366,7 @@ def check_method(
     Violation
         Where a rule is broken.
     BadInput
-        Where the method refuses all scenes.
+        Where the method refuses all scenes, or is none.
 
     Examples
     --------
@@ -377,6 +377,8 @@ def check_method(
     >>> found[0].rule
     1
     """
+    if not isinstance(method, Method):
+        raise BadInput(f"method = {excerpt(method)}: must be a method, such as cb.METHODS['rk4']")
     return list(method_findings(method, engines, scenes))
 
 

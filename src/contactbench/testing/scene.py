@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.protocol import Arithmetic
 from contactbench.registry import NAME
 from contactbench.scene import AnyState, Scene, verify
@@ -268,6 +269,8 @@ def check_scene(scene: Scene) -> list[Finding]:
     ------
     Violation
         Where a rule is broken.
+    BadInput
+        For what is no scene.
 
     Examples
     --------
@@ -276,4 +279,6 @@ def check_scene(scene: Scene) -> list[Finding]:
     >>> [finding.rule for finding in check_scene(cb.SCENES["oscillator"])]
     [1, 2, 3, 4, 5, 6, 7, 8, 9]
     """
+    if not isinstance(scene, Scene):
+        raise BadInput(f"scene = {excerpt(scene)}: must be a scene, such as cb.SCENES['particle']")
     return list(scene_findings(scene))

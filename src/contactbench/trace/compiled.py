@@ -241,7 +241,7 @@ class Lowering:
         return self.builder.call(get_or_insert_function(self.builder.module, signature, name), x)
 
     def call_each(self, name: str, *x: Value) -> Value:
-        """A function that LLVM has no vectors of, number by number."""
+        """Emit calls of a function that LLVM has for numbers only, one for each lane; return the vector of results."""
         result = self.ir.Constant(self.wide, self.ir.Undefined)
         for i in map(self.ir.IntType(32), range(self.lanes)):
             each = self.call(name, *(self.builder.extract_element(v, i) for v in x))

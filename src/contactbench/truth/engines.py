@@ -116,14 +116,14 @@ def with_decimals(scene: Scene, number: Callable[[str], Arithmetic]) -> Scene:
 # -- how long it may take ----------------------------------------------------------------------------
 #: a moment that never comes, on the clock of `perf_counter`
 NEVER = math.inf
-#: seconds after which the rest of a computation is foreseen
+#: seconds of work after which the time that the rest will take is extrapolated
 FORESEEN = 2.0
 MAX_STEPS = 1_000_000
 #: a step this small against the longest taken means a singularity ahead; where none could be taken, against the span
 COLLAPSE, NO_STEP = 1e-12, 1e-36
 #: states of a motion at which two ways to read its equations are compared
 LOOKS = 100
-#: how many times the size of a state, one at least, no step reaches
+#: a step that takes a state further than this, relative to 1 + its size, has failed
 BEYOND = 1e30
 
 
@@ -137,7 +137,7 @@ class BlowUp(BadInput):
 
 
 class OutOfTime(BadInput):
-    """A computation that was given so much time and needs more: about `needed` seconds, as far as could be seen."""
+    """The time given to a computation does not suffice; `needed` : seconds it would take, by extrapolation."""
 
     def __init__(self, message: str, needed: float = math.inf) -> None:
         super().__init__(message)
@@ -149,9 +149,9 @@ class DoublesOnly(BadInput):
 
 
 class Stopwatch:
-    """The time of one computation of a scene over a span, and what all of it would take.
+    """The time that a computation of a scene over a span has taken, and an extrapolation of what it will take.
 
-    patience : how many times its budget it may be foreseen to need, and still goes on.
+    patience : the computation goes on while the extrapolated time is at most so many times its budget.
     """
 
     def __init__(self, scene: Scene, span: float, deadline: float, patience: float = 1.0) -> None:
@@ -176,9 +176,9 @@ class Stopwatch:
 
 
 def within[Made](make: Callable[[], Made], watch: Stopwatch) -> Made:
-    """Return what a compiler makes in time; late, `OutOfTime`, and its thread, which nothing ends, is left alone.
+    """Return what `make`, a compilation, returns; raise `OutOfTime` where that is not before the deadline.
 
-    The interpreter ends when that thread has.
+    A thread cannot be ended: a late one compiles on, and the interpreter waits for it when it exits.
     """
     if watch.deadline == NEVER:
         return make()
@@ -327,7 +327,7 @@ Slope = Callable[[Arithmetic, np.ndarray], np.ndarray]
 def initial_value_problem(scene: Scene, carry: tuple[str, ...]) -> tuple[Slope, np.ndarray, Arithmetic]:
     """Return y' = f(t, y), y(0), and the time at the start.
 
-    A force that jumps asks for the time itself: one that is summed step by step would be some roundings off.
+    Where a force jumps the time must be exact: a clock that is integrated with the state is off by round-off.
     """
     start = scene.pack(scene.initial(carry))
     origin = 0.0 if scene.clock is None else start[scene.clock]
@@ -338,11 +338,11 @@ def initial_value_problem(scene: Scene, carry: tuple[str, ...]) -> tuple[Slope, 
     return slope, np.array(scene.without_clock(start)), origin
 
 
-Breaks = Sequence[tuple[float, float]]  #: times, and how exact they are
+Breaks = Sequence[tuple[float, float]]  #: times, each with its uncertainty
 
 
 def sides(breaks: Breaks, end: float) -> list[float]:
-    """Return the times just before and just behind breaks, as far as they are between 0 and an end."""
+    """Return the times just before and just after each break, those between 0 and an end."""
     return [side for time, exact in breaks for side in (time - exact, time + exact) if 0 < side < end]
 
 

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contactbench.blame import is_ours, plain_function
+from contactbench.blame import is_ours, plain_function, their_code
 from contactbench.blame import place as place_of
 from contactbench.checks import is_real, real_array
 from contactbench.errors import BadInput, excerpt, one_line
-from contactbench.numbers.protocol import Arithmetic
-from contactbench.scene import Cache, Scene, key, verify
+from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.scene import AnyState, Cache, Scene, key, verify
 from contactbench.scene.base import OwnState, scene_of
 from contactbench.scene.definition import difference, verify_along
 from contactbench.truth.engines import (
@@ -192,7 +192,7 @@ def of_many(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float
     """Return the truth of a scene of many sites in double precision; exact : by its closed form."""
     if not exact:
         return by_two_solvers(scene, t, carry, deadline)
-    states = [scene.exact(scene, time, np) for time in t.tolist()]  # type: ignore[misc]
+    states = [exact_state(scene, time, np) for time in t.tolist()]
     rows = [scene.pack(x if "s" in carry else x._replace(s=None)) for x in states]
     return Reference(scene, carry, t, np.array(rows), [], 13, "closed form")
 
@@ -201,6 +201,13 @@ def of_many(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float
 CLOSED_FORM_DIGITS = 50
 #: of every column its decimals and how many digits of them are right; None for a column that is not known
 type Columns = list[tuple[list[str], int] | None]
+
+
+def exact_state(scene: Scene, t: Arithmetic, xp: Namespace) -> AnyState:
+    """Return the state of a scene's closed form at t; an error inside is raised as a `UserError`."""
+    assert scene.exact is not None
+    with their_code(f"scene {scene.name!r}: its closed form"):
+        return scene.exact(scene, t, xp)
 
 
 def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Stored | None:
@@ -238,7 +245,7 @@ def closed_form_rows(scene: Scene, t: np.ndarray, carry: tuple[str, ...], digits
     start = twin.initial(carry)
     rows = []
     for time in t.tolist():
-        state = twin.exact(twin, context.mpf(repr(time)), context)  # type: ignore[misc]
+        state = exact_state(twin, context.mpf(repr(time)), context)
         row: list[Any] = []
         for known, part in zip(state, start, strict=True):
             if part is not None:  # carried
@@ -253,7 +260,7 @@ def solves_equations(scene: Scene, end: float) -> bool:
         return False  # κ ≠ 0 or a matrix D: no closed form of ours covers it
     context = decimal_context(CLOSED_FORM_DIGITS + 15)
     twin = with_decimals(scene, context.mpf)
-    exact = lambda t: twin.exact(twin, t, context)  # type: ignore[misc]  # noqa: E731
+    exact = lambda t: exact_state(twin, t, context)  # noqa: E731
     step = context.mpf(10) ** -20
     start = [0 if part is None else part for part in twin.initial(scene.optional)]
     for known, part in zip(exact(context.mpf(0)), start, strict=True):
@@ -271,7 +278,7 @@ def solves_equations(scene: Scene, end: float) -> bool:
 
 def solves_on_arrays(scene: Scene, end: float) -> bool:
     """Return the same of a scene of many sites, in double precision."""
-    exact = lambda t: np.asarray(scene.pack(scene.exact(scene, t, np)))  # type: ignore[misc]  # noqa: E731
+    exact = lambda t: np.asarray(scene.pack(exact_state(scene, t, np)))  # noqa: E731
     start = np.asarray(scene.pack(scene.initial(scene.carry())))
     if not np.abs(exact(0.0) - start).max() <= CLOSE * np.abs(start).max():
         return False

@@ -22,7 +22,7 @@ from contactbench.peers.abi import external, join, kept, kept_c, split
 from contactbench.peers.abi.cvode import call
 from contactbench.peers.compiled import KNOWN, RHS_CALLS, SUCCESS, TOO_MANY_STEPS
 
-#: places in a simulation and in a particle, and the length of this, in words; CHANGED in half words
+#: offsets of fields in a simulation and in a particle, and the size of a particle, in units of 8 bytes; CHANGED of 4
 TIME, STEP, STEP_DONE, NUMBER, PARTICLES, EXTRAS = (
     getattr(Simulation, name).offset // 8 for name in ("t", "dt", "dt_last_done", "N", "_particles", "extras")
 )
@@ -30,9 +30,10 @@ CHANGED = Simulation.did_modify_particles.offset // 4
 VELOCITY, FORCE, WIDTH = Particle.vx.offset // 8, Particle.ax.offset // 8, sizeof(Particle) // 8
 #: a step that ends this near to a time, relative to it, ends there
 NEAR = 1e-12
-#: the first step, in parts of the time in which the state changes by its size: later ones grow by four at most
+#: the first step, as a fraction of the time in which the state changes by its own size; each later one grows at
+#: most fourfold
 FIRST = 1e-3
-#: the flag of a run whose time stands still
+#: the flag of a run whose steps no longer advance the time
 STUCK = 0
 
 
