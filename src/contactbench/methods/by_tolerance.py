@@ -216,16 +216,27 @@ def march(
     start = y if plain is None else form.enter(scene, plain)
     step = when(step <= 0, lambda _, y: first_step(y), step, xp, start)
     first = form.slope(scene, y, xp) if reuses else None
-    factors = rebuild(known := form.factors(scene, span, xp), [0 * span] * len(leaves(known)))
 
-    def going(carried: Any) -> Any:
-        _, _, _, _, left, step, _, tried, _ = carried
+    def going(left: Any, step: Any, tried: Any) -> Any:
         return (left > 0) & (tried < most) & (step > SHORTEST * span)
 
-    def turn(carried: Any) -> Any:
-        y, first, factors, at, left, step, past, tried, rejected = carried
-        h = when(left < 2 * step, last_steps, step, xp, left)
-        factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
+    def next_step(left: Any, step: Any) -> Any:
+        return when(left < 2 * step, last_steps, step, xp, left)
+
+    def stretch(carried: Any) -> Any:
+        """Take steps of one size, whose factors are computed once."""
+        h = carried[-1]
+        factors = form.factors(scene, h, xp)
+
+        def alike(carried: Any) -> Any:
+            _, _, left, step, _, tried, _, following = carried
+            return going(left, step, tried) & (following == h)
+
+        return repeat_while(alike, lambda carried: turn(h, factors, *carried[:-1]), carried, xp)
+
+    def turn(
+        h: Any, factors: Any, y: Any, first: Any, left: Any, step: Any, past: Any, tried: Any, rejected: Any
+    ) -> Any:
         try:
             after, slope, error = form.attempt(scene, y, h, xp, first, factors)
         except NO_NUMBER:
@@ -243,7 +254,7 @@ def march(
         y, first, left, step, rejected = when(accepted, advance, kept, xp)
         within = (square >= keeps[0]) & (square <= keeps[1])
         step, past = when(xp.where(within, 0.0, 1.0) > 0, changed, (step, 0.0), xp, h, square, past)
-        return y, first, factors, h, left, step, past, tried + 1, rejected
+        return y, first, left, step, past, tried + 1, rejected, next_step(left, step)
 
     def last_steps(step: Any, left: Any) -> Any:
         return xp.where(left <= STRETCH * step, left, left / 2)
@@ -257,8 +268,10 @@ def march(
         longest = xp.where((square <= 1) & (step > h * change), step, h * change)
         return longest, xp.where(square <= 1, log, past)
 
-    before = y, first, factors, 0 * span, left, step, past, tried, rejected
-    y, _, _, _, left, step, past, tried, rejected = repeat_while(going, turn, before, xp)
+    before = y, first, left, step, past, tried, rejected, next_step(left, step)
+    y, _, left, step, past, tried, rejected, _ = repeat_while(
+        lambda c: going(c[2], c[3], c[5]), stretch, before, xp
+    )
     lag = xp.where(lag > 0, lag + span, left)
     return form.leave(scene, y), [step, past, tried, rejected, lag]
 
