@@ -207,7 +207,8 @@ def exact_state(scene: Scene, t: Arithmetic, xp: Namespace) -> AnyState:
     """Return the state of a scene's closed form at t; an error inside is raised as a `UserError`."""
     assert scene.exact is not None
     with their_code(f"scene {scene.name!r}: its closed form"):
-        return scene.exact(scene, t, xp)
+        state: AnyState = scene.exact(scene, t, xp)
+        return state
 
 
 def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Stored | None:
