@@ -6,11 +6,13 @@ import pickle
 from functools import partial, wraps
 from itertools import pairwise
 
+import mpmath
 import numpy as np
 import pytest
 
 import contactbench as cb
 from cases import mine
+from contactbench.numbers.functions import exp, log, sin, sqrt
 from contactbench.peers.compiled import functions
 from contactbench.scene import Mechanical
 from contactbench.trace.formula import formula
@@ -320,3 +322,26 @@ def test_solutions_are_pickled_and_copied(method, options):
         assert repr(other) == repr(solution)
         for law in ("solution_error", "contact_drift"):
             np.testing.assert_allclose(cb.LAWS[law](other), cb.LAWS[law](solution), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda q: exp(-(((q[0] - 30) / 3) ** 2)) / 7,
+        lambda q: 0.1 * (0.1 * q[0] ** 3) * 0.3 + q[0] * 0.7 / 0.9,
+        lambda q: q[0] ** 0.1 * 0.2 + (q[0] * q[0] + 0.3) ** 1.7 / 1.1,
+        lambda q: sin(q[0] / 3) * log(q[0] / 7) / 0.3 / 0.7 + sqrt(q[0] / 3) + 1 / (q[0] * 0.1) ** 3,
+        lambda q: cb.math.where(q[0] > 1, q[0] / 3, q[0] / 7) * 0.1,
+    ],
+    ids=["quotient", "products", "powers", "functions", "choice"],
+)
+def test_constants_in_derivatives_are_rounded_for_doubles_alone(function):
+    """1/3, and 0.1 × 0.1 as two floats, are no floats: at 60 digits a derivative is that of the function."""
+    value = formula(function, (1,), ())
+    slope = value.gradient()
+    with mpmath.workdps(60):
+        x, h = mpmath.mpf("2.31"), mpmath.mpf(10) ** -20
+        for f, derivative in ((lambda q: value((q,)), slope), (lambda q: slope((q,))[0], slope.gradient())):
+            found = derivative((x,))[0]
+            assert abs(found - (f(x + h) - f(x - h)) / (2 * h)) < 1e-36 * (1 + abs(found))
+            assert derivative((2.31,))[0] == pytest.approx(float(found), rel=1e-14)

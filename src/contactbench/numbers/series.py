@@ -32,14 +32,14 @@ class Series(Unknown):
 
     @property
     def numbers(self) -> SeriesNumbers:
-        return SeriesNumbers()
+        return SeriesNumbers(type(self))
 
     def __pow__(self, exponent: float | Series) -> Series:
         if isinstance(exponent, Series):
-            return Series(self.expression**exponent.expression)
+            return type(self)(self.expression**exponent.expression)
         n = float(exponent)
         if n != int(n) or not 3 <= n <= LARGEST_POWER:  # a square has a recurrence of its own
-            return Series(self.expression**exponent)
+            return type(self)(self.expression**exponent)
         half: Any = self ** (n // 2) if n >= 4 else self
         power: Series = half * half * self if n % 2 else half * half
         return power
@@ -47,26 +47,32 @@ class Series(Unknown):
     def __rpow__(self, base: float) -> Series:
         import heyoka
 
-        return Series(heyoka.expression(base) ** self.expression)
+        return type(self)(heyoka.expression(base) ** self.expression)
 
     def __truediv__(self, other: float | Series) -> Series:
         if isinstance(other, int | float) and other:
             import heyoka
 
             other = heyoka.real(float(other), BITS)
-        return Series(self.expression / expression_of(other))
+        return type(self)(self.expression / expression_of(other))
 
     def __rtruediv__(self, other: float) -> Series:
-        return Series(other / self.expression)
+        return type(self)(other / self.expression)
 
     def __neg__(self) -> Series:
-        return Series(-self.expression)
+        return type(self)(-self.expression)
 
     def __pos__(self) -> Series:
         return self
 
     def __abs__(self) -> Series:
         raise CannotRecord("heyoka has no |x|")
+
+
+class LongSeries(Series):
+    """The same where every digit counts: derivatives have no rounded constants then."""
+
+    __slots__ = ()
 
 
 def expression_of(x: object) -> Any:
@@ -76,10 +82,10 @@ def expression_of(x: object) -> Any:
 
 def _arithmetic(apply: Callable[..., object]) -> tuple[Callable[..., Series], Callable[..., Series]]:
     def forward(self: Series, other: float | Series) -> Series:
-        return Series(apply(self.expression, expression_of(other)))
+        return type(self)(apply(self.expression, expression_of(other)))
 
     def reflected(self: Series, other: float | Series) -> Series:
-        return Series(apply(other, self.expression))
+        return type(self)(apply(other, self.expression))
 
     return forward, reflected
 
@@ -91,16 +97,19 @@ for _name in ("add", "sub", "mul"):
 
 
 class SeriesNumbers(Numbers):
+    def __init__(self, kind: type[Series]) -> None:
+        self.kind = kind
+
     def __getattr__(self, name: str) -> Callable[..., Series]:
         import heyoka
 
         function = getattr(heyoka, name, None)
         if function is None:
             raise CannotRecord(f"heyoka has no function {name!r}")
-        return lambda *numbers: Series(function(*map(expression_of, numbers)))
+        return lambda *numbers: self.kind(function(*map(expression_of, numbers)))
 
 
 def equations(system: Any, variables: Sequence[object], carry: tuple[str, ...]) -> list[object]:
     """Return the right-hand side of a scene as heyoka's expressions, on its variables."""
-    x = system.unpack([Series(variable) for variable in variables], carry)
+    x = system.unpack([LongSeries(variable) for variable in variables], carry)
     return [expression_of(slope) for slope in system.pack(system.rhs(x))]

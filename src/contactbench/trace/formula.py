@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +17,7 @@ from contactbench.errors import BadInput
 from contactbench.numbers import functions
 from contactbench.numbers.dual import DERIVATIVES, leaves
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
+from contactbench.numbers.series import LongSeries
 from contactbench.trace import form
 from contactbench.trace.form import FORMS, Assign, Operand, Operation, Results, Statement, execute
 from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt, operand_of
@@ -44,7 +46,7 @@ class Formula(form.Digested):
     arguments : of every positional argument the length of the tuple it is, 0 for a number, "xp" for a namespace of
     numbers, which is not read.  names : keyword arguments, numbers.  body : `Operation`s, on the arguments v0, v1, …
     one after the other.  results : the operand that is returned, or nested tuples of them.
-    live : the function it was recorded from.
+    live : the function it was recorded from.  exact : of a derivative, the same with no constant rounded.
     Raises `BadInput` for an argument of another length.
     """
 
@@ -53,6 +55,7 @@ class Formula(form.Digested):
     body: tuple[Assign, ...]
     results: Results
     live: Callable[..., object] | None = field(default=None, compare=False)
+    exact: Callable[[], Formula] | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         name = getattr(self.live, "__name__", "derived" if self.live is None else type(self.live).__name__)
@@ -80,7 +83,14 @@ class Formula(form.Digested):
         for given, n in zip(arguments, self.arguments, strict=True):
             if isinstance(n, int) and n and len(given) != n:
                 raise BadInput(f"{len(given)} components: this function was recorded for {n}")
+        if self.exact is not None and all_digits_count(arguments[0]):
+            return self.to_all_digits.function(*arguments, **named)
         return self.function(*arguments, **named)
+
+    @cached_property
+    def to_all_digits(self) -> Formula:
+        assert self.exact is not None
+        return self.exact()
 
     def taken[X](self, parameters: Mapping[str, X]) -> dict[str, X]:
         """Return those of the parameters that it takes."""
@@ -97,8 +107,13 @@ class Formula(form.Digested):
             lambda rows: [[rows[max(i, j)][min(i, j)] for j in range(len(rows))] for i in range(len(rows))]
         )
 
-    def derive(self, choose: Callable[[list[list[Arithmetic]]], object]) -> Formula:
-        """Return the formula of what is chosen of the derivatives of all results along the first argument."""
+    def derive(self, choose: Callable[[list[list[Arithmetic]]], object], exact: bool = False) -> Formula:
+        """Return the formula of what is chosen of the derivatives of all results along the first argument.
+
+        exact : the constants in it, which are products of those of the function, are not rounded.
+        """
+        if exact and self.exact is not None:
+            return self.to_all_digits.derive(choose, exact)
         tape, moved = Tape(), dict[Operand, Operand]()
         for target, operation in self.body:
             assert isinstance(operation, Operation)
@@ -106,30 +121,47 @@ class Formula(form.Digested):
             moved[target] = tape.assign(there, "f", tape.root).name
         results = [moved.get(x, x) for x in leaves(self.results)]
         along = argument_names(self.arguments[:1], ())
-        chosen = attempt(lambda: choose(derivatives(tape, results, along)))
-        return make_formula(self.arguments, self.names, tape, chosen)
+        chosen = attempt(lambda: choose(derivatives(tape, results, along, Fraction if exact else float)))
+        made = make_formula(self.arguments, self.names, tape, chosen)
+        return made if exact else replace(made, exact=lambda: self.derive(choose, exact=True))
 
 
 # -- reverse mode ------------------------------------------------------------------------------------
 #: a constant times a number, which is 1 where there is none: constants are multiplied ahead of the run
-Amount = tuple[float, Arithmetic]
+Amount = tuple[float | Fraction, Arithmetic]
+#: float, or Fraction where no constant is rounded
+Kind = Callable[[Any], float | Fraction]
+#: floats that a constant is the sum of, at most
+FLOATS = 8
 
 
-def derivatives(tape: Tape, results: Sequence[Operand], along: Sequence[str]) -> list[list[Arithmetic]]:
-    """Return the derivatives of results along arguments, a row for each result.
+def all_digits_count(x: Any) -> bool:
+    """Return whether numbers have more digits than a float."""
+    first = x[0] if isinstance(x, tuple | list) else x
+    if isinstance(first, float):
+        return False
+    package = type(first).__module__.partition(".")[0]
+    return isinstance(first, LongSeries) or package == "mpmath" or getattr(first, "dtype", None) == "object"
+
+
+def derivatives(
+    tape: Tape, results: Sequence[Operand], along: Sequence[str], kind: Kind
+) -> list[list[Arithmetic]]:
+    """Return the derivatives of results along arguments, a row for each result; kind : of the constants in them.
 
     Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2.
     """
     operations, rows = list(tape.root.statements), []
+    # what is multiplied last has all digits, a constant alone too
+    unit = 1.0 if kind is float else Recorded(tape, along[0], "f", tape.root) * 0.0 + 1.0
     for result in results:
-        found: dict[Operand, Amount] = {result: (1.0, 1.0)}
+        found: dict[Operand, Amount] = {result: (kind(1), unit)}
         for target, (function, operands) in reversed(operations):
             adjoint = found.pop(target, None)
             if adjoint is None:
                 continue
-            for operand, slope in zip(
-                operands, slopes(tape, function, operands, target, adjoint), strict=True
-            ):
+            parts = slopes(tape, function, operands, target, adjoint, kind)
+            for operand, slope in zip(operands, parts, strict=True):
                 if isinstance(operand, str) and slope[0]:
                     share = slope if function == "where" else times(adjoint, slope)
                     found[operand] = plus(found[operand], share) if operand in found else share
@@ -138,48 +170,57 @@ def derivatives(tape: Tape, results: Sequence[Operand], along: Sequence[str]) ->
 
 
 def slopes(
-    tape: Tape, function: str, operands: Sequence[Operand], target: str, adjoint: Amount
+    tape: Tape,
+    function: str,
+    operands: Sequence[Operand],
+    target: str,
+    adjoint: Amount,
+    kind: Kind,
 ) -> Sequence[Amount]:
     """Return the derivatives of an operation along its operands; of a choice, of the result."""
+
+    def constant(x: Arithmetic) -> Amount:
+        return (kind(1), x) if isinstance(x, Recorded) else (kind(x), 1.0)
+
     xp, y = RecordedNumbers(tape), Recorded(tape, target, "f", tape.root)
     x: list[Any] = [Recorded(tape, o, "f", tape.root) if isinstance(o, str) else o for o in operands]
-    one = (1.0, 1.0)
+    one, minus = (kind(1), 1.0), (kind(-1), 1.0)
     match function:
         case "add":
             return one, one
         case "sub":
-            return one, (-1.0, 1.0)
+            return one, minus
         case "neg":
-            return [(-1.0, 1.0)]
+            return [minus]
         case "mul":
             return constant(x[1]), constant(x[0])
         case "div" if isinstance(operands[1], str):
             inverse = 1.0 / x[1]
-            return (1.0, inverse), (-1.0, y * inverse)
+            return (kind(1), inverse), (kind(-1), y * inverse)
         case "div":
-            return (1 / x[1], 1.0), one
+            return (1 / kind(x[1]), 1.0), one
         case "sqrt":
-            return [(0.5, 1.0 / y)]
+            return [(kind(0.5), 1.0 / y)]
         case "pow":
-            exponent, below = constant(x[1]), constant(x[0] ** (x[1] - 1))
             known = not isinstance(operands[1], str)
-            return times(exponent, below), one if known else (1.0, y * xp.log(x[0]))
+            rounded = known and kind(x[1]) - 1 != x[1] - 1
+            exponent, below = constant(x[1]), constant(y / x[0] if rounded else x[0] ** (x[1] - 1))
+            return times(exponent, below), one if known else (kind(1), y * xp.log(x[0]))
         case "atan2":
             square = x[0] * x[0] + x[1] * x[1]
-            return (1.0, x[1] / square), (-1.0, x[0] / square)
+            return (kind(1), x[1] / square), (kind(-1), x[0] / square)
         case "hypot":
-            return (1.0, x[0] / y), (1.0, x[1] / y)
+            return (kind(1), x[0] / y), (kind(1), x[1] / y)
         case "where":
             amount = number(adjoint)
-            return (0.0, 1.0), (1.0, xp.where(x[0], amount, 0.0)), (1.0, xp.where(x[0], 0.0, amount))
+            return (
+                (kind(0), 1.0),
+                (kind(1), xp.where(x[0], amount, 0.0)),
+                (kind(1), xp.where(x[0], 0.0, amount)),
+            )
     if function not in DERIVATIVES:
         raise CannotRecord(f"no derivative of {function} is known")
     return [constant(DERIVATIVES[function](xp, x[0], y))]
-
-
-def constant(x: Arithmetic) -> Amount:
-    """Return a number as an amount."""
-    return (1.0, x) if isinstance(x, Recorded) else (float(x), 1.0)
 
 
 def times(a: Amount, b: Amount) -> Amount:
@@ -191,14 +232,26 @@ def plus(a: Amount, b: Amount) -> Amount:
         return a[0] + b[0], a[1]
     if abs(a[0]) == abs(b[0]):
         return a[0], a[1] + b[1] if a[0] == b[0] else a[1] - b[1]
-    return 1.0, number(a) + number(b)
+    one = Fraction(1) if isinstance(a[0], Fraction) else 1.0
+    return one, number(a) + number(b)
 
 
 def number(amount: Amount) -> Arithmetic:
     coefficient, x = amount
     if not coefficient:
         return 0.0
-    return -x if coefficient == -1.0 else coefficient * x
+    if coefficient == -1:
+        return -x
+    if not isinstance(coefficient, Fraction):
+        return coefficient * x
+    parts, rest = list[float](), coefficient
+    while rest and len(parts) < FLOATS:
+        parts.append(float(rest))
+        rest -= Fraction(parts[-1])
+    above, below = coefficient.numerator, coefficient.denominator
+    if rest and above == float(above) and below == float(below):
+        return x * float(above) / float(below)
+    return sum((x * part for part in parts[1:]), x * parts[0])
 
 
 def argument_names(arguments: tuple[int | str, ...], names: Sequence[str]) -> tuple[str, ...]:
