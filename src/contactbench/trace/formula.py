@@ -130,12 +130,12 @@ class Formula(form.Digested):
 #: a constant times a number, which is 1 where there is none: constants are multiplied ahead of the run
 Amount = tuple[float | Fraction, Arithmetic]
 #: float, or Fraction where no constant is rounded
-Kind = Callable[[Any], float | Fraction]
+Kind = Callable[[float], float | Fraction]
 #: floats that a constant is the sum of, at most
 FLOATS = 8
 
 
-def all_digits_count(x: Any) -> bool:
+def all_digits_count(x: object) -> bool:
     """Return whether numbers have more digits than a float."""
     first = x[0] if isinstance(x, tuple | list) else x
     if isinstance(first, float):
@@ -180,7 +180,7 @@ def slopes(
     """Return the derivatives of an operation along its operands; of a choice, of the result."""
 
     def constant(x: Arithmetic) -> Amount:
-        return (kind(1), x) if isinstance(x, Recorded) else (kind(x), 1.0)
+        return (kind(1), x) if isinstance(x, Recorded) else (kind(float(x)), 1.0)
 
     xp, y = RecordedNumbers(tape), Recorded(tape, target, "f", tape.root)
     x: list[Any] = [Recorded(tape, o, "f", tape.root) if isinstance(o, str) else o for o in operands]
