@@ -79,8 +79,10 @@ ROUNDINGS = 2**8
 
 #: of the motion at a state, where it is known
 Slope = Vector | None
-#: what the loop carries: state, slope, time left, step, error before, attempts, rejected ones, the step to be tried
-Carried = tuple[OwnState, Slope, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic]
+#: what the loop carries: state, slope, factors and their step, time left, step, error before, attempts, rejected ones
+Carried = tuple[
+    OwnState, Slope, Factors | None, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
+]
 
 
 def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNamespace, *given: object) -> X:
@@ -243,26 +245,16 @@ def march[S: Scene](
     start = y if plain is None else form.enter(scene, plain)
     step = when(step <= 0, lambda _, y: first_step(y), step, xp, start)
     first = form.slope(scene, y, xp) if reuses else None
+    factors = rebuild(known := form.factors(scene, span, xp), [0 * span] * len(leaves(known)))
 
-    def going(left: Arithmetic, step: Arithmetic, tried: Arithmetic) -> Condition:
+    def going(carried: Carried) -> Condition:
+        _, _, _, _, left, step, _, tried, _ = carried
         return (left > 0) & (tried < most) & (step > SHORTEST * span)
 
-    def next_step(left: Arithmetic, step: Arithmetic) -> Arithmetic:
-        return when(left < 2 * step, last_steps, step, xp, left)
-
-    def stretch(carried: Carried) -> Carried:
-        """Take steps of one size, which have the same factors."""
-        h = carried[-1]
-        factors = form.factors(scene, h, xp)
-
-        def alike(carried: Carried) -> Condition:
-            _, _, left, step, _, tried, _, following = carried
-            return going(left, step, tried) & (following == h)
-
-        return repeat_while(alike, lambda carried: turn(carried, factors), carried, xp)
-
-    def turn(carried: Carried, factors: Factors | None) -> Carried:
-        y, first, left, step, past, tried, rejected, h = carried
+    def turn(carried: Carried) -> Carried:
+        y, first, factors, at, left, step, past, tried, rejected = carried
+        h = when(left < 2 * step, last_steps, step, xp, left)
+        factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
         try:
             after, slope, error = form.attempt(scene, y, h, xp, first, factors)
         except NO_NUMBER:
@@ -280,7 +272,7 @@ def march[S: Scene](
         y, first, left, step, rejected = when(accepted, advance, kept, xp)
         within = (square >= keeps[0]) & (square <= keeps[1])
         step, past = when(xp.where(within, 0.0, 1.0) > 0, changed, (step, 0.0), xp, h, square, past)
-        return y, first, left, step, past, tried + 1, rejected, next_step(left, step)
+        return y, first, factors, h, left, step, past, tried + 1, rejected
 
     def last_steps(step: Arithmetic, left: Arithmetic) -> Arithmetic:
         return xp.where(left <= STRETCH * step, left, left / 2)
@@ -294,9 +286,8 @@ def march[S: Scene](
         longest = xp.where((square <= 1) & (step > h * change), step, h * change)
         return longest, xp.where(square <= 1, log, past)
 
-    before = y, first, left, step, past, tried, rejected, next_step(left, step)
-    carried = repeat_while(lambda c: going(c[2], c[3], c[5]), stretch, before, xp)
-    y, _, left, step, past, tried, rejected, _ = carried
+    before = y, first, factors, 0 * span, left, step, past, tried, rejected
+    y, _, _, _, left, step, past, tried, rejected = repeat_while(going, turn, before, xp)
     lag = xp.where(lag > 0, lag + span, left)
     return form.leave(scene, y), [step, past, tried, rejected, lag]
 
