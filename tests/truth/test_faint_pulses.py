@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import contactbench as cb
 from contactbench.numbers.functions import exp
+from contactbench.scene import DrivenState
 
 SPRING, DOUBLE = (
     (lambda q: q * q / 2, lambda q: q),
@@ -103,3 +104,30 @@ def test_a_ramp_that_begins_on_rest_is_no_singularity():
     scene = cb.Driven(name="ramp", potential=ramp, gamma=0.0, q=(0.0,), p=(0.0,), t_end=end)
     true = (end - begin) ** 3 / 6, (end - begin) ** 2 / 2
     np.testing.assert_allclose(cb.reference(scene, [end], ()).y[0, :2], true, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("width", "height"), [(5e-3, 1e2), (5e-4, 1e3), (5e-5, 1e4)])
+def test_a_narrow_box_is_a_jump_and_no_singularity(width, height):
+    box = lambda q, t: -q[0] * cb.math.where(abs(t - 3.0) < width, height, 0.0)  # noqa: E731
+    kick = {"potential": box, "gamma": 0.0, "q": (0.0,), "p": (0.0,), "t_end": 5.0}
+    with pytest.raises(cb.BadInput, match="jumps at t = 2.99"):
+        cb.reference(cb.Driven(name="box", **kick), [5.0], ())
+    named = cb.reference(cb.Driven(name="box", **kick, breaks=(3.0 - width, 3.0 + width)), [5.0], ())
+    true = np.array([2.0, 1.0]) * 2 * width * height
+    assert np.abs(named.y[0, :2] / true - 1).max() <= 10.0**-named.digits
+
+
+def test_a_closed_form_that_leaves_a_pulse_out_is_no_truth():
+    kick = force_of([(1.0, 9.0, 1 / 16)], exp)
+    given = lambda scene, t, xp: DrivenState((xp.cos(t),), (-xp.sin(t),), t, None)  # noqa: E731
+    scene = cb.Driven(
+        name="kicked",
+        potential=lambda q, t: q[0] ** 2 / 2 - q[0] * kick(t),
+        gamma=0.0,
+        q=(1.0,),
+        p=(0.0,),
+        t_end=20.0,
+        exact=given,
+    )
+    true = followed(SPRING[1], 0.0, 1.0, 20.0, [(1.0, 9.0, 1 / 16)])
+    np.testing.assert_allclose(cb.reference(scene, [20.0], ()).y[0, :2], true, rtol=1e-9)

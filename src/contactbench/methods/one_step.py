@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.checks import refuse
 from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.base import lookup
 from contactbench.methods.fixed_step import FixedStep
@@ -87,6 +88,10 @@ class OneStep:
         for name, value in parameters.items():
             if name not in self.names:
                 raise unknown_name(f"parameter of scene {self.scene.name!r}", name, filter(None, self.names))
+            if isinstance(value, str) or (
+                isinstance(value, float | np.ndarray) and not np.all(np.isfinite(value))
+            ):
+                refuse(name, value, "a finite number")
             given[self.names.index(name)] = value
         if len(y) != len(self.start):
             labels = "" if self.many else f", {', '.join(self.labels)}"

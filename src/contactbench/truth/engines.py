@@ -136,6 +136,11 @@ class BlowUp(BadInput):
         self.time = time
 
 
+def jump_at(scene: Scene, time: float) -> BadInput:
+    jump = f"its force or damping jumps at t = {time:.6g} after the start: name the time in breaks="
+    return BadInput(f"no reference for scene {scene.name!r}: {jump}")
+
+
 class OutOfTime(BadInput):
     """The time given to a computation does not suffice; `needed` : seconds it would take, by extrapolation."""
 
@@ -344,6 +349,16 @@ Breaks = Sequence[tuple[float, float]]  #: times, each with its uncertainty
 def sides(breaks: Breaks, end: float) -> list[float]:
     """Return the times just before and just after each break, those between 0 and an end."""
     return [side for time, exact in breaks for side in (time - exact, time + exact) if 0 < side < end]
+
+
+def lost_at_breaks(slope: Slope, breaks: Breaks, times: Sequence[float], states: np.ndarray) -> float:
+    """Return how far a motion may be off because its breaks are met as exactly as they are; states (k, d) at times."""
+    lost = 0.0
+    for time, exact in breaks:
+        y = states[min(int(np.searchsorted(times, time)), len(times) - 1)]
+        before, behind = (slope(max(time + way * exact, 0.0), y) for way in (-1, 1))
+        lost += exact * float(np.abs(behind - before).max())
+    return lost
 
 
 def across_breaks(

@@ -23,6 +23,8 @@ from contactbench.truth.engines import (
     across_breaks,
     extrapolate,
     initial_value_problem,
+    jump_at,
+    lost_at_breaks,
 )
 
 #: numbers of a state up to which its components are solved to 30 digits
@@ -31,6 +33,8 @@ FEW = 128
 TIGHTEST, COLUMNS = 1e-13, 12
 #: the least size of a state, as a part of that of the motion, to whose digits it is solved
 FAINT = 1e-3
+#: how close, as a part of the span, two times are on both sides of a jump, and what is none, relative to the slope
+BESIDE, CLEAR = 1e-11, 1e-6
 #: pairs of solvers: the second, implicit, of SciPy alone, where the motion is too stiff for the first
 PAIRS = (("DOP853", ""), ("Radau", "LSODA"))
 #: how many they are, how much longer than foreseen one may take: it is seen at the beginning of the other only,
@@ -54,7 +58,7 @@ def doubles(
 
     def rows(solve: Callable[..., list[np.ndarray]]) -> np.ndarray:
         with np.errstate(all="ignore"):
-            return np.array(across_breaks(solve, slope, start, times, breaks))[saved]
+            return np.array(across_breaks(solve, slope, start, times, breaks))
 
     def agreed(pair: tuple[str, str]) -> tuple[np.ndarray, int]:
         found, begun = list[np.ndarray](), perf_counter()
@@ -65,18 +69,19 @@ def doubles(
             try:
                 try:
                     found.append(rows(solve))
-                except BlowUp:  # the digits of a state next to rest may be lost in those of the time
+                except BlowUp as why:
+                    if scene.clock is not None and jumps(slope, start, float(why.time), times[-1]):
+                        raise jump_at(scene, float(why.time)) from why
                     if not found:
-                        raise
+                        far = f"it cannot be followed to t = {t[-1]:g}"
+                        raise BadInput(f"no reference for scene {scene.name!r}: {far}") from why
+                    # the digits of a state next to rest may be lost in those of the time
                     found.append(rows(partial(solve, least=FAINT * np.abs(found[0]).max())))
             except OutOfTime as why:
                 raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
-            if not np.isfinite(found[-1][-1]).all():
-                raise BadInput(
-                    f"no reference for scene {scene.name!r}: it cannot be followed to t = {t[-1]:g}"
-                )
-        one, other = found
-        gap = np.abs(one - other).max() / np.abs(one).max()
+        lost = lost_at_breaks(slope, breaks, times, found[0])
+        one, other = (every[saved] for every in found)
+        gap = (np.abs(one - other).max() + lost) / np.abs(one).max()
         return one, max(0, math.floor(-math.log10(max(gap, 1e-15))))
 
     explicit, implicit = PAIRS
@@ -96,10 +101,22 @@ def doubles(
     return y if scene.clock is None else np.insert(y, scene.clock, float(origin) + t, axis=1), digits
 
 
+def jumps(slope: Slope, y: np.ndarray, time: float, end: float) -> bool:
+    """Return whether a slope at a fixed state, y or one beside it, changes at once at a time."""
+    near = BESIDE * end * np.array([-2.0, -1.0, 1.0, 2.0])
+    for state in (y, y + 1):
+        with np.errstate(all="ignore"):
+            far, before, behind, farther = (slope(time + dt, state) for dt in near)
+            still = np.abs(before - far) + np.abs(farther - behind)
+            if np.any(np.abs(behind - before) > 4 * still + CLEAR * np.abs(before)):
+                return True
+    return False
+
+
 def by_scipy(
     slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch, begin: float, name: str
 ) -> list[np.ndarray]:
-    """Return the states at increasing times by SciPy's solver at its tightest, stopping at each; nan is a failure."""
+    """Return the states at increasing times by SciPy's solver at its tightest, stopping at each; may raise `BlowUp`."""
     from scipy.integrate import solve_ivp
 
     def checked(time: float, y: np.ndarray) -> np.ndarray:
@@ -109,7 +126,9 @@ def by_scipy(
     rows, now = [], begin
     for time in times:
         if time > now:
-            run = solve_ivp(checked, (now, time), y, name, [time], rtol=TIGHTEST, atol=TIGHTEST)
-            y, now = run.y[:, -1] if run.success else math.nan * y, time
+            run = solve_ivp(checked, (now, time), y, name, rtol=TIGHTEST, atol=TIGHTEST)
+            y, now = run.y[:, -1], time
+            if not run.success or not np.isfinite(y).all():
+                raise BlowUp(watch.scene, run.t[-1])
         rows.append(y)
     return rows

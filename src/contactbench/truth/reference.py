@@ -10,6 +10,7 @@ import importlib.util
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from time import perf_counter
 from typing import Any
 
@@ -25,6 +26,7 @@ from contactbench.scene import AnyState, Cache, Scene, key, verify
 from contactbench.scene.base import OwnState, scene_of
 from contactbench.scene.definition import difference, verify_along
 from contactbench.truth.engines import (
+    LOOKS,
     NEVER,
     BlowUp,
     DoublesOnly,
@@ -36,6 +38,7 @@ from contactbench.truth.engines import (
     distance,
     extrapolation,
     heyoka_reads_rhs,
+    lost_at_breaks,
     matching_digits,
     place,
     rounded,
@@ -160,7 +163,7 @@ def reference(
         if in_doubles:
             return of_many(scene, t, carry, begun + seconds, exact)
         single = scene.unrolled()
-        stored = closed_form(single, t, carry) or frozen(single, t, carry)
+        stored = closed_form(single, t, carry, begun + HIGH * seconds) or frozen(single, t, carry)
         decimals, digits, source = stored or live(single, t, carry, begun + HIGH * seconds)
         y = np.array([[float(x) for x in row] for row in decimals])
         t.setflags(write=False)
@@ -211,21 +214,25 @@ def exact_state(scene: Scene, t: Arithmetic, xp: Namespace) -> AnyState:
         return state
 
 
-def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Stored | None:
+def closed_form(
+    scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER
+) -> Stored | None:
     """Return decimals, digits and source from the scene's closed form, or None if it lacks a field."""
-    probe = closed_form_columns(scene, t[:1], carry)  # elliptic functions at every time are slow
-    if probe is None or None in probe or (columns := closed_form_columns(scene, t, carry)) is None:
+    probe = closed_form_columns(scene, t[:1], carry, deadline)  # elliptic functions at every time are slow
+    if probe is None or None in probe or (columns := closed_form_columns(scene, t, carry, deadline)) is None:
         return None
     decimals, digits = zip(*(column for column in columns if column), strict=True)
     return [list(row) for row in zip(*decimals, strict=True)], min(digits), "closed form"
 
 
-def closed_form_columns(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Columns | None:
+def closed_form_columns(
+    scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER
+) -> Columns | None:
     """Return decimals and digits of every column of the closed form, by two precisions; None for a column it lacks.
 
     None where there is no closed form that solves the equations, as after a change of a parameter it leaves out.
     """
-    if scene.exact is None or not solves_equations(scene, float(t.max())):
+    if scene.exact is None or not solves_equations(scene, carry, float(t.max()), deadline):
         return None
     low, high = (closed_form_rows(scene, t, carry, CLOSED_FORM_DIGITS + extra) for extra in (0, 15))
     columns: Columns = []
@@ -255,8 +262,11 @@ def closed_form_rows(scene: Scene, t: np.ndarray, carry: tuple[str, ...], digits
     return rows
 
 
-def solves_equations(scene: Scene, end: float) -> bool:
-    """Return whether the closed form starts at the initial data and obeys the right-hand side, by differences."""
+def solves_equations(scene: Scene, carry: tuple[str, ...], end: float, deadline: float = NEVER) -> bool:
+    """Return whether the closed form starts at the initial data and obeys the right-hand side, by differences.
+
+    A user's is looked at wherever the motion changes: it may leave out a pulse.
+    """
     if scene.conformal_rate is None and scene.clock is None:
         return False  # κ ≠ 0 or a matrix D: no closed form of ours covers it
     context = decimal_context(CLOSED_FORM_DIGITS + 15)
@@ -267,8 +277,14 @@ def solves_equations(scene: Scene, end: float) -> bool:
     for known, part in zip(exact(context.mpf(0)), start, strict=True):
         if known is not None and distance(twin.pack((known,)), twin.pack((part,))) > step:
             return False
-    for time in (end / 3, end):
-        t = context.mpf(repr(time))
+    times = [end / 3, end]
+    if not is_ours(scene.exact):
+        with suppress(BadInput):
+            stops = [0.0, *surveyed(scene, carry, end, deadline).stops]
+            middle = [(a + b) / 2 for a, b in pairwise([*stops, end])]
+            times += [*stops[1 :: 1 + len(stops) // LOOKS], *middle[:: 1 + len(middle) // LOOKS]]
+    for time in times:
+        t = context.mpf(repr(float(time)))
         slope = twin.pack(twin.rhs(exact(t)))
         before, after = twin.pack(exact(t - step)), twin.pack(exact(t + step))
         difference = [(b - a) / (2 * step) for a, b in zip(before, after, strict=True)]
@@ -330,7 +346,9 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
         size = max(abs(x) for row in [*rows, start] for x in row)
         if exact is None:
             faint = any(0 < abs(x) < 1e-20 * size for row in rows for x in row)
-            exact = (closed_form_columns(scene, unique, carry) if faint else None) or [None] * len(start)
+            exact = (closed_form_columns(scene, unique, carry, deadline) if faint else None) or [None] * len(
+                start
+            )
         floor, smallest = 1e-60 * size, min(max(map(abs, row)) for row in rows)
         sizes = [max(scale, floor) for scale in scales(rows)]
         errors = disagreement(other, rows)
@@ -342,11 +360,14 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
             f"no reference for scene {scene.name!r} at t = {t.max():g}: "
             "two high precisions disagree, the trajectory is too sensitive to its initial data"
         )
-    survey.check(every.tolist(), np.array(pair[0], dtype=float))
+    states = np.array(pair[0], dtype=float)
+    survey.check(every.tolist(), states)
+    moving = states if scene.clock is None else np.delete(states, scene.clock, axis=1)
+    lost = lost_at_breaks(survey.slope, survey.breaks, every.tolist(), moving)
     most = BROKEN if survey.breaks or survey.unseen else 40
     columns = []
     for known, column, error, scale in zip(exact, zip(*rows, strict=True), errors, sizes, strict=True):
-        digits = matching_digits(error / scale, most)
+        digits = matching_digits((error + lost) / scale, most)
         columns.append(known or ([rounded(x, place(scale, digits)) for x in column], digits))
     decimals = list(zip(*(column for column, _ in columns), strict=True))
     return [list(decimals[k]) for k in back], min(digits for _, digits in columns), "live"

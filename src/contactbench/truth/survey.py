@@ -25,6 +25,7 @@ from contactbench.truth.engines import (
     Stopwatch,
     across_breaks,
     initial_value_problem,
+    jump_at,
     sides,
 )
 
@@ -244,10 +245,7 @@ class Survey:
                 off = excess(frozen, weights, noise)
             if np.all(off <= 1) or b - a <= SHORTEST * self.end:
                 if not resolved and timed:
-                    raise BadInput(
-                        f"no reference for scene {self.scene.name!r}: its force or damping jumps at t = {b:.6g} after "
-                        "the start: name the time in breaks="
-                    )
+                    raise jump_at(self.scene, b)
                 ends.append(b)
                 integral += (b - a) * (at_nodes @ FEJER)
                 continue
