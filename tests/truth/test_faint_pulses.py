@@ -110,7 +110,7 @@ def test_a_ramp_that_begins_on_rest_is_no_singularity():
 def test_a_narrow_box_is_a_jump_and_no_singularity(width, height):
     box = lambda q, t: -q[0] * cb.math.where(abs(t - 3.0) < width, height, 0.0)  # noqa: E731
     kick = {"potential": box, "gamma": 0.0, "q": (0.0,), "p": (0.0,), "t_end": 5.0}
-    with pytest.raises(cb.BadInput, match="jumps at t = 2.99"):
+    with pytest.raises(cb.BadInput, match=r"jumps at t = 2\.99"):
         cb.reference(cb.Driven(name="box", **kick), [5.0], ())
     named = cb.reference(cb.Driven(name="box", **kick, breaks=(3.0 - width, 3.0 + width)), [5.0], ())
     true = np.array([2.0, 1.0]) * 2 * width * height
