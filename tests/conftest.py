@@ -1,5 +1,6 @@
 """Fixtures of the tests, and which cases of a long parametrisation the quick run takes."""
 
+import signal
 import sys
 from typing import Any
 
@@ -13,6 +14,12 @@ from contactbench.plugins import GROUPS, LOADED, OWN, VARIABLE
 from contactbench.results.schema import TABLES
 from contactbench.scene import Cache
 from contactbench.scenes import SCENES
+
+
+def pytest_configure():
+    """A shell that starts the tests in the background has them ignore Ctrl-C, which some of them send."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest leaves out the slow ones

@@ -97,7 +97,7 @@ for _name in ("add", "sub", "mul"):
 
 
 class SeriesNumbers(Numbers):
-    def __init__(self, kind: type[Series]) -> None:
+    def __init__(self, kind: type[Series] = Series) -> None:
         self.kind = kind
 
     def __getattr__(self, name: str) -> Callable[..., Series]:
