@@ -113,6 +113,7 @@ class Call(ABC):
         self.method, self.request, self.scene = method, request, request.scene
         self.clock, self.end = self.scene.clock, float(request.save_at[-1])
         self.later = request.save_at[request.save_at > 0]
+        self.split_clock, self.insert_clock = self.scene.split_clock, self.scene.insert_clock
 
     @abstractmethod
     def __call__(self, y0: np.ndarray) -> Ending:
@@ -129,24 +130,6 @@ class Call(ABC):
     @property
     def spent(self) -> str:
         return f"max_steps = {self.request.max_steps} spent"
-
-    def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the time at which a packed state begins, 0 where it has none, and the components less the time."""
-        clock = self.clock
-        if clock is None:
-            return 0.0, y0
-        y = y0[:clock] if clock == len(y0) - 1 else np.concatenate((y0[:clock], y0[clock + 1 :]))
-        return float(y0[clock]), y
-
-    def insert_clock(self, y: np.ndarray, start: float, times: np.ndarray | float) -> np.ndarray:
-        """Return packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
-        clock = self.clock
-        if clock is None:
-            return y
-        packed = np.empty((*y.shape[:-1], y.shape[-1] + 1))  # a tenth of the time of np.insert
-        packed[..., :clock], packed[..., clock + 1 :] = y[..., :clock], y[..., clock:]
-        packed[..., clock] = start + times
-        return packed
 
 
 @dataclass

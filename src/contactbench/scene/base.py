@@ -175,6 +175,24 @@ class System(ABC):
         """Return the packed state again."""
         return y if self.clock is None else [*y[: self.clock], t, *y[self.clock :]]
 
+    def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the time at which a packed state begins, 0 where it has none, and the components less the time."""
+        clock = self.clock
+        if clock is None:
+            return 0.0, y0
+        y = y0[:clock] if clock == len(y0) - 1 else np.concatenate((y0[:clock], y0[clock + 1 :]))
+        return float(y0[clock]), y
+
+    def insert_clock(self, y: np.ndarray, start: float, times: np.ndarray | float) -> np.ndarray:
+        """Return packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
+        clock = self.clock
+        if clock is None:
+            return y
+        packed = np.empty((*y.shape[:-1], y.shape[-1] + 1))  # a tenth of the time of np.insert
+        packed[..., :clock], packed[..., clock + 1 :] = y[..., :clock], y[..., clock:]
+        packed[..., clock] = start + times
+        return packed
+
     @abstractmethod
     def unpack(self, y: Packed, carry: Sequence[str]) -> OwnState:
         """Return a packed state as a NamedTuple of components."""
