@@ -67,9 +67,8 @@ def by_quadrature(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Names
         return tau - (elapsed(tau) - h) / pace(tau)
 
     if has_where(xp):
-        return at(
-            iterate(nearer, h + 0 * s, ITERATIONS, xp)
-        )  # a loop keeps the kind of number it begins with
+        # a loop keeps the kind of number it begins with
+        return at(iterate(nearer, h + 0 * s, ITERATIONS, xp))
     before, tau = 0 * h, h
     for _ in range(ITERATIONS if not has_digits(xp) else 2 * ITERATIONS):
         before, tau = tau, nearer(tau)
