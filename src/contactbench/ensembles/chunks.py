@@ -124,25 +124,25 @@ def on_cores(
 ) -> Iterator[Result]:
     """Yield the results of chunks of one size, of which a few are begun ahead, so that no core waits for another."""
     scene: Any = run.request.scene
+    n = y0.shape[1]
     work: Callable[..., Result]
     if scene.by_sites:
         chunk = min(chunk, max(1, AT_ONCE // (len(run.n) * len(y0))))
         cores = cores if scene.sites < SHARED else 1
-        work, share = partial(one_by_one, run, loop, names), equal_share(y0.shape[1], cores, chunk, 1)
+        work, share = partial(one_by_one, run, loop, names), equal_share(n, cores, chunk, 1)
     else:
         loop.many  # noqa: B018, compiled now, once
         work, share = (
             partial(side_by_side, run, loop, names),
-            equal_share(y0.shape[1], cores, chunk, loop.lanes),
+            equal_share(n, cores, chunk, loop.lanes),
         )
-        n = y0.shape[1]
         if share >= n and not loop.is_long(run.needed * n):  # no thread is worth its start
             yield work(y0, own)
             return
     ahead: deque[Future[Result]] = deque()
     threads = futures.ThreadPoolExecutor(cores)
     try:
-        for first in range(0, y0.shape[1], share):
+        for first in range(0, n, share):
             part = slice(first, first + share)
             numbers = {place: values[part] for place, values in own.items()}
             ahead.append(threads.submit(work, y0[:, part], numbers))

@@ -13,10 +13,12 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from contactbench.errors import BadInput
 from contactbench.numbers import functions
 from contactbench.numbers.dual import DERIVATIVES, leaves
-from contactbench.numbers.protocol import Arithmetic, CannotRecord
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, has_digits
 from contactbench.numbers.series import LongSeries
 from contactbench.trace import form
 from contactbench.trace.form import FORMS, Assign, Operand, Operation, Results, Statement, execute
@@ -140,8 +142,9 @@ def all_digits_count(x: object) -> bool:
     first = x[0] if isinstance(x, tuple | list) else x
     if isinstance(first, float):
         return False
-    package = type(first).__module__.partition(".")[0]
-    return isinstance(first, LongSeries) or package == "mpmath" or getattr(first, "dtype", None) == "object"
+    if isinstance(first, np.ndarray):
+        return bool(first.dtype == object)
+    return isinstance(first, LongSeries) or has_digits(functions.namespace(first))
 
 
 def derivatives(

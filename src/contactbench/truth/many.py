@@ -119,16 +119,20 @@ def by_scipy(
     """Return the states at increasing times by SciPy's solver at its tightest, stopping at each; may raise `BlowUp`."""
     from scipy.integrate import solve_ivp
 
+    reached = begin
+
     def checked(time: float, y: np.ndarray) -> np.ndarray:
+        nonlocal reached
         watch.check(time)
+        reached = time
         return slope(time, y)
 
     rows, now = [], begin
     for time in times:
         if time > now:
-            run = solve_ivp(checked, (now, time), y, name, rtol=TIGHTEST, atol=TIGHTEST)
+            run = solve_ivp(checked, (now, time), y, name, [time], rtol=TIGHTEST, atol=TIGHTEST)
+            if not run.success or not np.isfinite(run.y).all():
+                raise BlowUp(watch.scene, reached)
             y, now = run.y[:, -1], time
-            if not run.success or not np.isfinite(y).all():
-                raise BlowUp(watch.scene, run.t[-1])
         rows.append(y)
     return rows
