@@ -6,9 +6,11 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import pytest
+from tqdm import tqdm
 
 from contactbench.errors import BadInput
 from contactbench.measure.clock import Call
@@ -38,12 +40,16 @@ def pytest_configure(config: pytest.Config) -> None:
     worker = getattr(config, "workerinput", None)  # of pytest-xdist: its controller runs no cells
     shared = bool(worker or config.getoption("numprocesses", None))
     config.controls, config.begun = worker is None, False
+    if config.controls:
+        config.pluginmanager.register(Shown(config))
     if worker or not shared:
         which = int(worker["workerid"].removeprefix("gw")) if worker else -1
         bind(CORES and [CORES[which % len(CORES)]])
     profile, results = PROFILES[config.getoption("--profile")], config.getoption("--results").resolve()
     timed, name = not (shared or config.getoption("untimed")), {"name": worker["run"]} if worker else {}
     config.run = Run(results, profile, selection(config), timed, **name)
+    # runs that diverge overflow; how they end is a row
+    config.addinivalue_line("filterwarnings", "ignore::RuntimeWarning")
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -146,6 +152,68 @@ def measure(task: Task, request: pytest.FixtureRequest) -> Callable[[], None]:
             )
 
     return measure
+
+
+# -- what is seen of it ------------------------------------------------------------------------------
+class Progress:
+    """Cells that are done, what runs, and the time left: a bar on a terminal, elsewhere a line at each tenth."""
+
+    def __init__(self, total: int) -> None:
+        self.total, self.begun, self.done, self.tenths = total, monotonic(), 0, 0
+        self.bar = tqdm(total=total, unit="cell", disable=None, dynamic_ncols=True, mininterval=1.0)
+
+    def step(self, name: str) -> str:
+        """Count a cell; return the line to print."""
+        self.done += 1
+        self.bar.set_postfix_str(name[:50], refresh=False)
+        self.bar.update()
+        if not self.bar.disable or self.done * 10 // self.total == self.tenths:
+            return ""
+        self.tenths = self.done * 10 // self.total
+        spent = monotonic() - self.begun
+        left = spent * (self.total / self.done - 1)
+        return f"{self.done} of {self.total} cells, {spent / 60:.1f} min, about {left / 60:.1f} left: {name}"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_report_teststatus(report: pytest.TestReport) -> tuple[str, str, str] | None:
+    """No dots: a run has thousands of cells."""
+    return ("passed", "", "") if report.passed and report.when == "call" else None
+
+
+class Shown:
+    """Shows the progress of a run, in the process that controls it."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config, self.progress = config, None
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(self, ids: list[str]) -> None:
+        self.begin(len(ids))
+
+    def pytest_runtestloop(self, session: pytest.Session) -> None:
+        self.begin(len(session.items))
+
+    def begin(self, total: int) -> None:
+        if self.progress is None and total:
+            self.progress = Progress(total)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        counts = self.progress is not None and report.when == "call"
+        if counts and (line := self.progress.step(report.nodeid.partition("::test_")[2])):
+            self.config.get_terminal_writer().line(line)
+
+    def pytest_sessionfinish(self) -> None:
+        if self.progress is not None:
+            self.progress.bar.close()
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    if config.begun and config.getoption("--report"):
+        from contactbench.study.ending import ending
+
+        terminalreporter.section("results")
+        terminalreporter.line(ending(config.run.results))
 
 
 # -- the whole run ---------------------------------------------------------------------------------

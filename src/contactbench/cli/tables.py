@@ -59,6 +59,7 @@ def bench(arguments: argparse.Namespace) -> int:
     from contactbench.plugins import brought
     from contactbench.report import write
     from contactbench.study import runner
+    from contactbench.study.ending import ending
     from contactbench.study.experiment import PROFILES
 
     own = bool(brought()) and not arguments.all
@@ -68,6 +69,7 @@ def bench(arguments: argparse.Namespace) -> int:
     failed = runner.work(run, arguments.k or "", arguments.resume)
     if not arguments.untimed:
         write.report(results, {"methods": cb.METHODS, "scenes": cb.SCENES})
+        print(ending(results))
     return 1 if failed else 0
 
 

@@ -1,0 +1,57 @@
+"""What a run of the benchmark ends with: the questions with their answers, what moved, and where to read on."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+from contactbench.errors import BadInput, one_line
+from contactbench.gate import revisions
+from contactbench.gate.compare import compare_folders
+from contactbench.report import headline, write
+
+WIDTH = 100
+#: measures that moved, shown by name
+SHOWN = 12
+#: a table of answers in text needs no Markdown
+PLAIN = str.maketrans("", "", "`*")
+
+
+def ending(results: Path) -> str:
+    """Return the answers of a folder of tables, what moved since the last commit, and the documents, as text."""
+    return "\n".join([*answers(results), "", *moved(results), "", *documents(results)])
+
+
+def answers(results: Path) -> Iterator[str]:
+    for answer in headline.answers(write.tables(results)):
+        yield textwrap.fill(answer.question.translate(PLAIN), WIDTH)
+        found = f"{answer.answer}: {answer.count}".translate(PLAIN)
+        yield textwrap.fill(
+            found, WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
+        )
+
+
+def moved(results: Path) -> Iterator[str]:
+    """Yield what a gate would find between the committed tables and these; clocks are not compared."""
+    try:
+        root = revisions.repository(results)
+        folder = results.resolve().relative_to(root.resolve())
+        with revisions.checkout(root, revisions.base(root, "HEAD"), str(folder)) as tree:
+            found = compare_folders(tree / folder, results).moved
+    except (BadInput, OSError, ValueError) as why:
+        yield f"Not compared with the tables before it: {one_line(why)}"
+        return
+    count = f"{len(found)} measure{'s' * (len(found) > 1)} moved" if len(found) else "nothing moved"
+    yield f"Against the committed tables, clocks aside: {count}."
+    for _, row in found.head(SHOWN).iterrows():
+        where = " ".join(filter(None, (row["table"], row["scene"], row["method"], row["setting"])))
+        yield f"    {where}: {row['measure']} {row['before']} → {row['after']} ({row['rows']} rows)"
+    if len(found) > SHOWN:
+        yield f"    … and {len(found) - SHOWN} more: contactbench gate --only accuracy"
+
+
+def documents(results: Path) -> Iterator[str]:
+    for name, about in (("README.md", "all tables"), ("report.html", "one page with everything")):
+        if (results / name).exists():
+            yield f"{results / name}: {about}"
