@@ -8,7 +8,7 @@ from itertools import islice
 
 import pandas as pd
 
-from contactbench.report import claims, convergence, laws, structure, work_precision
+from contactbench.report import claims, convergence, laws, motion, structure, work_precision
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chapters, view
 from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, how_often, names
@@ -105,7 +105,7 @@ def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
 
 @chapter(NAME, answers)
 def parts(frames: Frames) -> list[Part | None]:
-    found: list[Part | None] = [mission_view(frames)]
+    found: list[Part | None] = [motion.figure(frames["motion"]), mission_view(frames)]
     if len(frames["work_precision"]):
         drawn = work_precision.figure(frames["work_precision"], PICTURED)
         contests = work_precision.all_contests(frames).values()

@@ -72,6 +72,7 @@ def declare(name: str) -> Table:
 CONVERGENCE = declare("convergence")
 LAWS_TABLE = declare("laws")
 LAWS_TIME = declare("laws_time")
+MOTION = declare("motion")
 DECAY_LAWS = declare("decay_laws")
 WORK_PRECISION = declare("work_precision")
 ENSEMBLE_TABLE = declare("ensemble")

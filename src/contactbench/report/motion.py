@@ -1,0 +1,38 @@
+"""A motion: its orbit after many turns, and its energy, by two methods at equal cost beside the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pandas as pd
+
+from contactbench.report.chapters import chart
+from contactbench.report.curves import floats
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
+
+TRUTH = "truth"
+#: of the whole run, the share at its end whose orbit is drawn
+SHARE = 0.048
+
+
+def figure(rows: pd.DataFrame) -> Figure | None:
+    if not len(rows):
+        return None
+    end = rows["t"].max()
+    late = rows[rows["t"] >= (1 - SHARE) * end - 1e-9]
+    energy = Panel("energy", Axis("time t"), Axis(r"$H_0$"), tuple(curves(rows, "t", "energy", True)))
+    axes = Axis("$q_1$"), Axis("$q_2$")
+    orbit = Panel("the orbit at the end", *axes, tuple(curves(late, "q1", "q2", False)), equal=True)
+    methods = rows[rows["method"] != TRUTH]
+    counts = methods.groupby("method", sort=False)["evaluations"].first()
+    values = {"evaluations": int(counts.max()), "other": str(counts.index[-1]).upper(), "turns": SHARE * end}
+    return chart("motion", [energy, orbit], **values)
+
+
+def curves(rows: pd.DataFrame, x: str, y: str, line: bool) -> Iterator[Curve]:
+    """Yield the truth as a line, below the methods, each a line or points."""
+    for name, own in sorted(rows.groupby("method", sort=False), key=lambda each: each[0] != TRUTH):
+        truth = name == TRUTH
+        look = {"role": TRUTH} if truth else {"method": str(name)}
+        points = floats(own[x]), floats(own[y])
+        yield Curve(*points, str(name), **look, line=truth or line, markers=not (truth or line))

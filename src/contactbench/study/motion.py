@@ -1,0 +1,42 @@
+"""What is seen of a method: a weakly damped orbit after many turns, and its energy, at equal cost.
+
+One cell: a method, or the truth.  Steps are as many times longer as they have evaluations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+import contactbench as cb
+from contactbench.results.tables import MOTION
+from contactbench.study.experiment import Cell, Profile, Recorded, experiment
+
+#: the central force, so weakly damped that a motion has many turns
+SCENE, GAMMA, SPAN = "central", 0.005, 300.0
+#: step of each method, five evaluations per unit of time each
+STEPS = {"contact-strang": 0.2, "rk4": 0.8}
+#: times that are saved, and those of the orbit shown, at the end; the truth has more of them, to be drawn as a line
+SAVED, ORBIT, FINE = 0.8, 14.4, 0.1
+TRUTH = "truth"
+
+
+@experiment(lambda profile: [(name,) for name in (TRUTH, *STEPS)])
+def motion(cell: Cell, profile: Profile) -> Recorded:
+    (name,) = cell
+    scene = cb.SCENES[SCENE].with_(gamma=GAMMA, t_end=SPAN)
+    t = SAVED * np.arange(1, round(SPAN / SAVED) + 1)
+    if name == TRUTH:
+        late = SPAN - ORBIT + FINE * np.arange(round(ORBIT / FINE) + 1)
+        t = np.unique(np.round([*t[t < late[0]], *late], 9))
+        reference = cb.reference(scene, t, ("s",))
+        y, evaluations = reference.y, None
+    else:
+        solution = cb.solve(scene, name, step=STEPS[name], save_at=t)
+        y, evaluations = (
+            solution.y,
+            cb.solve(scene, name, step=STEPS[name], save_at=[SPAN]).counts.evaluations,
+        )
+    for time, row in zip(t.tolist(), y.tolist(), strict=True):
+        x = scene.unpack(row, ("s",))
+        point = {"t": time, "q1": x.q[0], "q2": x.q[1], "energy": scene.energy(x)}
+        yield MOTION, {"scene": SCENE, "method": name, "evaluations": evaluations, **point}
