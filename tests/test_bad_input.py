@@ -104,6 +104,10 @@ CALLS = [
     (registered(cb.METHODS, cb.METHODS["rk4"]), "method name 'x': must be"),
     # step and tolerance
     (solve(), "step is missing: rk4 has a fixed step; give step, or rtol"),
+    (
+        solve(method="sprk-10", rtol=1e-6),
+        "rtol = 1e-06: no step of sprk-10 is chosen from a tolerance; give step",
+    ),
     (rk4(rtol=1e-3), "step = 0.1 and rtol = 0.001: rk4 takes one of them"),
     (rk4(atol=1e-3), "atol = 0.001: rk4 has a fixed step and takes no atol"),
     (solve("cvode-bdf", step=0.1), "give rtol"),

@@ -32,7 +32,7 @@ FIXED = {"rk4": 1e-4, "contact-rkn6": 1e-6, "contact-rkn8": 1e-5, "gauss4": 1e-4
 ADAPTIVE = {
     **dict.fromkeys(("scipy-dop853", "cvode-adams", "cvode-bdf", "cyrk-vern8", "cyrk-lsoda"), 1e-3),
     **dict.fromkeys(("cyrk-radau", "heyoka-taylor", "diffrax-tsit5"), 1e-3),
-    "scipy-radau": 1e-3,
+    **dict.fromkeys(("scipy-radau", "rk8-7", "rkn8-6", "rkn12-10"), 1e-3),
 }
 
 
@@ -107,6 +107,18 @@ def test_a_fast_motion_has_not_diverged(method, time, length):
     adaptive = METHODS[method].adaptive
     assert cb.solve(scene, method, **({"rtol": 1e-8} if adaptive else {"step": 0.05 * time})).ok
     assert cb.prepare(plain, method, **({"rtol": 1e-8} if adaptive else {"step": 0.05}))(q=(1e9,)).ok
+
+
+@pytest.mark.parametrize("engine", ["numba", "python"])
+@pytest.mark.parametrize(("length", "time", "mass"), [(20.0, 3e6, 4e-11), (1e-6, 2e-2, 2e8)])
+def test_a_first_step_is_that_of_the_motion_in_other_units(engine, length, time, mass):
+    """Coordinates and momenta differ by ten to fifteen powers of ten."""
+    one, other = (
+        cb.solve(in_units("quartic", *units, 0.1), "rk8-7", rtol=1e-8, carry=(), engine=engine)
+        for units in ((1.0, 1.0, 1.0), (length, time, mass))
+    )
+    assert other.ok
+    assert other.counts.steps == pytest.approx(one.counts.steps, rel=0.1)
 
 
 @pytest.mark.parametrize("time", [1e-9, 1.0, 1e6])

@@ -16,7 +16,7 @@ from contactbench.methods.base import ENGINES
 from contactbench.report import race
 from contactbench.solution import Counts, Status
 from contactbench.study import compare, schedule
-from contactbench.study.compare import COLUMNS, with_verdicts
+from contactbench.study.compare import COLUMNS, with_reasons, with_verdicts
 from contactbench.study.schedule import Schedule
 from contactbench.study.search import Attempt, Search
 from contactbench.study.settings import ENDS
@@ -267,10 +267,22 @@ def test_nobody_wins_where_a_rival_was_cut_off_that_might_be_sooner_done(status,
     rival.why = (status, "")
     if spent:
         rival.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", spent, error=0.1))
-    verdicts = with_verdicts(pd.DataFrame([compare.row(race, each, 1e-2) for each in race.searches]))[
-        "verdict"
-    ]
-    assert list(verdicts) == [expected, "loss", ""]
+    rows = pd.DataFrame([compare.row(race, each, 1e-2) for each in race.searches])
+    frame = with_reasons(with_verdicts(rows))
+    assert list(frame["verdict"]) == [expected, "loss", ""]
+    assert frame["reason"].str.contains("nobody knows: contact-strang").iloc[0] == (expected == "undecided")
+    assert frame["reason"].iloc[1] == ""
+
+
+def test_what_is_undecided_says_why():
+    """Of two times that the clock does not tell apart both do; the third is a loss and needs no reason."""
+    clock = {"time_s": [1.0, 1.1, 3.0], "time_halves_ratio": [1.0, 0.5, 1.0], "at_least": math.nan}
+    known = {"kind": "compiled", "error_asked": 1e-3, "method": ["a", "b", "c"], "status": "ok", "reason": ""}
+    frame = with_reasons(with_verdicts(pd.DataFrame(known | clock)))
+    unclear = frame["reason"].str.startswith("times cannot be told apart within a factor of ")
+    assert list(unclear) == [True, True, False]
+    frame.attrs["unbegun"] = []
+    assert [line.split(": ")[:2] for line in race.cuts(frame)] == [["a and b", "undecided"]]
 
 
 def test_fixed_steps_grow_on_a_scene_that_slows_down():

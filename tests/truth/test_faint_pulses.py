@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 import contactbench as cb
 from contactbench.numbers.functions import exp
 from contactbench.scene import DrivenState
+from contactbench.truth.survey import Survey
 
 SPRING, DOUBLE = (
     (lambda q: q * q / 2, lambda q: q),
@@ -117,7 +118,10 @@ def test_a_narrow_box_is_a_jump_and_no_singularity(width, height):
     assert np.abs(named.y[0, :2] / true - 1).max() <= 10.0**-named.digits
 
 
-def test_a_closed_form_that_leaves_a_pulse_out_is_no_truth():
+def test_a_closed_form_that_leaves_a_pulse_out_is_no_truth(monkeypatch):
+    """One survey of the whole motion serves the look at the closed form, at any number of times, and the reference."""
+    ends, begin = [], Survey.__post_init__
+    monkeypatch.setattr(Survey, "__post_init__", lambda survey: (ends.append(survey.end), begin(survey)))
     kick = force_of([(1.0, 9.0, 1 / 16)], exp)
     given = lambda scene, t, xp: DrivenState((xp.cos(t),), (-xp.sin(t),), t, None)  # noqa: E731
     scene = cb.Driven(
@@ -130,4 +134,6 @@ def test_a_closed_form_that_leaves_a_pulse_out_is_no_truth():
         exact=given,
     )
     true = followed(SPRING[1], 0.0, 1.0, 20.0, [(1.0, 9.0, 1 / 16)])
-    np.testing.assert_allclose(cb.reference(scene, [20.0], ()).y[0, :2], true, rtol=1e-9)
+    found = cb.reference(scene, [3.0, 12.0, 20.0], ())
+    np.testing.assert_allclose(found.y[-1, :2], true, rtol=1e-9)
+    assert ends == [20.0]

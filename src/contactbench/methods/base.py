@@ -340,7 +340,7 @@ def setting_of(
         raise BadInput(f"step is missing: {name} has a fixed step; give step, or rtol to have it chosen")
     if step is None:
         if not method.one_step:
-            raise BadInput(f"{next(told)}: the error of {name} is no clean power of its step; give step")
+            raise BadInput(f"{next(told)}: no step of {name} is chosen from a tolerance; give step")
         return None, tolerance(method, rtol), None
     plain = isinstance(step, float | int | str | bytes) or not np.iterable(step)
     return positive("step", step) if plain else steps_of(step), None, None

@@ -121,12 +121,18 @@ class Explicit[S: Scene]:
         error = rebuild(y, combine(tableau.estimate[0], slopes, xp))
         return after, None, scene.without_clock(scene.pack(error))
 
-    def rate(self, scene: S, y: OwnState, slope: Vector, size: Arithmetic, xp: Namespace) -> Arithmetic:
+    def rate(
+        self, scene: S, y: OwnState, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
+    ) -> Arithmetic:
         """Return how fast the slope changes along it: |λ| of y' = λy."""
-        time = NUDGE * size / (norm(scene.without_clock(slope), xp) + TINY)
+
+        def length(v: Vector) -> Arithmetic:
+            return norm([a / unit for a, unit in zip(scene.without_clock(v), units, strict=True)], xp)
+
+        time = NUDGE * size / (length(slope) + TINY)
         nudged = rebuild(y, [a + time * b for a, b in zip(leaves(y), slope, strict=True)])
-        change = [a - b for a, b in zip(self.slope(scene, nudged, xp), slope, strict=True)]
-        return norm(scene.without_clock(change), xp) / (NUDGE * size)
+        change = tuple(a - b for a, b in zip(self.slope(scene, nudged, xp), slope, strict=True))
+        return length(change) / (NUDGE * size)
 
 
 @dataclass(frozen=True)
@@ -166,12 +172,12 @@ class Nystrom(Explicit[Canonical]):
         return after, tuple(slope), [*q, *p, *action]
 
     def rate(
-        self, scene: Canonical, y: Undamped, slope: Vector, size: Arithmetic, xp: Namespace
+        self, scene: Canonical, y: Undamped, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
     ) -> Arithmetic:
         """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
         force = slope[: len(y.q)]
         parts = [scaled(share / (norm(way, xp) + TINY), way) for share, way in ((1.0, force), (0.5, y.u))]
-        way = tuple(NUDGE * size * (a + b) for a, b in zip(*parts, strict=True))
+        way = tuple(NUDGE * size * units[0] * (a + b) for a, b in zip(*parts, strict=True))
         there = self.slope(scene, y._replace(q=tuple(a + b for a, b in zip(y.q, way, strict=True))), xp)
         change = norm([a - b for a, b in zip(there, force, strict=False)], xp)
         return xp.sqrt(change / (norm(way, xp) + TINY))
@@ -235,8 +241,11 @@ def march[S: Scene](
     def first_step(y: OwnState) -> Arithmetic:
         packed = parts(y)
         weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
-        size = norm(y.q if isinstance(form, Nystrom) else packed, xp) + atol[0] / rtol
-        rate = form.rate(scene, y, form.slope(scene, y, xp), size, xp)
+        #: coordinates and momenta may be of any size; without an atol they are taken as they are
+        units = tuple(xp.where(a > 0, a / rtol, 1.0) for a in atol)
+        moved = y.q if isinstance(form, Nystrom) else packed
+        size = norm([a / unit for a, unit in zip(moved, units, strict=False)], xp) + atol[0] / rtol / units[0]
+        rate = form.rate(scene, y, form.slope(scene, y, xp), size, units, xp)
         error = unit_error(form) * (norm(weighed, xp) + 1)
         return START * xp.exp(power * xp.log(AIM / error)) / (rate + TINY)
 

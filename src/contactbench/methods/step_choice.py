@@ -111,15 +111,16 @@ class ChosenStep(Prepared):
                 # saved times shorten steps: a pilot may have less than twice as many as the one before
                 coarser, finer = finer, steps / before.steps
                 wider, gap = gap, self.distance(before, pilots[-1])
-                if gap < ROUND_OFF:  # exact, or as good as it gets
-                    return step, pilots
+                if gap < ROUND_OFF:  # exact, or as good as it gets; the run is one that was taken
+                    finest = pilots[-1]
+                    return next(p.asked for p in pilots if self.distance(p, finest) <= target), pilots
                 rate = math.log(wider / gap) / math.log(coarser) if math.isfinite(wider + gap) else 0.0
                 settled = gap < TRUSTED_GAP and rate > order - LEEWAY
                 # an order seen to be higher, as the next term of the error makes it, counts in part
-                finest = gap / (finer ** min(max(rate, order), order + LEEWAY) - 1)
-                if settled and finest <= target:
-                    return self.between(pilots, finest, target), pilots
-                ahead = (target / finest) ** (1 / order)
+                error = gap / (finer ** min(max(rate, order), order + LEEWAY) - 1)
+                if settled and error <= target:
+                    return self.between(y0, pilots, error, target), pilots
+                ahead = (target / error) ** (1 / order)
                 if settled and rate < order + LEEWAY and ahead > 1 / REACH:
                     return pilots[-1].size * ahead, pilots
             step /= 2
@@ -132,16 +133,24 @@ class ChosenStep(Prepared):
         y, counts = run.take(y0)
         return Pilot(run.needed, size, step, counts.evaluations or 0, np.vstack([y0, y[run.saved]]))
 
-    def between(self, pilots: list[Pilot], finest: float, target: float) -> float:
-        """The step between two pilots at which the error, measured against the finest, is the target."""
-        finer, error = pilots[-1], finest
+    def between(self, y0: np.ndarray, pilots: list[Pilot], error: float, target: float) -> float:
+        """The step between two pilots at which the error, measured against the finest, is the target.
+
+        It becomes a pilot too.  Where steps are so long that errors do not fall evenly its own may be beyond the
+        tolerance, and the finer of the two pilots is taken.
+        """
+        finest = finer = pilots[-1]
         for pilot in reversed(pilots[:-1]):
-            larger = self.distance(pilot, pilots[-1])
+            larger = self.distance(pilot, finest)
             if not larger <= target:
                 if not math.isfinite(larger):
-                    return finer.asked
+                    break
                 shorter = math.log(target / error) / math.log(larger / error)
-                return float(max(finer.asked, finer.size * (pilot.size / finer.size) ** shorter))
+                step = float(max(finer.asked, finer.size * (pilot.size / finer.size) ** shorter))
+                if total(self.run.division(step)) == finer.steps:
+                    return step
+                pilots.append(self.pilot(y0, step))
+                return step if self.distance(pilots[-1], finest) <= target / AIM else finer.asked
             finer, error = pilot, max(larger, error)
         return finer.asked
 

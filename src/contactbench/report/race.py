@@ -74,10 +74,12 @@ def unbegun(frame: pd.DataFrame) -> Iterator[str]:
 def cuts(frame: pd.DataFrame) -> Iterator[str]:
     found: dict[tuple[str, str, str], list[str]] = {}
     missing = frame[(frame["reason"] != "") & ~frame["method"].isin(frame.attrs["unbegun"])]
-    for (method, status, reason), rows in missing.groupby(["method", "status", "reason"], sort=False):
+    ended = missing["status"].mask(missing["status"] == "ok", "not timed")
+    missing = missing.assign(ended=ended.mask(missing["verdict"] == "undecided", "undecided"))
+    for (method, status, reason), rows in missing.groupby(["method", "ended", "reason"], sort=False):
         everywhere = len(rows) == frame["error_asked"].nunique()
         at = "" if everywhere else f" at {names([f'{error:g}' for error in rows['error_asked']])}"
-        key = (at, "not timed" if status == "ok" else str(status), str(reason))
+        key = (at, str(status), str(reason))
         found.setdefault(key, []).append(str(method))
     for (at, status, reason), methods in found.items():
         yield f"{names(methods)}{at}: {status}: {reason}."

@@ -29,6 +29,8 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 BUDGET = 60.0
 #: a run made once may take so many times as long as its least round
 ONCE = 2.0
+#: methods at most that a reason names
+NAMED = 3
 #: measures of a run that are no laws, or that another one covers
 LEFT_OUT = ("solution_error", "energy_law_relative", "energy_increases", "own_factor_drift")
 #: types of the columns beside the laws
@@ -77,7 +79,8 @@ def compare(
         error_reached, time_s (the least round), evaluations (of the right-hand side, or what equals one), ratio (to
         the least time of its kind at that error), margin (the ratio up to which the two cannot be told apart), verdict
         (win; tie; undecided where the margin is too wide to judge, or a rival was cut off that might be sooner done;
-        loss), laws_kept, a column for each law, status, reason (why a method got no further, or was not timed).
+        loss), laws_kept, a column for each law, status, reason (why a method got no further, was not timed, or
+        is undecided).
         ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
         claimed), "runs" (every setting tried), "of_floats" (functions that cannot be recorded), "unbegun" (methods
         that no time was left for), "unrefined" (those without a last search for a coarser setting), "interrupted",
@@ -136,7 +139,7 @@ def frame_of(race: Schedule) -> pd.DataFrame:
     scene, truth = race.question.scene, race.question.truth
     frame = pd.DataFrame([row(race, each, error) for each in race.searches for error in race.question.errors])
     columns = [*COLUMNS, *laws_in(scene), "map_growth", "time_halves_ratio"]
-    frame = with_verdicts(frame).reindex(columns=columns).astype(COLUMNS)
+    frame = with_reasons(with_verdicts(frame)).reindex(columns=columns).astype(COLUMNS)
     known = {"source": truth.source, "digits": truth.digits, "confirmed": race.confirmed}
     frame.attrs = {
         "runs": Runs(run for each in race.searches for run in runs_of(each)),
@@ -209,3 +212,17 @@ def with_verdicts(frame: pd.DataFrame) -> pd.DataFrame:
     halves = frame["time_halves_ratio"]
     costs = frame.assign(cost=frame["time_s"], halves=halves, processes=PROCESSES, place=range(len(frame)))
     return standings(costs, ("kind", "error_asked")).sort_values("place", ignore_index=True)
+
+
+def with_reasons(frame: pd.DataFrame) -> pd.DataFrame:
+    """Say of what is undecided why: a rival that was cut off, or the margin of its times."""
+    reasons = frame["reason"].copy()
+    for _, part in frame.groupby(["kind", "error_asked"], sort=False):
+        unclear = part["verdict"] == "undecided"
+        rivals = list(part.loc[part["at_least"] <= part["time_s"].min(), "method"])
+        why = f"times cannot be told apart within a factor of {part.loc[unclear, 'margin'].max():.3g}"
+        if rivals:
+            more = f" and {len(rivals) - NAMED} more" if len(rivals) > NAMED else ""
+            why = f"may be sooner done, but for want of time nobody knows: {', '.join(rivals[:NAMED])}{more}"
+        reasons[part.index[unclear]] = why
+    return frame.assign(reason=reasons)

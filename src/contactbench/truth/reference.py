@@ -218,10 +218,11 @@ def closed_form(
     scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER
 ) -> Stored | None:
     """Return decimals, digits and source from the scene's closed form, or None if it lacks a field."""
-    probe = closed_form_columns(scene, t[:1], carry, deadline)  # elliptic functions at every time are slow
-    if probe is None or None in probe or (columns := closed_form_columns(scene, t, carry, deadline)) is None:
+    if scene.exact is None or not solves_equations(scene, carry, float(t.max()), deadline):
         return None
-    decimals, digits = zip(*(column for column in columns if column), strict=True)
+    if None in columns_of(scene, t[:1], carry):  # elliptic functions at every time are slow
+        return None
+    decimals, digits = zip(*filter(None, columns_of(scene, t, carry)), strict=True)
     return [list(row) for row in zip(*decimals, strict=True)], min(digits), "closed form"
 
 
@@ -234,6 +235,11 @@ def closed_form_columns(
     """
     if scene.exact is None or not solves_equations(scene, carry, float(t.max()), deadline):
         return None
+    return columns_of(scene, t, carry)
+
+
+def columns_of(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Columns:
+    """Return what `closed_form_columns` does of a closed form that solves the equations."""
     low, high = (closed_form_rows(scene, t, carry, CLOSED_FORM_DIGITS + extra) for extra in (0, 15))
     columns: Columns = []
     for a, b in zip(zip(*low, strict=True), zip(*high, strict=True), strict=True):
