@@ -93,11 +93,11 @@ def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dic
     agreement = {"|R|² = |R(0)|²": truth.agreeing_digits(lengths, lengths[:1] * len(rows), 65)}
     if scene.isotropic:
         grown = [
-            [c * context.exp(twin.gamma * context.mpf(t)) for c in twin.momentum(x)]
+            [c * context.exp(twin.gamma * context.mpf(t)) for c in twin.momentum_at(x)]
             for t, x in zip(times, states, strict=True)
             if twin.gamma * context.mpf(t) < 46
         ]
-        start = twin.momentum(twin.initial(twin.carry()))
+        start = twin.momentum_at(twin.initial(twin.carry()))
         # one scale for the three components of J: some of them start at nearly nothing
         size = max(map(abs, start))
         worst = max(truth.distance(row, start) for row in grown) / size

@@ -567,7 +567,7 @@ def times(scene: Scene) -> np.ndarray:
 
 def momenta(scene: Scene) -> np.ndarray:
     """Return J along the truth, shape (201, m)."""
-    return np.array(scene.momentum(reference(scene, times(scene)).states())).T
+    return np.array(scene.momentum_at(reference(scene, times(scene)).states())).T
 
 
 def radius_and_speed(x: State) -> tuple[np.ndarray, np.ndarray]:
@@ -593,7 +593,7 @@ def momentum_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
         return u @ coefficients @ u / 4
 
     def defect(y: Array) -> Array:
-        momentum = lambda y: jnp.asarray(SCENES["central"].momentum(canonical(y))[0])  # noqa: E731
+        momentum = lambda y: jnp.asarray(SCENES["central"].momentum_at(canonical(y))[0])  # noqa: E731
         rate = gradient(invariant)(y)[-1]
         return along(contact_equations(invariant), momentum, y) + rate * momentum(y)
 
@@ -624,7 +624,7 @@ def time_dependent_reduction(gamma: float = 0.1) -> Evidence:
     scene = SCENES["central"].with_(gamma=gamma)
     t = times(scene)
     radius, radial = radius_and_speed(reference(scene, t, ()).states())
-    mu = scene.momentum(scene.initial(()))[0]
+    mu = scene.momentum_at(scene.initial(()))[0]
 
     def reduced(t: float, y: np.ndarray) -> list[float]:
         """Return H_μ = ½ (p_r² + μ(t)²/r²) + V(r), with γ s: the contact equations of (r, p_r) alone."""
@@ -669,7 +669,7 @@ def symplectification(gamma: float = 0.1) -> Evidence:
         """Return H on (ρ, p_ρ, s) with p_θ put in for the conserved level, y = (ρ, θ, p_ρ, p_θ, s)."""
         return (y[2] ** 2 + (y[3] / y[0]) ** 2) / 2 + jnp.asarray(scene.V((y[0], 0.0 * y[0]))) + gamma * y[4]
 
-    full = lifted(lambda y: scene.hamiltonian(canonical(y)))
+    full = lifted(lambda y: scene.hamiltonian_at(canonical(y)))
     q, p = np.array(scene.q), np.array(scene.p)
     run = flow(full, np.array([*q, *-p, scene.s, 1.0]))
     r, level = run[5], run[0] * run[3] - run[1] * run[2]

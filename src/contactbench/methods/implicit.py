@@ -120,7 +120,7 @@ def gauss(stages: int) -> Callable[[Scene, State, Arithmetic, Namespace], tuple[
             return y
 
         def update(slopes: Sequence[State]) -> Sequence[State]:
-            if scene.canonical:
+            if scene.separable:
                 momenta = [moved(row, slopes).p for row in A]
                 pairs = zip(slopes, momenta, strict=True)
                 slopes = [k._replace(q=tuple(scene.velocity(p))) for k, p in pairs]
@@ -136,7 +136,7 @@ def gauss(stages: int) -> Callable[[Scene, State, Arithmetic, Namespace], tuple[
 # -- a discrete gradient -------------------------------------------------------------------------------
 class DiscreteGradient(Implicit):
     def refuses(self, scene: Scene) -> str | None:
-        fits = scene.canonical and scene.clock is None
+        fits = scene.separable and scene.clock is None
         return unfit(self, scene, fits, "forces that depend on q alone")
 
 

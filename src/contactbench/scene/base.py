@@ -425,6 +425,8 @@ class Scene(System):
     paper_flows: ClassVar[Mapping[str, str]] = {}
     #: its components are numbers, coordinates q and momenta p as many of each, and η = ds − p dq
     canonical: ClassVar[bool] = False
+    #: it is canonical, and H = T(p) + V(q) + Γ(s): velocities are those of p, forces those of q
+    separable: ClassVar[bool] = False
     #: Γ(s) is not γ s
     nonlinear_damping: ClassVar[bool] = False
     #: what its equations or flows choose by, computed once of the numbers it was made with
@@ -603,6 +605,14 @@ class Scene(System):
     @abstractmethod
     def momentum(self, x: OwnState) -> Vector | None:
         """Return the momentum map J of the rotations, None where there is none."""
+
+    def hamiltonian_at(self, x: OwnState) -> Numeric:
+        """Return H at a state, however a kind of scene is given it."""
+        return self.hamiltonian(x)
+
+    def momentum_at(self, x: OwnState) -> Vector | None:
+        """Return J at a state, however a kind of scene is given it."""
+        return self.momentum(x)
 
     def tangents(self, x: OwnState) -> Sequence[OwnState]:
         """Return a basis of the tangent space at x, as states: the coordinates', the time left out."""

@@ -75,7 +75,8 @@ class Canonical(Scene):
         return dot(a, b)
 
     def damping_at(self, x: OwnState) -> Arithmetic:
-        return self.gamma
+        """Return ∂H/∂s."""
+        return self.dissipation_rate(x.s)
 
     @property
     def nonlinear_damping(self) -> bool:  # type: ignore[override]
@@ -347,7 +348,7 @@ class Mechanical(Canonical):
         "rotation_invariant": switch,
         "parameters": named_numbers,
     }
-    canonical = True
+    canonical = separable = True
     flows: ClassVar[Mapping[str, Flow]] = {
         "kick": Flow(plain, kick, {"gradient": 1}),
         "drift": Flow(plain, drift, {}),
