@@ -95,8 +95,10 @@ def found[X: AnyState](x: X, converged: object, xp: Namespace) -> X:
 # -- Gauss's collocation ---------------------------------------------------------------------------------
 def gauss_tableau(stages: int, xp: Namespace) -> tuple[list[list[Arithmetic]], list[Arithmetic]]:
     """Return A and b: Hairer, Lubich, Wanner, §II.1.3, table 1.1."""
-    root = xp.sqrt(3 if stages == 2 else 15)
+    root = xp.sqrt(15 if stages == 3 else 3)
     one = root / root
+    if stages == 1:
+        return [[one / 2]], [one]
     if stages == 2:
         return [[one / 4, one / 4 - root / 6], [one / 4 + root / 6, one / 4]], [one / 2, one / 2]
     A = [
