@@ -27,6 +27,7 @@ from contactbench.numbers.dual import leaves
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace, Vector
 from contactbench.scene import Scene
 from contactbench.scene.base import OwnState
+from contactbench.scene.flow import damping
 
 
 class Slope(NamedTuple):
@@ -79,27 +80,38 @@ def collocation(stages: int) -> Step:
         A, b = gauss_tableau(stages, xp)
         nodes = [sum(row[1:], row[0]) for row in A]
         known = slopes[0].r is None
-        grown = [xp.exp(scene.damped_by(x, c * h, xp)) for c in (*nodes, 1)] if known else []
+        spent = [scene.damped_within(x, c * h, xp) for c in nodes] if known else []
+        grown, end = [xp.exp(G) for G in spent], scene.damped_within(x, h, xp)
+        keep, lose = damping(end, 1.0, xp) if known else (1.0, 0.0)
 
-        def reached(weights: Sequence[Arithmetic], slopes: Sequence[Slope], i: int) -> tuple[OwnState, Arithmetic]:
-            """Return the state, and r, at node i, the last of which is the end of the step."""
-            r = grown[i] if known else combined((1.0,), weights, [(k.r,) for k in slopes], h)[0]
-            p = tuple(P / r for P in combined(x.p, weights, [k.P for k in slopes], h))
-            y = x._replace(q=combined(x.q, weights, [k.q for k in slopes], h), p=p)
-            if x.s is not None and not (known and i < stages):  # at a stage S' does not depend on s
-                s = combined((x.s,), weights, [(k.s,) for k in slopes], h)[0]
-                y = y._replace(s=s / r if known else s)
-            return (y if scene.clock is None else y._replace(t=x.t + (*nodes, 1)[i] * h)), r
+        def lifted(weights: Sequence[Arithmetic], slopes: Sequence[Slope]) -> tuple[Vector, Vector, Any, Any]:
+            q, P = combined(x.q, weights, [k.q for k in slopes], h), combined(x.p, weights, [k.P for k in slopes], h)
+            s = None if x.s is None else combined((x.s,), weights, [(k.s,) for k in slopes], h)[0]
+            return q, P, s, None if known else combined((1.0,), weights, [(k.r,) for k in slopes], h)[0]
+
+        def stage(slopes: Sequence[Slope], i: int) -> tuple[OwnState, Arithmetic]:
+            q, P, s, r = lifted(A[i], slopes)
+            if known:  # S' does not depend on s
+                s, r = x.s, grown[i]
+            y = x._replace(q=q, p=tuple(c / r for c in P), s=s)
+            return (y if scene.clock is None else y._replace(t=x.t + nodes[i] * h)), r
 
         def update(slopes: tuple[Slope, ...]) -> tuple[Slope, ...]:
             if scene.separable:  # with velocities of momenta that are known already it converges faster
-                momenta = [reached(row, slopes, i)[0].p for i, row in enumerate(A)]
+                momenta = [stage(slopes, i)[0].p for i in range(stages)]
                 pairs = zip(slopes, momenta, strict=True)
                 slopes = tuple(k._replace(q=tuple(scene.velocity(p))) for k, p in pairs)
-            return tuple(slope_at(scene, *reached(row, slopes, i), known) for i, row in enumerate(A))
+            return tuple(slope_at(scene, *stage(slopes, i), known) for i in range(stages))
 
         slopes, converged, turns = fixed_point(update, slopes, xp)
-        y, r = reached(b, slopes, stages)
+        q, P, s, r = lifted(b, slopes)
+        if known:  # little is lost: the rounding of the factor is that of the loss
+            y, r = x._replace(q=q, p=tuple(keep * c - lose * c for c in P)), xp.exp(end)
+            y = y._replace(s=None if s is None else keep * s - lose * s)
+        else:
+            y = x._replace(q=q, p=tuple(c / r for c in P), s=s)
+        if scene.clock is not None:
+            y = y._replace(t=x.t + h)
         return found(y, converged, xp), turns, carried_on(slopes, extrapolation(nodes), r, known), r
 
     return step
@@ -127,11 +139,13 @@ def carried_on(
 class ContactGauss(Implicit):
     """Collocation on the symplectisation; a run starts from the slope at its beginning, one evaluation."""
 
+    unsolved = "its fixed-point iteration does not converge"
+
     def refuses(self, scene: Scene) -> str | None:
         return unfit(self, scene, scene.canonical, "canonical coordinates (q, p, s)")
 
     def first(self, scene: Scene, x: OwnState, xp: Namespace) -> tuple[Slope, ...]:
-        known = scene.damped_by(x, 0.0, xp) is not None
+        known = scene.damped_within(x, 0.0, xp) is not None
         return (slope_at(scene, x, 1.0, known),) * self.each
 
     def advance_counted(

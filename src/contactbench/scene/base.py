@@ -653,6 +653,10 @@ class Scene(System):
         """Return ∫Γ' over the time t from x, None where it depends on the motion."""
         return None if self.conformal_rate is None else self.conformal_rate * t
 
+    def damped_within(self, x: OwnState, h: Arithmetic, xp: Namespace) -> Numeric:
+        """Return the same over a step, of any kind of number."""
+        return self.damped_by(x, h, xp)
+
     @property
     def is_contact(self) -> bool:
         """Return whether the exact flow is a conformal contact map, with a rate that is constant or changes."""
