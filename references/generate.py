@@ -35,6 +35,7 @@ import numpy as np
 from contactbench import truth
 from contactbench.scene import RigidBody, Scene, dot
 from contactbench.scenes import SCENES
+from contactbench.scenes.contact_systems import CONTACT_SYSTEMS
 from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD, damped_oscillator
@@ -50,6 +51,7 @@ NUDGE = "1e-25"
 FROZEN = (
     *STANDARD,
     *(scene for scene in DRIVEN if scene.exact is None),
+    *CONTACT_SYSTEMS,
     *(scene for scene in HARD if scene.exact is not damped_oscillator),
 )
 
@@ -157,7 +159,7 @@ def parameters(scene: Scene) -> dict[str, Any]:
     if isinstance(scene, RigidBody):
         damping = {"gamma": scene.gamma} if scene.isotropic else {"damping": scene.damping}
         return {"inertia": scene.inertia, **damping, "M": scene.M, "R": scene.R, "s": scene.s}
-    names = ("gamma", "kappa", "mass", *scene.initial_fields)
+    names = (*(name for name in ("gamma", "kappa", "mass") if hasattr(scene, name)), *scene.initial_fields)
     return dict(scene.parameters) | {name: getattr(scene, name) for name in names}  # type: ignore[attr-defined]
 
 

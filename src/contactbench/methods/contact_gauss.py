@@ -103,7 +103,7 @@ def collocation(stages: int) -> Step:
                 slopes = tuple(k._replace(q=tuple(scene.velocity(p))) for k, p in pairs)
             return tuple(slope_at(scene, *stage(slopes, i), known) for i in range(stages))
 
-        slopes, converged, turns = fixed_point(update, slopes, xp)
+        slopes, converged, turns = fixed_point(update, slopes, xp, patient=True)
         q, P, s, r = lifted(b, slopes)
         if known:  # little is lost: the rounding of the factor is that of the loss
             y, r = x._replace(q=q, p=tuple(keep * c - lose * c for c in P)), xp.exp(end)

@@ -27,17 +27,27 @@ TYPICAL = 8
 
 
 def fixed_point[K](
-    update: Callable[[K], K], k: K, xp: Namespace, part: Callable[[K], object] = lambda k: k
+    update: Callable[[K], K],
+    k: K,
+    xp: Namespace,
+    part: Callable[[K], object] = lambda k: k,
+    patient: bool = False,
 ) -> tuple[K, Condition, Arithmetic]:
-    """Return k with update(k) = k, whether it was found, and after how many updates; part : of k, what settles."""
+    """Return k with update(k) = k, whether it was found, and after how many updates.
+
+    part : of k, what settles.  patient : increments may grow for a while that are not yet small.
+    """
     nothing: Arithmetic = 0 * leaves(k)[0]
 
     def size(components: Iterable[Arithmetic]) -> Arithmetic:
         return sum(map(abs, components), nothing)
 
     def going(carried: tuple[K, Arithmetic, Arithmetic, Arithmetic]) -> Condition:
-        _, turns, gap, before = carried
-        return (gap > 0) & ((gap < before) | (turns < FIRST)) & (turns < MOST)
+        k, turns, gap, before = carried
+        more = (gap < before) | (turns < FIRST)
+        if patient:
+            more = more | (gap > CONVERGED * size(leaves(part(k))))
+        return (gap > 0) & more & (turns < MOST)
 
     def turn(
         carried: tuple[K, Arithmetic, Arithmetic, Arithmetic],

@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from inspect import signature
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from contactbench.blame import their_code
-from contactbench.checks import finite, function, is_number, vector
+from contactbench.checks import finite, function, is_number, switch, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.dual import leaves
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
@@ -321,3 +322,83 @@ class ContactSystem(Scene):
     @property
     def conformal_rate(self) -> Numeric:
         return None if self.rate_changes else self.damping_at(State(self.q, self.p, self.s))
+
+
+# -- a mass that depends on the configuration ----------------------------------------------------------
+def kinetic_energy(M: Sequence[Vector], p: Vector) -> Arithmetic:
+    """Return ½ pᵀM⁻¹p by M = L D Lᵀ, of which the part below the diagonal is read: ½ Σ y²/d, L y = p."""
+    L: list[list[Arithmetic]] = []
+    d: list[Arithmetic] = []
+    y: list[Arithmetic] = []
+    for i, row in enumerate(M):
+        scaled: list[Arithmetic] = []  # row i of L D
+        for j in range(i):
+            scaled.append(row[j] - sum(a * b for a, b in zip(scaled, L[j], strict=True)))
+        L.append([a / b for a, b in zip(scaled, d, strict=True)])
+        d.append(row[i] - sum(a * b for a, b in zip(scaled, L[i], strict=True)))
+        y.append(p[i] - sum(a * b for a, b in zip(L[i], y, strict=True)))
+    return sum(a * a / b for a, b in zip(y, d, strict=True)) / 2  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class OnMetric:
+    """H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s²; mass and potential take those of the parameters that they name."""
+
+    mass: Callable[..., Sequence[Vector]]
+    potential: Callable[..., Arithmetic]
+
+    def __call__(
+        self, q: Vector, p: Vector, s: Arithmetic, *, gamma: Arithmetic, kappa: Arithmetic = 0.0, **rest: Arithmetic
+    ) -> Arithmetic:
+        kinetic = kinetic_energy(self.mass(q, **named(self.mass, rest)), p)
+        energy = kinetic + self.potential(q, **named(self.potential, rest)) + gamma * s
+        return energy if isinstance(kappa, float) and kappa == 0 else energy + kappa * s * s / 2
+
+
+def named(function: Callable[..., object], parameters: Mapping[str, Arithmetic]) -> dict[str, Arithmetic]:
+    """Return the parameters that a function takes by name, all of them where it takes any."""
+    taken = signature(function).parameters
+    every = any(each.kind is each.VAR_KEYWORD for each in taken.values())
+    return {name: value for name, value in parameters.items() if every or name in taken}
+
+
+def angular_momentum(q: Vector, p: Vector, s: Arithmetic, **_: Arithmetic) -> Vector:
+    return cross(q, p) if len(q) == 3 else (q[0] * p[1] - q[1] * p[0],)
+
+
+def on_metric(
+    *,
+    mass: Callable[..., Sequence[Vector]],
+    potential: Callable[..., Arithmetic] | None = None,
+    gamma: float = 0.0,
+    kappa: float = 0.0,
+    rotation_invariant: bool = False,
+    parameters: Mapping[str, float] | None = None,
+    **given: Any,
+) -> ContactSystem:
+    """Return the contact system of `OnMetric`, γ, and κ where it is not 0, among its parameters.
+
+    Raises `BadInput` for a mass that is not a symmetric positive definite n×n matrix at the start.
+    """
+    for name in given.keys() & {"gradient", "hessian"}:
+        raise BadInput(f"{name}: is derived where the mass depends on q")
+    own_potential = function("potential", potential)
+    q, known = vector("q", given.get("q", ())), named_numbers("parameters", parameters or {})
+    for name in known.keys() & {"gamma", "kappa"}:
+        raise BadInput(f"parameter {name!r}: must have a name of its own")
+    with their_code("mass"):
+        rows = mass(q, **named(mass, known))
+    try:
+        M = np.array([list(row) for row in rows], dtype=float)
+        fits = M.shape == (len(q),) * 2 and np.allclose(M, M.T, rtol=1e-12) and np.linalg.eigvalsh(M).min() > 0
+    except (TypeError, ValueError, np.linalg.LinAlgError):
+        fits = False
+    if not fits:
+        wanted = f"must be {len(q)} rows of {len(q)} numbers, symmetric and positive definite"
+        raise BadInput(f"mass: is {excerpt(rows)} at q = {excerpt(q)}: {wanted}")
+    own = {"gamma": finite("gamma", gamma)} | ({"kappa": finite("kappa", kappa)} if kappa else {})
+    if switch("rotation_invariant", rotation_invariant):
+        if len(q) not in (2, 3):
+            raise BadInput(f"rotation_invariant = True: needs 2 or 3 coordinates, not {len(q)}")
+        given["momentum"] = angular_momentum
+    return ContactSystem(hamiltonian=OnMetric(mass, own_potential), parameters=own | known, **given)
