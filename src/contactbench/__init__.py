@@ -29,7 +29,17 @@ if TYPE_CHECKING:
     from contactbench.measure.own_composition import composition
     from contactbench.study.compare import compare
 
-__all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "ContactSystem", "Counts", "Driven", "Ensemble", "GeneralDamping"]
+__all__ = [
+    "LAWS",
+    "METHODS",
+    "SCENES",
+    "BadInput",
+    "ContactSystem",
+    "Counts",
+    "Driven",
+    "Ensemble",
+    "GeneralDamping",
+]
 __all__ += ["HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles", "RigidBody", "Solution", "Status"]
 __all__ += ["UnknownName", "compare", "composition", "ensemble", "fixed_step", "geometric_steps", "lyapunov"]
 __all__ += ["math", "prepare", "reference", "results", "shifted", "solve", "step_map"]

@@ -31,12 +31,12 @@ from contactbench.scene.flow import damping
 
 
 class Slope(NamedTuple):
-    """q', P', s', or S' where r is known, and r', where it is not."""
+    """q', P', s', or S' where r is known, and r', where it is not; of what is not there None."""
 
     q: Vector
     P: Vector
-    s: Arithmetic | None
-    r: Arithmetic | None
+    s: Any
+    r: Any
 
 
 def slope_at(scene: Any, x: OwnState, r: Arithmetic, known: bool) -> Slope:
@@ -85,7 +85,10 @@ def collocation(stages: int) -> Step:
         keep, lose = damping(end, 1.0, xp) if known else (1.0, 0.0)
 
         def lifted(weights: Sequence[Arithmetic], slopes: Sequence[Slope]) -> tuple[Vector, Vector, Any, Any]:
-            q, P = combined(x.q, weights, [k.q for k in slopes], h), combined(x.p, weights, [k.P for k in slopes], h)
+            q, P = (
+                combined(x.q, weights, [k.q for k in slopes], h),
+                combined(x.p, weights, [k.P for k in slopes], h),
+            )
             s = None if x.s is None else combined((x.s,), weights, [(k.s,) for k in slopes], h)[0]
             return q, P, s, None if known else combined((1.0,), weights, [(k.r,) for k in slopes], h)[0]
 
@@ -174,7 +177,9 @@ class ContactGauss(Implicit):
         return n * TYPICAL * self.each + 1
 
 
-_about = "Gauss's collocation on the symplectisation, a contact map for every H(q, p, s); Arnold, Appendix 4.E"
+_about = (
+    "Gauss's collocation on the symplectisation, a contact map for every H(q, p, s); Arnold, Appendix 4.E"
+)
 for _stages in (1, 2, 3):
     METHODS.add(
         ContactGauss(

@@ -176,7 +176,9 @@ class FixedStepRun(Prepared):
         end = time + float(h)
         counts = self.cost(np.append(self.n[:i], taken + 1))
         if self.method_.unsolved and self.lacks_a_step(y0, good, float(h)):
-            message = f"{self.method_.unsolved} at t = {time:.6g}, of a step of {h:.6g}: a smaller one is needed"
+            message = (
+                f"{self.method_.unsolved} at t = {time:.6g}, of a step of {h:.6g}: a smaller one is needed"
+            )
             return Outcome(out.y, counts, Status.failed, message, time)
         message = f"left the scene's scale by a factor 1e6 at t = {end:.6g}"
         return Outcome(out.y, counts, Status.diverged, message, end)

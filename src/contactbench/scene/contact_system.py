@@ -189,7 +189,7 @@ class ContactSystem(Scene):
                 rows = self._momentum_slopes(x)
             except (ArithmeticError, ValueError):  # where a function is not defined
                 continue
-            for row, value in zip(rows, J, strict=True):
+            for row, value in zip(rows, J or (), strict=True):
                 terms = [*(a * b for a, b in zip(row, slope, strict=True)), rate * value]
                 off, most = abs(sum(terms)), sum(map(abs, terms))
                 if off > SYMMETRIC * most and math.isfinite(most):
@@ -214,7 +214,10 @@ class ContactSystem(Scene):
 
     def momentum_terms(self, x: State) -> Numeric:
         momenta, n = self.momentum_at(x) or (), len(self.q)
-        rows = [[abs(p * slope) for p, slope in zip(x.p, row[n:], strict=False)] for row in self._momentum_slopes(x)]
+        rows = [
+            [abs(p * slope) for p, slope in zip(x.p, row[n:], strict=False)]
+            for row in self._momentum_slopes(x)
+        ]
         return sum(abs(J) + sum(row) for J, row in zip(momenta, rows, strict=True))
 
     # -- H and its derivatives -------------------------------------------------------------------
@@ -251,7 +254,7 @@ class ContactSystem(Scene):
         if second is None:
             return None
         hess = second(self._flat(x), **self.parameters)
-        H_q, H_p, H_s = self.partials_at(x)
+        H_q, _, H_s = self.partials_at(x)
         size = 2 * n + (x.s is not None)
         rows: list[list[Arithmetic]] = [list(hess[n + i][:size]) for i in range(n)]
         for i, p in enumerate(x.p):
@@ -279,7 +282,8 @@ class ContactSystem(Scene):
             return State(tuple(q + span * v for q, v in zip(x.q, self.rhs(half).q, strict=True)), p, x.s)
 
         force = self.rhs(x).p
-        far, fast, pull, going = *map(largest, (x.q, x.p, force)), True
+        far, fast, pull = map(largest, (x.q, x.p, force))
+        going: Any = True
         for span in (end / RATIO**k for k in reversed(range(SPANS))):
             try:
                 there = throw(span)
@@ -290,7 +294,10 @@ class ContactSystem(Scene):
             if not np.any(going):
                 break
             ways = [a - b for a, b in zip(there.q, x.q, strict=True)]
-            far, fast = np.where(going, np.fmax(far, largest(ways)), far), np.where(going, fast + span * pull, fast)
+            far, fast = (
+                np.where(going, np.fmax(far, largest(ways)), far),
+                np.where(going, fast + span * pull, fast),
+            )
         n = len(self.q)
         return np.array([far] * n + [fast] * n), in_order(far) * in_order(fast)
 
@@ -348,7 +355,14 @@ class OnMetric:
     potential: Callable[..., Arithmetic]
 
     def __call__(
-        self, q: Vector, p: Vector, s: Arithmetic, *, gamma: Arithmetic, kappa: Arithmetic = 0.0, **rest: Arithmetic
+        self,
+        q: Vector,
+        p: Vector,
+        s: Arithmetic,
+        *,
+        gamma: Arithmetic,
+        kappa: Arithmetic = 0.0,
+        **rest: Arithmetic,
     ) -> Arithmetic:
         kinetic = kinetic_energy(self.mass(q, **named(self.mass, rest)), p)
         energy = kinetic + self.potential(q, **named(self.potential, rest)) + gamma * s
@@ -390,7 +404,9 @@ def on_metric(
         rows = mass(q, **named(mass, known))
     try:
         M = np.array([list(row) for row in rows], dtype=float)
-        fits = M.shape == (len(q),) * 2 and np.allclose(M, M.T, rtol=1e-12) and np.linalg.eigvalsh(M).min() > 0
+        fits = (
+            M.shape == (len(q),) * 2 and np.allclose(M, M.T, rtol=1e-12) and np.linalg.eigvalsh(M).min() > 0
+        )
     except (TypeError, ValueError, np.linalg.LinAlgError):
         fits = False
     if not fits:

@@ -48,7 +48,7 @@ def sign(number: Arithmetic) -> int:
 def damping_rate(name: str, value: Any) -> float:
     """Return a finite number; raise `BadInput` for anything else, which says how a function is given."""
     if callable(value):
-        how = "one of time is cb.Driven(rate=lambda t: …), one of s cb.GeneralDamping(damping=…); of q and s cb.ContactSystem"
+        how = "of time is cb.Driven(rate=lambda t: …), of s cb.GeneralDamping(damping=…), of q and s cb.ContactSystem"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
     if np.ndim(value):
         how = "a rate for each momentum cb.diffrax.Contact takes, a matrix SciPy's solve_ivp"

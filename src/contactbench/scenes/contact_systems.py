@@ -24,7 +24,9 @@ def polar(q: Vector, p: Vector, s: Arithmetic, gamma: Arithmetic, stiffness: Ari
     return (p[0] * p[0] + p[1] * p[1] / square) / 2 + square / 2 + stiffness * square * square / 4 + gamma * s
 
 
-def polar_momentum(q: Vector, p: Vector, s: Arithmetic, gamma: Arithmetic, stiffness: Arithmetic) -> Arithmetic:
+def polar_momentum(
+    q: Vector, p: Vector, s: Arithmetic, gamma: Arithmetic, stiffness: Arithmetic
+) -> Arithmetic:
     return p[1]
 
 
