@@ -43,6 +43,7 @@ ROUGH = cb.ContactSystem(
 PENDULUM, POLAR, THERMOSTAT = map(cb.SCENES.get, ("double_pendulum", "polar", "thermostat"))
 SCENES = [GENERAL, ROUGH, PENDULUM, POLAR, THERMOSTAT]
 METHODS = {"contact-gauss2": 2, "contact-gauss4": 4, "contact-gauss6": 6}
+PEERS = ("rk4", "rk8-7", "gauss6", "scipy-radau", "cvode-bdf", "cyrk-dop853", "diffrax-dopri8", "heyoka-taylor")
 GIVEN = {"q": (1.0,), "p": (0.5,), "t_end": 1.0}
 
 
@@ -95,10 +96,7 @@ def test_where_the_rate_is_known_and_s_need_not_be_carried_is_seen_from_h():
 
 @pytest.mark.quick(scene="general", method=("contact-gauss6", "cyrk-dop853", "heyoka-taylor"))
 @pytest.mark.parametrize("scene", [GENERAL, ROUGH], ids=["general", "rough"])
-@pytest.mark.parametrize(
-    "method", [*METHODS, "rk4", "rk8-7", "gauss6", "scipy-radau", "cvode-bdf", "cyrk-dop853"]
-    + ["diffrax-dopri8", "heyoka-taylor"]
-)  # fmt: skip
+@pytest.mark.parametrize("method", [*METHODS, *PEERS])
 def test_methods_of_all_engines_agree_on_it(method, scene):
     own = cb.METHODS[method]
     for engine in own.engines:

@@ -14,14 +14,16 @@ from typing import Any
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
-from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace
+from contactbench.numbers.dual import Dual, leaves, rebuild, slope
+from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, has_digits
 from contactbench.scene import AnyState, Mechanical, Scene, State, Vector, dot, shifted
 
 #: iterations that may differ by more than the one before
 FIRST = 3
 #: iterations after which a step has none, and the last increment that is none, relative to what is iterated
 MOST, CONVERGED = 200, 1e-10
+#: increments of doubles that are rounding, on the same scale
+ROUNDING = 2.0**-46
 #: iterations of a typical step
 TYPICAL = 8
 
@@ -35,18 +37,23 @@ def fixed_point[K](
 ) -> tuple[K, Condition, Arithmetic]:
     """Return k with update(k) = k, whether it was found, and after how many updates.
 
-    part : of k, what settles.  patient : increments may grow for a while that are not yet small.
+    part : of k, what settles.  patient : increments may grow for a while that are not yet rounding, as those of errors
+    that turn do, and the slopes of dual numbers have to settle too.
     """
+    rounding = 10.0 ** (6 - xp.dps) if has_digits(xp) else ROUNDING
     nothing: Arithmetic = 0 * leaves(k)[0]
 
     def size(components: Iterable[Arithmetic]) -> Arithmetic:
-        return sum(map(abs, components), nothing)
+        numbers = list(components)
+        if patient:
+            numbers += [Dual(slope(c), 0.0) for c in numbers if isinstance(c, Dual)]
+        return sum(map(abs, numbers), nothing)
 
     def going(carried: tuple[K, Arithmetic, Arithmetic, Arithmetic]) -> Condition:
         k, turns, gap, before = carried
         more = (gap < before) | (turns < FIRST)
         if patient:
-            more = more | (gap > CONVERGED * size(leaves(part(k))))
+            more = more | (gap > rounding * size(leaves(part(k))))
         return (gap > 0) & more & (turns < MOST)
 
     def turn(
