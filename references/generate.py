@@ -35,6 +35,7 @@ import numpy as np
 from contactbench import truth
 from contactbench.scene import RigidBody, Scene, dot
 from contactbench.scenes import SCENES
+from contactbench.scenes.contact_systems import CONTACT_SYSTEMS
 from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD, damped_oscillator
@@ -50,6 +51,7 @@ NUDGE = "1e-25"
 FROZEN = (
     *STANDARD,
     *(scene for scene in DRIVEN if scene.exact is None),
+    *CONTACT_SYSTEMS,
     *(scene for scene in HARD if scene.exact is not damped_oscillator),
 )
 
@@ -93,11 +95,11 @@ def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dic
     agreement = {"|R|² = |R(0)|²": truth.agreeing_digits(lengths, lengths[:1] * len(rows), 65)}
     if scene.isotropic:
         grown = [
-            [c * context.exp(twin.gamma * context.mpf(t)) for c in twin.momentum(x)]
+            [c * context.exp(twin.gamma * context.mpf(t)) for c in twin.momentum_at(x)]
             for t, x in zip(times, states, strict=True)
             if twin.gamma * context.mpf(t) < 46
         ]
-        start = twin.momentum(twin.initial(twin.carry()))
+        start = twin.momentum_at(twin.initial(twin.carry()))
         # one scale for the three components of J: some of them start at nearly nothing
         size = max(map(abs, start))
         worst = max(truth.distance(row, start) for row in grown) / size
@@ -157,7 +159,7 @@ def parameters(scene: Scene) -> dict[str, Any]:
     if isinstance(scene, RigidBody):
         damping = {"gamma": scene.gamma} if scene.isotropic else {"damping": scene.damping}
         return {"inertia": scene.inertia, **damping, "M": scene.M, "R": scene.R, "s": scene.s}
-    names = ("gamma", "kappa", "mass", *scene.initial_fields)
+    names = (*(name for name in ("gamma", "kappa", "mass") if hasattr(scene, name)), *scene.initial_fields)
     return dict(scene.parameters) | {name: getattr(scene, name) for name in names}  # type: ignore[attr-defined]
 
 

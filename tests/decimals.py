@@ -47,8 +47,8 @@ def momentum_defect(method: Any, scene: Scene, step: str, n: int) -> Any:
     """‖J(y_n) − cⁿ J(y_0)‖ / ‖cⁿ J(y_0)‖ after n steps, c the method's own conformal factor."""
     context = decimal_context(DIGITS)
     twin = with_decimals(scene, context.mpf)
-    before = twin.momentum(twin.initial(scene.carry()))
-    after = twin.momentum(twin.unpack(march(method, scene, step, n, context), scene.carry()))
+    before = twin.momentum_at(twin.initial(scene.carry()))
+    after = twin.momentum_at(twin.unpack(march(method, scene, step, n, context), scene.carry()))
     factor = method.conformal_factor(twin, context.mpf(step), context) ** n
     assert before is not None
     assert after is not None

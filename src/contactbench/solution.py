@@ -260,11 +260,11 @@ class Solution:
         found = [("H0", np.asarray(scene.energy(x)), "-")]
         if not (scene.is_contact and x.s is not None):
             return found
-        found.append(("H", np.asarray(scene.hamiltonian(x)), "-"))
+        found.append(("H", np.asarray(scene.hamiltonian_at(x)), "-"))
         start = self.start()
         spent = scene.damped_by(start, self.t, np) if scene.has_hamiltonian_law else None
         if spent is not None:
-            found.append(("law of H", float(scene.hamiltonian(start)) * np.exp(-spent), ":"))
+            found.append(("law of H", float(scene.hamiltonian_at(start)) * np.exp(-spent), ":"))
         return found
 
     def to_frame(self) -> pd.DataFrame:

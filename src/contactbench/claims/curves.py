@@ -52,7 +52,7 @@ def paper_3() -> Iterator[Point]:
     for gamma in (0.0, 0.05, 0.1, 0.2, 0.4):
         scene = SCENES["central"].with_(gamma=gamma)
         run = numerical(scene, "contact-strang", 0.1, 40)
-        J = scene.momentum(run.states())[0]
+        J = scene.momentum_at(run.states())[0]
         fine = np.linspace(0, scene.t_end, 61)
         yield from curve("decay", f"λ = {gamma:g}", "law", fine, np.exp(-gamma * fine))
         yield from curve("decay", f"λ = {gamma:g}, contact-strang", "method", run.t, J / J[0])

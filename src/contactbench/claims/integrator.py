@@ -503,8 +503,8 @@ def exponential_energy(**changes: object) -> Evidence:
         growing = energy * np.exp(scene.gamma * t)
         return float(np.abs(growing / growing[0] - 1).max())
 
-    of_H0, of_H = deviation(scene.energy(truth)), deviation(scene.hamiltonian(truth))
-    of_printed = deviation(scene.hamiltonian(run.states()))
+    of_H0, of_H = deviation(scene.energy(truth)), deviation(scene.hamiltonian_at(truth))
+    of_printed = deviation(scene.hamiltonian_at(run.states()))
     rounded = 1e-13, "the reference rounded to double precision; q, p and s decay as H does"
     yield at_most("read for H0: max |H0(t) e^{γt}/H0(0) − 1| of the truth", of_H0, *WIDTH)
     yield CORRECTED

@@ -61,7 +61,7 @@ def body_equations(seed: int = SEED, **changes: object) -> Evidence:
 
     def defect(y: Array) -> Array:
         """Return X_H from its definition in a chart of T*SO(3) × R, against the equations."""
-        X = contact_field(form, lambda y: scene.hamiltonian(chart(y)), y)
+        X = contact_field(form, lambda y: scene.hamiltonian_at(chart(y)), y)
         return pack(jax.jvp(chart, (y,), (X,))[1]) - pack(scene.rhs(chart(y)))
 
     off = largest(defect, points(7, seed=seed))

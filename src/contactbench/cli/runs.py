@@ -124,11 +124,11 @@ def summary(solution: Solution) -> dict[str, object]:
     if solution.ok:
         y = solution.y[-1].tolist()
         state = scene.unpack(scene.entries(solution.y[-1]), solution.carry)
-        momentum = scene.momentum(state)
+        momentum = scene.momentum_at(state)
         out = {
             "state": dict(zip(solution.labels, y, strict=True)),
             "H0": float(scene.energy(state)),
-            "H": float(scene.hamiltonian(state)) if scene.is_contact else None,
+            "H": float(scene.hamiltonian_at(state)) if scene.is_contact else None,
             "J": None if momentum is None else list(map(float, momentum)),
         }
     run = {name: getattr(solution, name) for name in ("method", "engine", "setting", "status", "message")}

@@ -141,7 +141,7 @@ class Watch:
         self.begun = dict.fromkeys(self.origin, nothing), xp.ones(y0.shape[1], bool), nothing
 
     def quantity(self, name: str, x: AnyState) -> Array:
-        value = getattr(self.scene, DECAYING[name])(x)
+        value = getattr(self.scene, f"{DECAYING[name]}_at")(x)
         vector = value if isinstance(value, tuple) else (value,)
         stacked: Array = self.xp.stack(self.xp.broadcast_arrays(*vector), axis=-1)
         return stacked

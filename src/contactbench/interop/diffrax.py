@@ -395,7 +395,7 @@ def terms_of(scene: Scene | str) -> Terms:
     (1,)
     """
     scene = scene_of(scene)
-    if not scene.canonical:
+    if not scene.separable:
         raise BadInput(
             f"scene {scene.name!r} has no terms on (q, p), being of kind {scene.kind!r}; cb.step_map takes it"
         )

@@ -146,10 +146,10 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
         return float(rate)
     damped = scene.damped_by(solution.start(), solution.t, np)
     if damped is None:
-        start = float(scene.hamiltonian(solution.start()))
+        start = float(scene.hamiltonian_at(solution.start()))
         if start == 0:
             raise Undefined(f"scene {scene.name!r}: H(0) = 0, the conformal factor cannot be read off H")
-        damped = -np.log(scene.hamiltonian(truth(solution).states()) / start)
+        damped = -np.log(scene.hamiltonian_at(truth(solution).states()) / start)
     mean: np.ndarray = np.divide(damped, solution.t, out=np.zeros(len(damped)), where=solution.t > 0)
     return mean
 
@@ -163,8 +163,8 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
 )
 def hamiltonian_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
-    value, terms = scene.hamiltonian(states), scene.hamiltonian_terms(states)
-    start = np.array([scene.hamiltonian(solution.start())])
+    value, terms = scene.hamiltonian_at(states), scene.hamiltonian_terms(states)
+    start = np.array([scene.hamiltonian_at(solution.start())])
     return conformal(value[:, None], start, solution.t, decay_rate(solution), terms)
 
 
@@ -220,8 +220,8 @@ def is_composed(solution: Solution) -> bool:
 )
 def momentum_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
-    value, terms = np.array(scene.momentum(states)).T, scene.momentum_terms(states)
-    start = np.array(scene.momentum(solution.start()))
+    value, terms = np.array(scene.momentum_at(states)).T, scene.momentum_terms(states)
+    start = np.array(scene.momentum_at(solution.start()))
     return conformal(value, start, solution.t, decay_rate(solution), terms)
 
 
@@ -234,7 +234,7 @@ def momentum_balance(solution: Solution) -> float:
     scene, t = solution.scene, solution.t
     weight = np.exp(scene.conformal_rate * (t - t[-1]))  # e^{γt} up to a factor that drops out
     both = truth(solution).states(), solution.states()
-    exact, numerical = (np.array(scene.momentum(states))[0] * weight for states in both)
+    exact, numerical = (np.array(scene.momentum_at(states))[0] * weight for states in both)
     return float(np.abs(numerical - exact).max() / np.abs(exact).max())
 
 

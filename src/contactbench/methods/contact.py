@@ -57,7 +57,7 @@ class ContactMethod(FixedStep):
         return float(log_factor(self.composition, scene, x, h, n, math))
 
     def modified_hamiltonian(self, scene: Scene, x: OwnState, h: float) -> Arithmetic | None:
-        if not (scene.canonical and scene.has_hamiltonian_law and has_modified_hamiltonian(self.composition)):
+        if not (scene.separable and scene.has_hamiltonian_law and has_modified_hamiltonian(self.composition)):
             return None
         value: Arithmetic = modified_hamiltonian(scene, self.composition, x, h)
         return value

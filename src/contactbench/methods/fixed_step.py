@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -57,6 +57,8 @@ class FixedStep(Method):
     symmetric: bool = False
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
     appendix: bool = False
+    #: what a run says that fails where a step is the solution of equations which are not solved; else it has diverged
+    unsolved: ClassVar[str] = ""
     adaptive = False
     tolerance = (
         "the largest error over the saved times, relative to the largest state: pilots choose the step"

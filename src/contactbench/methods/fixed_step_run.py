@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactbench.methods.loops import StepLoop, is_fixed, total
-from contactbench.methods.prepared import Outcome, Prepared
+from contactbench.methods.prepared import Outcome, Prepared, furthest
 from contactbench.methods.prescribed import EQUAL, UNCOUNTED, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
@@ -19,6 +19,10 @@ from contactbench.solution import Counts, Solution, Status
 
 if TYPE_CHECKING:
     from contactbench.methods.fixed_step import FixedStep
+
+
+#: the part of what a motion has diverged beyond up to which its size is an ordinary one
+ORDINARY = 1e-4
 
 
 @dataclass
@@ -171,8 +175,20 @@ class FixedStepRun(Prepared):
                 left = int(half[0])
         end = time + float(h)
         counts = self.cost(np.append(self.n[:i], taken + 1))
+        if self.method_.unsolved and self.lacks_a_step(y0, good, float(h)):
+            message = (
+                f"{self.method_.unsolved} at t = {time:.6g}, of a step of {h:.6g}: a smaller one is needed"
+            )
+            return Outcome(out.y, counts, Status.failed, message, time)
         message = f"left the scene's scale by a factor 1e6 at t = {end:.6g}"
         return Outcome(out.y, counts, Status.diverged, message, end)
+
+    def lacks_a_step(self, y0: np.ndarray, good: np.ndarray, h: float) -> bool:
+        """Return whether a state of the size of the motion has no step of this size, where an iteration finds it."""
+        r = self.request
+        most = ORDINARY * furthest(r.scene, r.carry, y0, self._end)
+        after = self.intervals(good, np.full(len(self.h), h), np.ones_like(self.n))[0]
+        return bool(np.isnan(after).any() and (np.abs(good[: len(most)]) <= most).all())
 
     # -- the map ---------------------------------------------------------------------------------------
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:

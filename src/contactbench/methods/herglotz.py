@@ -39,7 +39,7 @@ class Herglotz(FixedStep):
         return sum(map(math.log, factors)) if min(factors) > 0 else math.nan
 
     def refuses(self, scene: Scene) -> str | None:
-        fits = scene.canonical and not scene.nonlinear_damping
+        fits = scene.separable and not scene.nonlinear_damping
         return unfit(self, scene, fits, "a configuration q in Rⁿ and damping Γ = γ s")
 
 

@@ -14,30 +14,47 @@ from typing import Any
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
-from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace
+from contactbench.numbers.dual import Dual, leaves, rebuild, slope
+from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, has_digits
 from contactbench.scene import AnyState, Mechanical, Scene, State, Vector, dot, shifted
 
 #: iterations that may differ by more than the one before
 FIRST = 3
 #: iterations after which a step has none, and the last increment that is none, relative to what is iterated
 MOST, CONVERGED = 200, 1e-10
+#: increments of doubles that are rounding, on the same scale
+ROUNDING = 2.0**-46
 #: iterations of a typical step
 TYPICAL = 8
 
 
 def fixed_point[K](
-    update: Callable[[K], K], k: K, xp: Namespace, part: Callable[[K], object] = lambda k: k
+    update: Callable[[K], K],
+    k: K,
+    xp: Namespace,
+    part: Callable[[K], object] = lambda k: k,
+    patient: bool = False,
 ) -> tuple[K, Condition, Arithmetic]:
-    """Return k with update(k) = k, whether it was found, and after how many updates; part : of k, what settles."""
+    """Return k with update(k) = k, whether it was found, and after how many updates.
+
+    part : of k, what settles.  patient : increments may grow for a while that are not yet rounding, as those of errors
+    that turn do, and the slopes of dual numbers have to settle too.
+    """
+    rounding = 10.0 ** (6 - xp.dps) if has_digits(xp) else ROUNDING
     nothing: Arithmetic = 0 * leaves(k)[0]
 
     def size(components: Iterable[Arithmetic]) -> Arithmetic:
-        return sum(map(abs, components), nothing)
+        numbers = list(components)
+        if patient:
+            numbers += [Dual(slope(c), 0.0) for c in numbers if isinstance(c, Dual)]
+        return sum(map(abs, numbers), nothing)
 
     def going(carried: tuple[K, Arithmetic, Arithmetic, Arithmetic]) -> Condition:
-        _, turns, gap, before = carried
-        return (gap > 0) & ((gap < before) | (turns < FIRST)) & (turns < MOST)
+        k, turns, gap, before = carried
+        more = (gap < before) | (turns < FIRST)
+        if patient:
+            more = more | (gap > rounding * size(leaves(part(k))))
+        return (gap > 0) & more & (turns < MOST)
 
     def turn(
         carried: tuple[K, Arithmetic, Arithmetic, Arithmetic],
@@ -95,8 +112,10 @@ def found[X: AnyState](x: X, converged: object, xp: Namespace) -> X:
 # -- Gauss's collocation ---------------------------------------------------------------------------------
 def gauss_tableau(stages: int, xp: Namespace) -> tuple[list[list[Arithmetic]], list[Arithmetic]]:
     """Return A and b: Hairer, Lubich, Wanner, §II.1.3, table 1.1."""
-    root = xp.sqrt(3 if stages == 2 else 15)
+    root = xp.sqrt(15 if stages == 3 else 3)
     one = root / root
+    if stages == 1:
+        return [[one / 2]], [one]
     if stages == 2:
         return [[one / 4, one / 4 - root / 6], [one / 4 + root / 6, one / 4]], [one / 2, one / 2]
     A = [
@@ -120,7 +139,7 @@ def gauss(stages: int) -> Callable[[Scene, State, Arithmetic, Namespace], tuple[
             return y
 
         def update(slopes: Sequence[State]) -> Sequence[State]:
-            if scene.canonical:
+            if scene.separable:
                 momenta = [moved(row, slopes).p for row in A]
                 pairs = zip(slopes, momenta, strict=True)
                 slopes = [k._replace(q=tuple(scene.velocity(p))) for k, p in pairs]
@@ -136,7 +155,7 @@ def gauss(stages: int) -> Callable[[Scene, State, Arithmetic, Namespace], tuple[
 # -- a discrete gradient -------------------------------------------------------------------------------
 class DiscreteGradient(Implicit):
     def refuses(self, scene: Scene) -> str | None:
-        fits = scene.canonical and scene.clock is None
+        fits = scene.separable and scene.clock is None
         return unfit(self, scene, fits, "forces that depend on q alone")
 
 

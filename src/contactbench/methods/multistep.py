@@ -77,7 +77,7 @@ class Multistep(FixedStep):
         return [-sum(adams[j + 1 :], Fraction(0)) for j in range(self.forces)]
 
     def refuses(self, scene: Any) -> str | None:
-        fits = scene.canonical and scene.clock is None and not scene.nonlinear_damping
+        fits = scene.separable and scene.clock is None and not scene.nonlinear_damping
         if (why := unfit(self, scene, fits, "forces that depend on q alone and damping Γ = γ s")) is not None:
             return why
         if scene.gamma * scene.t_end > LONGEST:

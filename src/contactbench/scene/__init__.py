@@ -22,6 +22,7 @@ from contactbench.scene.algebra import (
     times,
 )
 from contactbench.scene.base import Cache, Scene, System, key
+from contactbench.scene.contact_system import ContactSystem
 from contactbench.scene.definition import verify
 from contactbench.scene.driven import Driven
 from contactbench.scene.flow import Flow

@@ -425,6 +425,8 @@ class Scene(System):
     paper_flows: ClassVar[Mapping[str, str]] = {}
     #: its components are numbers, coordinates q and momenta p as many of each, and η = ds − p dq
     canonical: ClassVar[bool] = False
+    #: it is canonical, and H = T(p) + V(q) + Γ(s): velocities are those of p, forces those of q
+    separable: ClassVar[bool] = False
     #: Γ(s) is not γ s
     nonlinear_damping: ClassVar[bool] = False
     #: what its equations or flows choose by, computed once of the numbers it was made with
@@ -604,6 +606,14 @@ class Scene(System):
     def momentum(self, x: OwnState) -> Vector | None:
         """Return the momentum map J of the rotations, None where there is none."""
 
+    def hamiltonian_at(self, x: OwnState) -> Numeric:
+        """Return H at a state, however a kind of scene is given it."""
+        return self.hamiltonian(x)
+
+    def momentum_at(self, x: OwnState) -> Vector | None:
+        """Return J at a state, however a kind of scene is given it."""
+        return self.momentum(x)
+
     def tangents(self, x: OwnState) -> Sequence[OwnState]:
         """Return a basis of the tangent space at x, as states: the coordinates', the time left out."""
         size = len(self.pack(x))
@@ -642,6 +652,10 @@ class Scene(System):
     def damped_by(self, x: OwnState, t: Arithmetic, xp: Namespace) -> Numeric:
         """Return ∫Γ' over the time t from x, None where it depends on the motion."""
         return None if self.conformal_rate is None else self.conformal_rate * t
+
+    def damped_within(self, x: OwnState, h: Arithmetic, xp: Namespace) -> Numeric:
+        """Return the same over a step, of any kind of number."""
+        return self.damped_by(x, h, xp)
 
     @property
     def is_contact(self) -> bool:

@@ -227,6 +227,9 @@ class Driven(Mechanical):
             return self.span(t, h, xp, **self.parameters)
         return quadrature.integrals(self.rate_at, t, h, xp)
 
+    def damped_within(self, x: DrivenState, h: Arithmetic, xp: Namespace) -> Numeric:
+        return -driven_log_factor(self, x, h, xp)
+
     def damped_by(self, x: DrivenState, t: Numeric, xp: Namespace) -> Numeric:
         if self.rate is None:
             return self.gamma * t

@@ -18,6 +18,7 @@ from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import AnyState, DrivenState, State, Vector, cross, dot, norm, scaled, times
 from contactbench.scene.base import Check, Numeric, OwnState, Scene, named_numbers, optional
+from contactbench.scene.contact_system import on_metric
 from contactbench.scene.flow import Constants, Flow, damped_time, damping, linear_log_factor, plain
 from contactbench.scene.scales import in_order, reach
 from contactbench.trace.formula import Formula, formula
@@ -32,7 +33,7 @@ derived_hessian = lru_cache(256)(Formula.hessian)
 def masses(name: str, value: Any) -> float | tuple[float, ...]:
     """Return one number > 0, or a tuple of such; raise `BadInput` for anything else."""
     if callable(value) or np.ndim(value) > 1:
-        how = "a constant matrix is diagonal in other coordinates; one that depends on q SciPy's solve_ivp takes"
+        how = "a matrix, constant or not, is cb.Mechanical(mass=lambda q: …), a function of q"
         why = f"{name} = {excerpt(value)}: must be one number > 0, or one for every component; {how}"
         raise BadInput(why)
     if not isinstance(value, tuple | list | np.ndarray) or np.ndim(value) == 0:
@@ -47,7 +48,7 @@ def sign(number: Arithmetic) -> int:
 def damping_rate(name: str, value: Any) -> float:
     """Return a finite number; raise `BadInput` for anything else, which says how a function is given."""
     if callable(value):
-        how = "one of time is cb.Driven(rate=lambda t: …), one of s cb.GeneralDamping(damping=…); of q solve_ivp"
+        how = "of time is cb.Driven(rate=lambda t: …), of s cb.GeneralDamping(damping=…), of q and s cb.ContactSystem"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
     if np.ndim(value):
         how = "a rate for each momentum cb.diffrax.Contact takes, a matrix SciPy's solve_ivp"
@@ -75,7 +76,8 @@ class Canonical(Scene):
         return dot(a, b)
 
     def damping_at(self, x: OwnState) -> Arithmetic:
-        return self.gamma
+        """Return ∂H/∂s."""
+        return self.dissipation_rate(x.s)
 
     @property
     def nonlinear_damping(self) -> bool:  # type: ignore[override]
@@ -300,7 +302,10 @@ class Mechanical(Canonical):
     gamma, kappa
         Damping; κ ≠ 0 makes s part of the dynamics.
     mass
-        > 0; one number, or one for every component.
+        > 0; one number, or one for every component; or ``M(q, **parameters)``, a symmetric positive definite matrix,
+        n rows of n numbers.  Then H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s², and what is made is the `ContactSystem` of
+        this H, γ and κ among its parameters; gradient and hessian are derived.  In p = M(q) q' the damping is still
+        −γ p: the friction −γ M(q) q' is proportional to the mass.
     parameters
         Numbers by name that the functions take.
     rotation_invariant
@@ -347,7 +352,7 @@ class Mechanical(Canonical):
         "rotation_invariant": switch,
         "parameters": named_numbers,
     }
-    canonical = True
+    canonical = separable = True
     flows: ClassVar[Mapping[str, Flow]] = {
         "kick": Flow(plain, kick, {"gradient": 1}),
         "drift": Flow(plain, drift, {}),
@@ -355,6 +360,11 @@ class Mechanical(Canonical):
         "drift_damp": Flow(_drift_damp_constants, drift_damp, {}, drift_damp_log_factor),
     }
     parts: ClassVar[tuple[str, ...]] = ("kick", "drift_damp")
+
+    def __new__(cls, *_: object, **given: Any) -> Self:
+        if cls is Mechanical and callable(given.get("mass")):
+            return on_metric(**given)  # type: ignore[return-value]
+        return super().__new__(cls, *_, **given)
 
     def __post_init__(self) -> None:
         super().__post_init__()

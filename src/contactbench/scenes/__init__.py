@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from contactbench.scene import Scene
 from contactbench.scene.base import SCENES
+from contactbench.scenes.contact_systems import CONTACT_SYSTEMS
 from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.many import MANY
 from contactbench.scenes.standard import STANDARD
 
-for _scene in (*STANDARD, *DRIVEN, *HARD, *MANY):
+for _scene in (*STANDARD, *DRIVEN, *CONTACT_SYSTEMS, *HARD, *MANY):
     SCENES.add(_scene)
 
 

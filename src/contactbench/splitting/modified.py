@@ -110,7 +110,7 @@ def modified_hamiltonian(
 ) -> Numeric:
     """Return H̃ at x for steps of size h, brackets of up to `degree` parts included, on a mechanical
     scene; needs s.  Its error is O(h^{degree+1})."""
-    total = scene.hamiltonian(x)
+    total = scene.hamiltonian_at(x)
     for letters, c in weights(composition.stages).items():
         n = len(letters) + 2
         if n <= degree:

@@ -57,6 +57,7 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[s
 
 #: on callbacks a rival is timed on one scene alone: elsewhere compiled, and by its evaluations
 RIVALS = {"contact-yoshida6", "contact-rkn6a", "contact-rkn8b", "gauss4", "gauss6", "discrete-gradient"}
+RIVALS |= {"contact-gauss2", "contact-gauss4", "contact-gauss6"}
 RIVALS |= {"quinlan-tremaine8", "quinlan-tremaine12", "stormer12", "sprk-5", "sprk-10"}
 RIVALS |= {"rk8", "rk8-7", "rkn8", "rkn12", "rkn8-6", "rkn12-10"}
 #: the scenes on which callbacks and XLA are timed; elsewhere CyRK has the same tableaux compiled

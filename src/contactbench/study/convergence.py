@@ -42,7 +42,11 @@ def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, floa
         row |= {"status": "ok", "message": "", "steps": n, "jacobians": 0}
         evaluations = None if method.iterates else method.counts(scene, n)
         row |= {"evaluations": evaluations, "evaluation_kind": method.kind_on(scene)}
-        yield row, h, float(error_at(method, scene, EXTENDED_TIME, n)) / size
+        try:
+            error = float(error_at(method, scene, EXTENDED_TIME, n)) / size
+        except OverflowError as why:  # beyond any scale
+            row, error = row | {"status": "diverged", "message": str(why)}, math.nan
+        yield row, h, error
 
 
 @experiment(

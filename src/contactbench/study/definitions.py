@@ -57,8 +57,8 @@ def scene_lines(scene: Scene) -> list[str]:
     for offset in OFFSETS:
         y = [a + context.mpf(offset * (k + 1)) / 64 for k, a in enumerate(start)]
         x = twin.unpack(y, scene.carry())
-        contact = [twin.hamiltonian(x)] if scene.is_contact else []
-        values = [twin.pack(twin.rhs(x)), [twin.energy(x)], contact, twin.momentum(x), twin.jacobian(x)]
+        contact = [twin.hamiltonian_at(x)] if scene.is_contact else []
+        values = [twin.pack(twin.rhs(x)), [twin.energy(x)], contact, twin.momentum_at(x), twin.jacobian(x)]
         lines += [digits_of(value, context) for value in values]
     return lines
 

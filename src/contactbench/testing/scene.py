@@ -79,7 +79,7 @@ class SceneCase:
 
     def rate(self, x: AnyState) -> Arithmetic:
         along_s = self.read([self.xp.mpf(int(name == "s")) for name in self.scene.labels(self.scene.carry())])
-        return self.slope(lambda x: [self.twin.hamiltonian(x)], x, along_s)[0]
+        return self.slope(lambda x: [self.twin.hamiltonian_at(x)], x, along_s)[0]
 
     def near(self, a: Iterable[Arithmetic], b: Iterable[Arithmetic], what: str) -> None:
         a, b = list(a), list(b)
@@ -129,7 +129,7 @@ def is_one_definition(case: SceneCase) -> None:
     scene = case.scene
     for x, z in zip(case.states, case.exact, strict=True):
         pair = case.read([np.array([c, 2 * c]) for c in scene.pack(x)])
-        for name in ("rhs", "energy") + (("hamiltonian",) if scene.is_contact else ()):
+        for name in ("rhs", "energy") + (("hamiltonian_at",) if scene.is_contact else ()):
             plain = values(scene, name, x)
             first = [np.broadcast_to(np.asarray(c), 2)[0] for c in values(scene, name, pair)]
             case.near(first, plain, f"{name} on arrays")
@@ -170,7 +170,7 @@ def is_a_contact_system(case: SceneCase) -> str | None:
 
     for x in case.exact:
         rate = case.rate(x)
-        case.near([twin.contact_form(x, twin.rhs(x))], [-twin.hamiltonian(x)], "η(X) is not −H")
+        case.near([twin.contact_form(x, twin.rhs(x))], [-twin.hamiltonian_at(x)], "η(X) is not −H")
         for v in twin.tangents(x):
             case.near(lie_derivative(x, v), [-rate * twin.contact_form(x, v)], "L_X η is not −Γ' η")
         if not scene.rate_changes:
@@ -181,15 +181,15 @@ def is_a_contact_system(case: SceneCase) -> str | None:
 def has_its_laws(case: SceneCase) -> None:
     scene, twin = case.scene, case.twin
     for x, z in zip(case.states, case.exact, strict=True):
-        field, v, momentum = twin.rhs(z), scene.tangents(x)[0], scene.momentum(x)
+        field, v, momentum = twin.rhs(z), scene.tangents(x)[0], scene.momentum_at(x)
         decay = case.slope(lambda x: [twin.energy(x)], z, field)[0]
         require(scene.may_gain_energy or decay <= CLOSE, f"H0 grows, {float(decay):.1e}, though it may not")
         if scene.has_momentum_law and scene.is_contact:
-            law = [-case.rate(z) * c for c in twin.momentum(z) or ()]
-            case.near(case.slope(lambda x: twin.momentum(x) or (), z, field), law, "J' is not −Γ' J")
+            law = [-case.rate(z) * c for c in twin.momentum_at(z) or ()]
+            case.near(case.slope(lambda x: twin.momentum_at(x) or (), z, field), law, "J' is not −Γ' J")
         terms = []
         if scene.is_contact:
-            terms += [("hamiltonian_terms < |H|", scene.hamiltonian_terms(x), scene.hamiltonian(x))]
+            terms += [("hamiltonian_terms < |H|", scene.hamiltonian_terms(x), scene.hamiltonian_at(x))]
             terms += [("contact_terms < |η(v)|", scene.contact_terms(x, v), scene.contact_form(x, v))]
         if momentum is not None:
             terms += [("momentum_terms < ‖J‖", scene.momentum_terms(x), math.hypot(*momentum))]

@@ -1,0 +1,354 @@
+"""Any contact Hamiltonian: its derived equations, and the contact maps that collocation makes of them."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import contactbench as cb
+from cases import by_name, refusal
+from contactbench.measure.order import order_at
+from contactbench.methods import contact_gauss
+from contactbench.scene import State
+from contactbench.testing import check_scene
+from contactbench.testing.method import with_counter
+from contactbench.truth import decimal_context
+from contactbench.xla import jax, jnp
+from decimals import pullback
+
+m = cb.math
+
+
+def anything(q, p, s):
+    """No sum of parts: its contact maps have factors of their own."""
+    kinetic = (1 + 0.3 * m.sin(s)) * (p[0] ** 2 + p[1] ** 2) / 2
+    return kinetic + m.cos(q[0]) * q[1] ** 2 + 0.2 * s**2 + 0.1 * s * p[0] * q[1]
+
+
+GENERAL = cb.ContactSystem(name="general", hamiltonian=anything, q=(0.5, 0.3), p=(0.2, 0.4), s=0.3, t_end=4.0)
+#: what cannot be told from its name: damping of q, a rate that follows q, terms odd in p, powers
+ROUGH = cb.ContactSystem(
+    name="rough",
+    hamiltonian=lambda q, p, s, a: (
+        m.sqrt(1 + p[0] ** 2) + q[0] ** 4 / 4 + (a + q[0] ** 2) * s + 0.3 * p[0] * q[0]
+    ),
+    parameters={"a": 0.1},
+    q=(0.7,),
+    p=(-0.4,),
+    s=0.2,
+    t_end=4.0,
+)
+PENDULUM, POLAR, THERMOSTAT = map(cb.SCENES.get, ("double_pendulum", "polar", "thermostat"))
+SCENES = [GENERAL, ROUGH, PENDULUM, POLAR, THERMOSTAT]
+METHODS = {"contact-gauss2": 2, "contact-gauss4": 4, "contact-gauss6": 6}
+PEERS = ("rk4", "rk8-7", "gauss6", "scipy-radau", "cvode-bdf", "cyrk-dop853", "diffrax-dopri8", "heyoka-taylor")
+GIVEN = {"q": (1.0,), "p": (0.5,), "t_end": 1.0}
+
+
+def matrix(q):
+    c = m.cos(q[0] - q[1])
+    return ((2.0, c), (c, 1.0))
+
+
+def height(q):
+    return 2 * (1 - m.cos(q[0])) + (1 - m.cos(q[1]))
+
+
+MASSIVE = cb.Mechanical(
+    name="massive", mass=matrix, potential=height, gamma=0.1, q=PENDULUM.q, p=PENDULUM.p, t_end=20.0
+)
+
+
+# -- the equations ---------------------------------------------------------------------------------
+@by_name([*SCENES, MASSIVE])
+def test_a_contact_system_follows_the_rules_of_scenes(scene):
+    check_scene(scene)
+
+
+@pytest.mark.quick(scene="rough")
+@by_name(SCENES)
+def test_its_equations_are_those_that_jax_derives(scene):
+    n, rng = len(scene.q), np.random.default_rng(3)
+
+    def H(y):
+        return scene.hamiltonian(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n], **scene.parameters)
+
+    for _ in range(3):
+        y = 0.3 * rng.normal(size=2 * n + 1) + 1.0
+        slope = np.array(jax.grad(H)(jnp.asarray(y)))
+        H_q, H_p, H_s, p = slope[:n], slope[n : 2 * n], slope[2 * n], y[n : 2 * n]
+        expected = [*H_p, *(-H_q - p * H_s), p @ H_p - float(H(jnp.asarray(y)))]
+        found = scene.pack(scene.rhs(scene.unpack(y.tolist(), ("s",))))
+        np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
+
+
+def test_where_the_rate_is_known_and_s_need_not_be_carried_is_seen_from_h():
+    assert (PENDULUM.conformal_rate, PENDULUM.required) == (0.1, ())
+    assert PENDULUM.with_(gamma=0.3).conformal_rate == 0.3
+    for scene in (GENERAL, ROUGH, THERMOSTAT):
+        assert (scene.conformal_rate, scene.required) == (None, ("s",))
+    bare = cb.solve(PENDULUM, "contact-gauss4", step=0.1, carry=(), save_at=[2.0]).y[-1]
+    whole = cb.solve(PENDULUM, "contact-gauss4", step=0.1, save_at=[2.0]).y[-1]
+    np.testing.assert_allclose(bare, whole[:4], atol=1e-14)
+
+
+@pytest.mark.quick(scene="general", method=("contact-gauss6", "cyrk-dop853", "heyoka-taylor"))
+@pytest.mark.parametrize("scene", [GENERAL, ROUGH], ids=["general", "rough"])
+@pytest.mark.parametrize("method", [*METHODS, *PEERS])
+def test_methods_of_all_engines_agree_on_it(method, scene):
+    own = cb.METHODS[method]
+    for engine in own.engines:
+        setting = {"rtol": 1e-9} if own.adaptive else {"step": 2e-3 if own.order > 2 else 1e-4}
+        solution = cb.solve(scene, method, engine=engine, save_at=[0.5], **setting)
+        assert solution.ok, solution.message
+        assert (
+            cb.LAWS["solution_error"](solution) < 1e-7
+        )  # measured: 2e-9 of cvode-bdf, 5e-9 of contact-gauss2
+
+
+def test_what_h_reads_is_read_by_every_call():
+    strength = [1.0]
+    scene = cb.ContactSystem(hamiltonian=lambda q, p, s: p[0] ** 2 / 2 + strength[0] * q[0] ** 2 / 2, **GIVEN)
+    x = State((1.0,), (0.5,), 0.0)
+    assert scene.rhs(x).p == (-1.0,)
+    first = cb.solve(scene, "rk4", step=0.1)
+    strength[0] = 4.0
+    assert scene.rhs(x).p == (-4.0,)
+    assert not np.array_equal(first.y, cb.solve(scene, "rk4", step=0.1).y)
+
+
+def test_it_is_pickled_and_changed_and_stepped():
+    again = pickle.loads(pickle.dumps(ROUGH))
+    x = ROUGH.initial(("s",))
+    assert again.rhs(x) == ROUGH.rhs(x)
+    assert again.with_(a=0.7).rhs(x) == ROUGH.with_(a=0.7).rhs(x) != ROUGH.rhs(x)
+    step = cb.step_map(ROUGH, "contact-gauss4")
+    one = cb.solve(ROUGH, "contact-gauss4", step=0.1, save_at=[0.1]).y[-1]
+    np.testing.assert_allclose(step(step.start, 0.1), one, rtol=1e-14)
+    contact = cb.scipy.Contact("contact-gauss4", ROUGH)
+    run = solve_ivp(contact.rhs, (0, 1), contact.start, method=contact, max_step=0.1)
+    np.testing.assert_allclose(
+        run.y[:, -1], cb.solve(ROUGH, "contact-gauss4", step=0.1, save_at=[1.0]).y[-1], rtol=1e-12
+    )
+
+
+# -- contact maps ----------------------------------------------------------------------------------
+@pytest.mark.quick(scene="rough")
+@by_name([ROUGH, GENERAL, PENDULUM])
+@pytest.mark.parametrize("method", METHODS)
+def test_orders_at_fifty_digits(method, scene):
+    found = order_at(cb.METHODS[method], scene.recorded(), 0.5, 4)
+    assert found == pytest.approx(METHODS[method], abs=0.06)  # measured: within 0.03
+
+
+@pytest.mark.quick(scene="rough", method=("contact-gauss4", "gauss4"))
+@by_name(SCENES)
+@pytest.mark.parametrize("method", [*METHODS, "gauss4"])
+def test_a_step_is_a_contact_map_whatever_h(method, scene):
+    """At 150 digits: Φ*η is c η for a number c, which Gauss's method on (q, p, s) misses by its error."""
+    pulled, form = pullback(cb.METHODS[method], scene.recorded(), "0.1", 1)
+    context = decimal_context(150)
+    c = sum(a * b for a, b in zip(pulled, form, strict=True)) / sum(b * b for b in form)
+    off = context.norm([a - c * b for a, b in zip(pulled, form, strict=True)]) / context.norm(form)
+    if method == "gauss4":
+        assert off > 1e-9
+        return
+    assert off < 1e-90
+    logarithm = cb.METHODS[method].log_factor(scene.recorded(), scene.initial(("s",)), 0.1, 1)
+    assert float(context.log(c)) == pytest.approx(logarithm, rel=1e-12, abs=1e-15)
+
+
+@by_name([GENERAL, PENDULUM])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_step_of_doubles_is_one_to_round_off(method, scene):
+    steps = [cb.solve(scene, method, step=h, save_at=[h]) for h in (0.02, 0.1, 0.2)]
+    assert max(map(cb.LAWS["own_factor_drift"], steps)) < 3e-15  # measured: 1e-15
+
+
+@by_name([PENDULUM, POLAR, cb.SCENES["central"], cb.SCENES["forced_pulsating"]])
+@pytest.mark.parametrize("method", ["contact-gauss4"])
+def test_where_the_rate_is_known_the_factor_is_that_of_the_flow(method, scene):
+    solution = cb.solve(scene, method, step=0.25, save_at=[2.0])
+    assert cb.LAWS["solution_error"](solution) > 1e-6
+    assert cb.LAWS["contact_drift"](solution) < 1e-12  # measured: 3e-13 on polar, of 24 iterations a step
+    if scene.has_momentum_law:
+        assert cb.LAWS["momentum_law"](solution) < 1e-13
+
+
+def test_strong_damping_does_not_slow_the_iteration_down():
+    """Where r is known the equations of (q, P) have no damping in them; gauss4 does not converge."""
+    counts = [
+        cb.solve(PENDULUM.with_(gamma=g), "contact-gauss4", step=0.05).counts.evaluations for g in (0.1, 50)
+    ]
+    assert counts[1] < 1.1 * counts[0]
+    assert not cb.solve(PENDULUM.with_(gamma=50.0), "gauss4", step=0.05).ok
+
+
+def test_a_wrong_coefficient_costs_the_structure(monkeypatch):
+    given = contact_gauss.gauss_tableau
+
+    def wrong(stages, xp):
+        A, b = given(stages, xp)
+        A[0][-1] = A[0][-1] + 1e-6
+        return A, b
+
+    scene, step = ROUGH.recorded(), cb.METHODS["contact-gauss4"]
+    monkeypatch.setattr(contact_gauss, "gauss_tableau", wrong)
+    pulled, form = pullback(step, scene, "0.1", 1)
+    c = math.exp(step.log_factor(scene, scene.initial(("s",)), 0.1, 1))
+    assert max(abs(float(a) - c * float(b)) for a, b in zip(pulled, form, strict=True)) > 1e-9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_evaluation_is_counted(method):
+    twin, calls = with_counter(GENERAL.recorded(), "rhs")
+    run = cb.prepare(twin, method, step=0.1, engine="python")
+    calls[0] = 0
+    counts = run().counts
+    assert counts.evaluations == calls[0]
+    compiled = cb.solve(GENERAL, method, step=0.1).counts.evaluations
+    assert counts.evaluations == pytest.approx(compiled, rel=0.02)  # increments end in other roundings
+
+
+def test_stages_start_from_the_last_steps_polynomial():
+    """Evaluations a stage: without it 9 and 25 (measured)."""
+    for step, most in ((0.0125, 7.5), (0.2, 24.5)):
+        counts = cb.solve(PENDULUM, "contact-gauss6", step=step).counts
+        assert counts.evaluations / counts.steps / 3 < most
+
+
+def test_a_step_without_a_solution_fails_and_says_so():
+    stiff = cb.SCENES["oscillator"].with_(omega=100.0, t_end=10.0)
+    for engine in ("numba", "python"):
+        solution = cb.solve(stiff, "contact-gauss4", step=0.5, engine=engine)
+        assert solution.status is cb.Status.failed
+        assert "does not converge at t = 0, of a step of 0.5" in solution.message
+
+
+# -- scenes ----------------------------------------------------------------------------------------
+def test_polar_is_central_in_other_coordinates():
+    t = np.linspace(0, 20, 201)
+    x, y = (cb.reference(scene, t).states() for scene in (POLAR, cb.SCENES["central"]))
+    (r, angle), (radial, J) = x.q, x.p
+    c, s = np.cos(angle), np.sin(angle)
+    mapped = [r * c, r * s, radial * c - J * s / r, radial * s + J * c / r, x.s]
+    np.testing.assert_allclose(mapped, [*y.q, *y.p, y.s], atol=1e-14)
+
+
+def test_the_thermostat_has_the_canonical_density():
+    """div X = −(n + 1) ∂H/∂s, and ρ = e^{−βh} e^s/(1 + e^s)² is transported by it: div(ρX) = 0."""
+
+    def log_density(y):
+        q, p, s = y
+        return -THERMOSTAT.parameters["beta"] * (q * q + p * p) / 2 + s - 2 * math.log1p(math.exp(s))
+
+    scene, delta = THERMOSTAT.recorded(), 1e-5
+    for y in np.random.default_rng(2).normal(size=(5, 3)):
+        x = scene.unpack(y.tolist(), ("s",))
+        slope = np.array(scene.pack(scene.rhs(x)))
+        along = (log_density(y + delta * slope) - log_density(y - delta * slope)) / (2 * delta)
+        assert np.trace(np.array(scene.jacobian(x))) + along == pytest.approx(
+            0, abs=1e-6 * np.abs(slope).max() ** 3
+        )
+
+
+def test_a_mass_that_depends_on_q_is_factored_in_the_recording():
+    x = PENDULUM.unpack([0.3, -0.7, 0.2, 0.9, 0.4], ("s",))
+    np.testing.assert_allclose(
+        MASSIVE.pack(MASSIVE.rhs(x)), PENDULUM.pack(PENDULUM.rhs(x)), rtol=1e-14, atol=1e-15
+    )
+    rng = np.random.default_rng(1)
+    root, p = rng.normal(size=(4, 4)), rng.normal(size=4)
+    M = root @ root.T + np.eye(4)
+    scene = cb.Mechanical(
+        name="four",
+        mass=lambda q: tuple(map(tuple, (M * 1.0).tolist())),
+        potential=lambda q: q[0] * q[1] + q[2] ** 2 + q[3],
+        kappa=0.3,
+        q=(0.0,) * 4,
+        p=tuple(p),
+        s=0.5,
+        t_end=1.0,
+    )
+    x = scene.initial(("s",))
+    assert scene.hamiltonian_at(x) == pytest.approx(p @ np.linalg.solve(M, p) / 2 + 0.15 * 0.25, rel=1e-13)
+    np.testing.assert_allclose(scene.rhs(x).q, np.linalg.solve(M, p), rtol=1e-12)
+    assert scene.parameters == {"gamma": 0.0, "kappa": 0.3}
+
+
+def test_rotations_of_a_metric_are_a_symmetry():
+    def conformal(q, swell):
+        size = 1 + swell * (q[0] ** 2 + q[1] ** 2)
+        return ((size, 0.0 * q[0]), (0.0 * q[0], size))
+
+    scene = cb.Mechanical(
+        name="swollen",
+        mass=conformal,
+        potential=lambda q: (q[0] ** 2 + q[1] ** 2) / 2,
+        parameters={"swell": 0.3},
+        rotation_invariant=True,
+        gamma=0.1,
+        q=(1.0, 0.2),
+        p=(0.3, 0.4),
+        t_end=5.0,
+    )
+    assert cb.LAWS["momentum_law"](cb.solve(scene, "contact-gauss4", step=0.25)) < 1e-14
+    assert cb.LAWS["momentum_law"](cb.solve(scene, "rk4", step=0.25)) > 1e-8
+
+
+def test_laws_of_a_general_h():
+    solution = cb.solve(THERMOSTAT, "contact-gauss4", step=0.1, save_at=[1.0])
+    laws = solution.laws()["deviation"]
+    assert 1e-9 < laws["contact_drift"] < 1e-3  # its own factor is off by its error
+    assert laws["own_factor_drift"] < 1e-13
+    assert laws["hamiltonian_law"] < 1e-2
+    assert {"momentum_law", "pairing_drift"}.isdisjoint(laws.index)
+
+
+# -- bad input -------------------------------------------------------------------------------------
+def system(H, **changes):
+    return lambda: cb.ContactSystem(hamiltonian=H, **GIVEN | changes)
+
+
+def massive(**changes):
+    given = {
+        "name": "mine",
+        "mass": matrix,
+        "potential": height,
+        "q": (1.0, 0.5),
+        "p": (0.0, 0.0),
+        "t_end": 1.0,
+    }
+    return lambda: cb.Mechanical(**given | changes)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (system(lambda q, p, s: 1.0), "depends on none of q, p and s"),
+        (system(lambda q, p, s: p[0] if p[0] > 0 else q[0]), "its hamiltonian cannot be recorded"),
+        (system(lambda q, p, s: math.sin(p[0])), "use cb.math.sin"),
+        (system(lambda q, p, s: 1j * p[0]), "must return a real number"),
+        (system(lambda q, p, s: (p[0],)), "must return a real number"),
+        (system(lambda q, p: p[0]), "takes 2 positional arguments"),
+        (system(lambda q, p, s: p[0] * q[1]), "IndexError"),
+        (system(lambda q, p, s: q[0] / (p[0] - 0.5)), "ZeroDivisionError"),
+        (system(3), "hamiltonian = 3: must be a function"),
+        (system(lambda q, p, s: p[0], p=(1.0, 2.0)), "q has 1 components and p 2"),
+        (system(lambda q, p, s: p[0] ** 2, gamma=0.1), "gamma: ContactSystem takes none"),
+        (system(lambda q, p, s: p[0] ** 2 + q[0], momentum=lambda q, p, s: p[0]), "momentum: is none of a symmetry"),
+        (system(lambda q, p, s: p[0] ** 2, momentum=lambda q, p, s: "J"), "momentum: must return a real number"),
+        (system(lambda q, p, s, c: c * p[0], parameters={"s": 1.0}), "parameter 's': must have a name of its own"),
+        (massive(mass=lambda q: 2.0), "mass: is 2.0 at q = (1.0, 0.5): must be 2 rows of 2 numbers"),
+        (massive(mass=lambda q: ((1.0, 2.0), (2.0, 1.0))), "symmetric and positive definite"),
+        (massive(gradient=height), "gradient: is derived"),
+        (massive(parameters={"gamma": 0.1}), "parameter 'gamma': must have a name of its own"),
+        (massive(mass=((1.0, 0.0), (0.0, 1.0))), "cb.Mechanical(mass=lambda q: …)"),
+        (massive(potential=None), "potential = None: must be a function"),
+        (massive(rotation_invariant=True), "is none of a symmetry"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_refused_in_one_line(call, says):
+    assert says in refusal(call)
