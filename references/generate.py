@@ -157,7 +157,7 @@ def parameters(scene: Scene) -> dict[str, Any]:
     if isinstance(scene, RigidBody):
         damping = {"gamma": scene.gamma} if scene.isotropic else {"damping": scene.damping}
         return {"inertia": scene.inertia, **damping, "M": scene.M, "R": scene.R, "s": scene.s}
-    names = ("gamma", "kappa", "mass", *scene.initial_fields)
+    names = tuple(dict.fromkeys(("gamma", "kappa", "mass", *scene.coefficients, *scene.initial_fields)))
     return dict(scene.parameters) | {name: getattr(scene, name) for name in names}  # type: ignore[attr-defined]
 
 

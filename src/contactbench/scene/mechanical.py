@@ -451,14 +451,14 @@ class Mechanical(Canonical):
         hess = self.hessian(x.q, **self.parameters)
         rate = self.dissipation_rate(x.s)
         tail: list[Arithmetic] = [] if x.s is None else [0.0]
-        over_m = scaled(self.inverse_mass, [1.0] * n)
+        over_m = self.velocity((1.0,) * n)
         rows = [[0.0] * n + [over_m[i] if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
         for i in range(n):
             damping = [-rate if i == j else 0.0 for j in range(n)]
             column = [-self.kappa * x.p[i]] if x.s is not None and self.nonlinear_damping else tail
             rows.append([-hess[i][j] for j in range(n)] + damping + column)
         if x.s is not None:
-            rows.append([-g for g in self.dV(x.q)] + [*scaled(self.inverse_mass, x.p)] + [-rate])
+            rows.append([-g for g in self.dV(x.q)] + [*self.velocity(x.p)] + [-rate])
         return rows
 
     def momentum(self, x: State) -> Vector | None:
