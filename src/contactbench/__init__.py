@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from contactbench.study.compare import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
-__all__ += ["HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles", "RigidBody", "Solution", "Spheres", "Status"]
-__all__ += ["UnknownName", "compare", "composition", "ensemble", "fixed_step", "geometric_steps", "lyapunov"]
-__all__ += ["math", "prepare", "reference", "results", "shifted", "solve", "step_map"]
+__all__ += ["HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles", "RigidBody", "Solution", "Spheres"]
+__all__ += ["Status", "UnknownName", "compare", "composition", "ensemble", "fixed_step", "geometric_steps"]
+__all__ += ["lyapunov", "math", "prepare", "reference", "results", "shifted", "solve", "step_map"]
 __version__ = "0.1.0"
 
 

@@ -16,7 +16,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, repeat_while, settle
 from contactbench.numbers.protocol import Arithmetic, Namespace, abilities, has_digits
 from contactbench.scene.algebra import State, Vector, cross, dot, norm, times
-from contactbench.scene.base import Check, Numeric, optional
+from contactbench.scene.base import Check, optional
 from contactbench.scene.flow import Constants, Flow, plain
 from contactbench.scene.mechanical import (
     Mechanical,
@@ -62,7 +62,7 @@ def flat(name: str, value: Any) -> tuple[Vector, int]:
     return vector(name, value), 0
 
 
-def of(value: Each, i: int) -> Arithmetic:
+def of(value: Each, i: int) -> Any:
     """Return what is one for all points, or one for each, of point i."""
     return value[i] if isinstance(value, tuple) else value
 
@@ -179,7 +179,7 @@ def sphere_drift_damp(scene: Spheres, x: State, constants: Constants, xp: Namesp
     """
     time, phi, keep, lose, *nonlinear = constants
     s = None if x.s is None else x.s + phi * scene.kinetic(x.p)
-    factor: Arithmetic = 1.0
+    factor: Any = 1.0
     if nonlinear:
         a, factor, path = _pinney(scene, x, constants, xp)
         time, s = times(time, path), a * x.s + phi * scene.kinetic(x.p)
@@ -237,6 +237,8 @@ class Spheres(Mechanical):
         `Mechanical` does.
     """
 
+    q: Any
+    p: Any
     radius: Any = 1.0
     dimension: Any = None
     axis: Any = None
@@ -293,7 +295,7 @@ class Spheres(Mechanical):
     # -- points ------------------------------------------------------------------------------------
     @property
     def bodies(self) -> int:
-        return len(self.q) // self.dimension
+        return int(len(self.q) // self.dimension)
 
     def points(self, numbers: Sequence[Arithmetic]) -> Iterator[Vector]:
         return rows_of(numbers, self.dimension)
@@ -320,10 +322,9 @@ class Spheres(Mechanical):
         return partial(call_grouped, function, self.dimension)
 
     def recorded(self) -> Self:
-        scene = self._replaced(potential=self.of_numbers(self.potential))
-        return (
-            super(Spheres, scene).recorded() if scene.potential is not self.potential else super().recorded()
-        )
+        potential = self.of_numbers(self.potential)
+        scene = self if potential is self.potential else self._replaced(potential=potential)
+        return super(Spheres, scene).recorded()
 
     # -- physics -----------------------------------------------------------------------------------
     def velocity(self, p: Vector) -> Vector:
@@ -437,12 +438,8 @@ class Spheres(Mechanical):
             across, way = dot(q, dp) / (R * R), norm(dq)
             p = tuple(a + amount * (b - across * c) for a, b, c in zip(p, dp, q, strict=True))
             if way > 0:
-                cos, sin, u = (
-                    math.cos(way * amount / R),
-                    math.sin(way * amount / R),
-                    tuple(c / way for c in dq),
-                )
-                along = dot(p, u)
+                turn, u = way * amount / R, tuple(c / way for c in dq)
+                cos, sin, along = math.cos(turn), math.sin(turn), dot(p, u)
                 p = tuple(a + along * ((cos - 1) * b - sin * c / R) for a, b, c in zip(p, u, q, strict=True))
                 q = tuple(cos * a + sin * R * b for a, b in zip(q, u, strict=True))
             moved = moved[0] + q, moved[1] + p

@@ -209,8 +209,8 @@ HARD = tuple(
         STEEP_WALL,
         SPHERICAL_PENDULUM.with_(
             name="upright_pendulum",
-            about="a spherical pendulum that starts 4° from the upright pole with a small turn about it, weakly damped: "
-            "it falls and swings back up to near the pole time and again, where angles turn by half a circle at once "
+            about="a spherical pendulum that starts 4° from the upright pole, slowly turning, weakly damped. "
+            "It falls and swings back up to near the pole time and again, where angles turn by half a circle at once "
             "and small errors decide how long it stays.",
             gamma=1e-3,
             q=(0.07584, 0.0, 0.99712),
