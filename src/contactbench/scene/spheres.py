@@ -184,7 +184,7 @@ def sphere_drift_damp(scene: Spheres, x: State, constants: Constants, xp: Namesp
         a, factor, path = _pinney(scene, x, constants, xp)
         time, s = times(time, path), a * x.s + phi * scene.kinetic(x.p)
 
-    def damped(c: Arithmetic) -> Arithmetic:
+    def damped(c: Arithmetic) -> Any:
         return (keep * c - lose * c) * factor if nonlinear else keep * c - lose * c
 
     q, p = great_circles(scene, x, time, xp, damped)
@@ -427,7 +427,7 @@ class Spheres(Mechanical):
                 carried = tuple(-dot(e, p) / (R * R) * c for c in q)
                 basis += [State(at(e), at(carried), zero), State(at(tuple(0.0 * c for c in e)), at(e), zero)]
         nothing = tuple(0.0 * c for c in x.q)
-        return basis if x.s is None else [*basis, State(nothing, nothing, 1.0 + zero)]
+        return basis if x.s is None else [*basis, State(nothing, nothing, 1.0 + nothing[0])]
 
     def displaced(self, x: State, v: State, amount: float) -> State:  # type: ignore[override]
         """Return points moved along great circles, and their momenta, changed along the sphere and carried along."""
