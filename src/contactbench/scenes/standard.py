@@ -263,7 +263,7 @@ PENDULUM_RING = Spheres(
     gamma=0.2,
     q=_STARTS * 2,
     p=tuple((-0.5 * y, 0.5 * x) for x, y in _STARTS) + ((0.0, 0.0),) * 8,
-    t_end=20.0,
+    t_end=5.0,
     experiments=("convergence",),
 )
 
