@@ -159,7 +159,8 @@ def parameters(scene: Scene) -> dict[str, Any]:
     if isinstance(scene, RigidBody):
         damping = {"gamma": scene.gamma} if scene.isotropic else {"damping": scene.damping}
         return {"inertia": scene.inertia, **damping, "M": scene.M, "R": scene.R, "s": scene.s}
-    names = (*(name for name in ("gamma", "kappa", "mass") if hasattr(scene, name)), *scene.initial_fields)
+    damped = (name for name in ("gamma", "kappa", "mass") if hasattr(scene, name))
+    names = tuple(dict.fromkeys((*damped, *scene.coefficients, *scene.initial_fields)))
     return dict(scene.parameters) | {name: getattr(scene, name) for name in names}  # type: ignore[attr-defined]
 
 

@@ -51,6 +51,11 @@ def members(
     y0 = np.array([np.broadcast_to(columns[name], n) for name in states])
     if "R" in carry and (worst := np.abs(np.linalg.norm(y0[3:7], axis=0) - 1).max()) > 1e-12:
         raise BadInput(f"R: must be unit quaternions (w, x, y, z); one is off by {worst:.3g}")
+    x = scene.unpack(scene.components(y0), carry)
+    if scene.constrained and (worst := np.max(scene.departure(x, x))) > 1e-12:
+        raise BadInput(
+            f"q, p: must be on the sphere, |q| = R and q·p = 0; a trajectory is off by {worst:.3g}"
+        )
     places = scene.number_names()
     return y0, {places.index(name): np.broadcast_to(columns[name], n) for name in parameters}
 

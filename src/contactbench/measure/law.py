@@ -231,7 +231,7 @@ STRUCTURE = 1e-12
 #: up to so many error bars a deviation by differences is no more than an upper bound
 UNSURE = 2.0
 #: laws of the state alone: the sensitivity of the motion does not magnify their round-off
-OF_THE_STATE = ("momentum_law", "attitude_drift")
+OF_THE_STATE = ("momentum_law", "attitude_drift", "sphere_drift")
 #: what a row has of each structural law beside its value, with its meaning
 JUDGEMENT = {
     "claimed": "whether the method promises on this scene to keep it at every setting",

@@ -345,6 +345,18 @@ def attitude_drift(solution: Solution) -> float:
 
 
 @law(
+    "max of | |q|/R − 1 | and |q·p|/RP over the points, P the size of momenta that the start lets expect",
+    "sphere drift",
+    applies=lambda scene: scene.constrained,
+    gate=Gate.structure,
+    claimed=is_of_contact_flows,
+)
+def sphere_drift(solution: Solution) -> float:
+    departure = solution.scene.departure(solution.states(), solution.start())
+    return float(np.max(np.array(departure)))
+
+
+@law(
     "saved steps on which H0 grows although γ > 0",
     "H0 grows",
     applies=lambda scene: not scene.may_gain_energy,

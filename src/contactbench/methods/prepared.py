@@ -58,7 +58,7 @@ class Request:
         assert self.rtol is not None
         start = self.scene.initial(self.carry, **data)
         each = self.scene.scales(start, float(self.save_at[-1]))
-        for part in np.split(each[: self.scene.motion], 2 if self.scene.canonical else 1):
+        for part in np.split(each[: self.scene.motion], 2 if "p" in self.scene.state._fields else 1):
             part[:] = part.max()
         scales = 1.0 if (each == 1).all() else each
         return replace(self, scales=scales, atol=self.rtol * scales if takes_atol else None)

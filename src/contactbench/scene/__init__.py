@@ -30,3 +30,4 @@ from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.heavy_top import HeavyTop
 from contactbench.scene.mechanical import Mechanical
 from contactbench.scene.rigid_body import RigidBody
+from contactbench.scene.spheres import Spheres

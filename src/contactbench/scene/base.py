@@ -437,6 +437,8 @@ class Scene(System):
     has_momentum_law: ClassVar[bool] = False
     #: one component of J obeys J' = −γJ + torque instead, at a constant γ
     has_torque: ClassVar[bool] = False
+    #: its states lie on a manifold that methods may drift off: see `departure`
+    constrained: ClassVar[bool] = False
     #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
     may_gain_energy: ClassVar[bool] = False
 
@@ -624,6 +626,10 @@ class Scene(System):
     def displaced[X: AnyState](self, x: X, v: X, amount: float) -> X:
         """Return the state at `amount` along a curve that leaves x with tangent v."""
         return shifted(x, amount, v)
+
+    def departure(self, x: OwnState, start: OwnState) -> Vector:
+        """Return how far x is off the manifold of states, as numbers without dimension, 0 on it."""
+        return ()
 
     @abstractmethod
     def contact_form(self, x: OwnState, dx: OwnState) -> Numeric:

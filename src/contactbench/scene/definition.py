@@ -18,6 +18,7 @@ import numpy as np
 from contactbench.blame import is_ours, their_code
 from contactbench.checks import is_number
 from contactbench.errors import BadInput, excerpt
+from contactbench.scene.algebra import State
 from contactbench.scene.base import Cache, Scene, key
 from contactbench.scene.driven import Driven
 from contactbench.scene.general_damping import GeneralDamping
@@ -247,18 +248,18 @@ def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
 
 
 def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
-    """Raise `BadInput` unless V(Rq) = V(q), so that ∇V is along q, at each place."""
+    """Raise `BadInput` unless ∇V has no moment, J of q and ∇V in the place of p, at each place."""
     found = []
     for q in places:
         with _within_the_domain():
-            force, size = _force(scene, q, []), float(np.linalg.norm(q))
-            across = force - q * (q @ force) / size**2
-            found.append((float(np.linalg.norm(across)) * size, float(np.linalg.norm(force)) * size, q))
+            pair = State(tuple(q.tolist()), tuple(_force(scene, q, []).tolist()))
+            torque = math.hypot(*scene.momentum(pair) or ())
+            found.append((torque, float(scene.momentum_terms(pair)), q))
     largest = max((terms for _, terms, _ in found if isfinite(terms)), default=0.0)
     for torque, terms, q in found:
         if torque > TOLERANCE * (terms + 1e-3 * largest):  # at an equilibrium a force is rounding
             raise BadInput(
-                f"scene {scene.name!r}: rotation_invariant = True, but the potential exerts a torque, "
+                f"scene {scene.name!r}: {scene.symmetry}, but the potential exerts a torque, "
                 f"‖q × ∇V‖ = {torque:.6g} at q = {_at(q)}"
             )
 

@@ -369,8 +369,8 @@ class Mechanical(Canonical):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._fix("kappa_sign", sign(self.kappa))
-        if isinstance(self.mass, tuple) and len(self.mass) != len(self.q):
-            raise BadInput(f"mass = {excerpt(self.mass)}: must be one number > 0, or {len(self.q)} of them")
+        if isinstance(self.mass, tuple) and len(self.mass) != self.bodies:
+            raise BadInput(f"mass = {excerpt(self.mass)}: must be one number > 0, or {self.bodies} of them")
         if len(self.q) != len(self.p):
             raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
         with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
@@ -379,6 +379,11 @@ class Mechanical(Canonical):
             wanted = f"must return {len(self.q)} numbers, a tuple"
             raise BadInput(f"gradient: {wanted}; it returns {excerpt(force)}")
         vector(f"q = {excerpt(self.q)}, where gradient", force, len(self.q))
+
+    @property
+    def bodies(self) -> int:
+        """Return how many may have a mass of their own."""
+        return len(self.q)
 
     @property
     def required(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -456,14 +461,14 @@ class Mechanical(Canonical):
         hess = self.hessian(x.q, **self.parameters)
         rate = self.dissipation_rate(x.s)
         tail: list[Arithmetic] = [] if x.s is None else [0.0]
-        over_m = scaled(self.inverse_mass, [1.0] * n)
+        over_m = self.velocity((1.0,) * n)
         rows = [[0.0] * n + [over_m[i] if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
         for i in range(n):
             damping = [-rate if i == j else 0.0 for j in range(n)]
             column = [-self.kappa * x.p[i]] if x.s is not None and self.nonlinear_damping else tail
             rows.append([-hess[i][j] for j in range(n)] + damping + column)
         if x.s is not None:
-            rows.append([-g for g in self.dV(x.q)] + [*scaled(self.inverse_mass, x.p)] + [-rate])
+            rows.append([-g for g in self.dV(x.q)] + [*self.velocity(x.p)] + [-rate])
         return rows
 
     def momentum(self, x: State) -> Vector | None:
@@ -472,6 +477,9 @@ class Mechanical(Canonical):
         if len(q) == 2:
             return (q[0] * p[1] - q[1] * p[0],)
         return cross(q, p) if len(q) == 3 else None
+
+    #: what says that it has a symmetry
+    symmetry: ClassVar[str] = "rotation_invariant = True"
 
     @property
     def has_momentum_law(self) -> bool:  # type: ignore[override]

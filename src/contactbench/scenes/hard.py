@@ -9,7 +9,13 @@ from __future__ import annotations
 from contactbench.numbers.functions import exp
 from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Mechanical, Vector
-from contactbench.scenes.standard import OSCILLATOR, PARTICLE, RIGID_BODY, RIGID_BODY_ANISOTROPIC
+from contactbench.scenes.standard import (
+    OSCILLATOR,
+    PARTICLE,
+    RIGID_BODY,
+    RIGID_BODY_ANISOTROPIC,
+    SPHERICAL_PENDULUM,
+)
 
 
 def two_scales(q: Vector, omega: Arithmetic, coupling: Arithmetic) -> Arithmetic:
@@ -201,6 +207,17 @@ HARD = tuple(
         ),
         KEPLER_DRAG,
         STEEP_WALL,
+        SPHERICAL_PENDULUM.with_(
+            name="upright_pendulum",
+            about="a spherical pendulum that starts 4° from the upright pole, slowly turning, weakly damped. "
+            "It falls and swings back up to near the pole time and again, where angles turn by half a circle at once "
+            "and small errors decide how long it stays.",
+            gamma=1e-3,
+            q=(0.07584, 0.0, 0.99712),
+            p=(0.0, 0.1, 0.0),
+            t_end=50.0,
+            experiments=(),
+        ),
         OSCILLATOR.with_(
             name="antidamping",
             about="γ = −0.1: energy is fed in and the motion grows by e^{5}. Nothing may assume that things decay.",

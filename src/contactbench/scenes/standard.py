@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from contactbench.numbers.protocol import Arithmetic
-from contactbench.scene import BodyState, HeavyTop, Mechanical, RigidBody, State, Vector, dot
+from contactbench.scene import BodyState, HeavyTop, Mechanical, RigidBody, Spheres, State, Vector, dot
 
 if TYPE_CHECKING:
     from mpmath import MPContext
@@ -60,6 +60,27 @@ def quartic_hessian(q: Vector, stiffness: Arithmetic) -> tuple[Vector, ...]:
     slope = 1 + stiffness * (x * x + y * y)
     mixed = 2 * stiffness * x * y
     return ((slope + 2 * stiffness * x * x, mixed), (mixed, slope + 2 * stiffness * y * y))
+
+
+def height(q: Vector, weight: Arithmetic) -> Arithmetic:
+    """V = w q₃."""
+    return weight * q[2]
+
+
+def height_gradient(q: Vector, weight: Arithmetic) -> Vector:
+    return (0.0 * q[0], 0.0 * q[1], weight + 0.0 * q[2])
+
+
+def height_hessian(q: Vector, weight: Arithmetic) -> tuple[Vector, ...]:
+    return ((0.0, 0.0, 0.0),) * 3
+
+
+def hanging_ring(q: tuple[Vector, ...], weight: Arithmetic, coupling: Arithmetic) -> Arithmetic:
+    """V = Σ w q_i₂ − c q_i·q_{i+1}: plane pendulums on one axle, each twisted against the next."""
+    V: Arithmetic = 0.0
+    for a, b in zip(q, (*q[1:], q[0]), strict=True):
+        V = V + weight * a[1] - coupling * dot(a, b)
+    return V
 
 
 # -- closed forms: ``(scene, t, mp)`` with an mpmath context and mpmath numbers ----------------------
@@ -207,6 +228,45 @@ HEAVY_TOP = HeavyTop(
     experiments=("convergence", "laws", "work_precision"),
 )
 
+SPHERICAL_PENDULUM = Spheres(
+    name="spherical_pendulum",
+    about="a damped spherical pendulum: the vertical component of q × p decays as e^{-γt}",
+    potential=height,
+    gradient=height_gradient,
+    hessian=height_hessian,
+    axis=(0.0, 0.0, 1.0),
+    parameters={"weight": 1.0},
+    gamma=0.2,
+    q=(0.6, 0.0, -0.8),
+    p=(0.32, 0.9, 0.24),
+    t_end=20.0,
+    experiments=("convergence", "laws", "decay_laws", "work_precision"),
+)
+
+#: of length one as decimals: 3-4-5 and 5-12-13 have powers that are
+_STARTS = (
+    (0.6, -0.8),
+    (0.28, -0.96),
+    (0.0, -1.0),
+    (-0.28, -0.96),
+    (-0.6, -0.8),
+    (-0.8, -0.6),
+    (-0.352, -0.936),
+    (0.8, -0.6),
+)
+
+PENDULUM_RING = Spheres(
+    name="pendulum_ring",
+    about="a ring of 16 plane pendulums, each coupled to the next: points on a torus of 16 circles",
+    potential=hanging_ring,
+    parameters={"weight": 1.0, "coupling": 0.5},
+    gamma=0.2,
+    q=_STARTS * 2,
+    p=tuple((-0.5 * y, 0.5 * x) for x, y in _STARTS) + ((0.0, 0.0),) * 8,
+    t_end=5.0,
+    experiments=("convergence",),
+)
+
 PARTICLE_LONG = PARTICLE.with_(
     name="particle_long",
     about="the particle with γ = 10⁻³ over a hundred times the span",
@@ -232,6 +292,8 @@ STANDARD = (
     RIGID_BODY,
     RIGID_BODY_ANISOTROPIC,
     HEAVY_TOP,
+    SPHERICAL_PENDULUM,
+    PENDULUM_RING,
     PARTICLE_LONG,
     QUADRATIC_DAMPING,
 )

@@ -37,6 +37,7 @@ def fingerprint(value: object) -> str | list[str]:
 
 def digest(scene: Scene) -> str:
     """Return the SHA-256 of what determines the trajectory: kind, functions, numbers and initial data."""
+    scene = scene.recorded()
     functions = [
         [f.name, *name_of(value)]
         for f in fields(scene)
