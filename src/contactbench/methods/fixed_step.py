@@ -58,6 +58,8 @@ class FixedStep(Method):
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
     appendix: bool = False
     adaptive = False
+    #: the step of the first pilot at most
+    longest = math.inf
     tolerance = (
         "the largest error over the saved times, relative to the largest state: pilots choose the step"
     )
@@ -68,8 +70,11 @@ class FixedStep(Method):
         loops = SITE_LOOPS if request.scene.by_sites else LOOPS
         loop = loops[request.engine](self, request)
         if request.step is not None:
-            return FixedStepRun(self.name, request, self, loop)
+            return self.run_of(request, loop)
         return ChosenStep(self.name, request, self, loop)
+
+    def run_of(self, request: Request, loop: StepLoop[Any]) -> FixedStepRun:
+        return FixedStepRun(self.name, request, self, loop)
 
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
