@@ -66,7 +66,8 @@ class Method(ABC):
      5. ``bare(y0)`` is the solver's own call, by its fastest way: the last state of the run to within the
         roundings of another way to the same time.  It is what is timed.
      6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between saved times and no
-        longer than `step`, and the error falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and
+        longer than `step` (of a method that `follows` the motion, all of that size, not in time), and the error falls
+        as step^order.  `adaptive`: takes `rtol` within `rtol_range` and
         `atol`, and says in `tolerance` what they bound; the error falls as they do.  `exact`: takes neither
         and has no truncation error.
      7. `max_steps` is never exceeded: a run that needs more ends as `budget`, and the states it did not reach
@@ -112,6 +113,9 @@ class Method(ABC):
     own_time: bool = False
     #: whether equal steps are powers of one map of the state, which has a stability limit and a `step_map`
     one_step: bool = True
+    #: whether steps are equal not in time but in a variable that follows the motion: as many as that takes lead to a
+    #: saved time, to which a part of the last one is taken
+    follows: bool = False
     #: whether a step iterates until nothing changes: what it costs is counted as it runs (see implicit.py), and
     #: `counts` is what it typically costs
     iterates: ClassVar[bool] = False
@@ -284,7 +288,11 @@ def make_request(
         budget = ADAPTIVE_MAX_STEPS if chosen.adaptive or chosen.exact else DEFAULT_MAX_STEPS
     else:
         budget = whole("max_steps", max_steps, MOST_STEPS)
-    times = default_times(scene, step, budget) if save_at is None else saved_times(save_at)
+    times = (
+        default_times(scene, None if chosen.follows else step, budget)
+        if save_at is None
+        else saved_times(save_at)
+    )
     steps = None
     if isinstance(step, np.ndarray):
         steps = step[: steps_until(step, times[times > 0])[-1]]
@@ -339,7 +347,7 @@ def setting_of(
     if not given:
         raise BadInput(f"step is missing: {name} has a fixed step; give step, or rtol to have it chosen")
     if step is None:
-        if not method.one_step:
+        if not (method.one_step or method.follows):
             raise BadInput(f"{next(told)}: no step of {name} is chosen from a tolerance; give step")
         return None, tolerance(method, rtol), None
     plain = isinstance(step, float | int | str | bytes) or not np.iterable(step)

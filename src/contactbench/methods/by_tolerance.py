@@ -10,11 +10,11 @@ a little step shows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from contactbench.methods.runge_kutta import (
     refusal,
     undamped,
 )
-from contactbench.numbers.control import repeat_while
+from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import Dual, DualNumbers, leaves, rebuild, slope, value
 from contactbench.numbers.protocol import (
     Abilities,
@@ -91,7 +91,7 @@ def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNa
     What the body computes of its arguments is computed there alone: recorded loops leave what they do not change to the
     code around them.
     """
-    once = xp.where(condition, 1.0, 0.0), x, given
+    once = choose(condition, 1.0, 0.0, xp), x, given
     return repeat_while(lambda c: c[0] > 0, lambda c: (0.0, body(*c[1:2], *c[2]), c[2]), once, xp)[1]
 
 
@@ -302,23 +302,67 @@ def march[S: Scene](
 
 
 # -- the run -------------------------------------------------------------------------------------------
-def pair_program(form: Explicit[Any], scene: Scene, carry: tuple[str, ...], tangent: bool) -> Program:
+class Marching(Hashable, Protocol):
+    """What a run asks of a method whose loop decides how many steps lead to a saved time.
+
+    kind, derivative, failure : what is counted; how the map of the steps taken is differentiated, empty where it is
+    not; why the loop gives up.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def derivative(self) -> str: ...
+    @property
+    def failure(self) -> str: ...
+
+    def prepare(self, request: Request) -> Prepared:
+        """As in `Method`."""
+
+    def settings(self, request: Request, step: float | None) -> list[float]:
+        """Return the numbers that `march` is given."""
+
+    def beside(self, size: int) -> int:
+        """Return how many numbers follow a packed state: the last are attempts, those rejected, time not covered."""
+
+    def evaluations(self, tried: int, entered: int) -> int:
+        """Return what so many attempts in so many intervals evaluate."""
+
+    def march(
+        self,
+        scene: Any,
+        x: OwnState,
+        beside: Sequence[Arithmetic],
+        span: Arithmetic,
+        most: Arithmetic,
+        settings: Sequence[Arithmetic],
+        xp: Any,
+        repeat: Repeat,
+        plain: OwnState,
+    ) -> tuple[OwnState, list[Any]]:
+        """Return the state after a span and what is beside it; plain : the same state, where its numbers are dual."""
+
+
+def loop_program(
+    method: Marching, scene: Scene, carry: tuple[str, ...], settings: int, tangent: bool
+) -> Program:
     """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`.
 
     tangent : a tangent vector follows the state and is carried along by the steps that are taken.
     """
     d, given = len(scene.labels(carry)), len(scene.numbers())
     whole = d * (1 + tangent)
-    tolerances = 1 + d - (scene.clock is not None)
 
     def advance(
-        numbers: Vector, span: Arithmetic, most: Arithmetic, y: Sequence[Arithmetic], xp: Any, repeat: object
+        numbers: Vector, span: Arithmetic, most: Arithmetic, y: Sequence[Arithmetic], xp: Any, repeat: Repeat
     ) -> list[Arithmetic]:
         twin, beside, plain = scene.with_numbers(numbers[:given]), y[whole:], scene.unpack(y[:d], carry)
         x = plain
         if tangent:
             x, xp = scene.unpack(list(map(Dual, y[:d], y[d:whole])), carry), DualNumbers(xp)
-        x, beside = march(form, twin, x, beside, span, most, numbers[given:], xp, plain)
+        x, beside = method.march(twin, x, beside, span, most, numbers[given:], xp, repeat, plain)
         end = scene.pack(x)
         return [*map(value, end), *(map(slope, end) if tangent else ()), *beside]
 
@@ -329,7 +373,7 @@ def pair_program(form: Explicit[Any], scene: Scene, carry: tuple[str, ...], tang
                 return Update((target,), (0.0,))
         return statement
 
-    program = record(advance, given + tolerances, whole + BESIDE, scene.motion, DIVERGENCE)
+    program = record(advance, given + settings, whole + method.beside(d), scene.motion, DIVERGENCE)
     return program._replace(run=replace(program.run, body=tuple(map(started, program.run.body))))
 
 
@@ -338,25 +382,37 @@ _loops: Cache[Loop] = Cache(256)
 
 @dataclass
 class ToleranceRun(Prepared):
-    """Run a pair, from saved time to saved time and from break to break."""
+    """Run a `Marching` method, from saved time to saved time and from break to break."""
 
-    method_: RungeKuttaPair
+    method_: Marching
 
-    sensitivity_source = "forward-mode AD through the steps taken"
+    #: known before the run, of fixed steps
+    needed, totals = None, Counts()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
+        #: component by component
+        self.scene: Scene = r.scene.unrolled().recorded() if r.scene.by_sites else r.scene
+        self.sensitivity_source = self.method_.derivative
         margins = ((time, ROUNDINGS * exact) for time, exact in self.breaks)
         breaks = [end for time, margin in margins for end in (time - margin, time + margin)]
         ends = np.union1d(self.later, [time for time in breaks if 0 < time < self._end])
         self.saved = np.searchsorted(ends, self.later)
         self.spans = np.diff(ends, prepend=0.0)
-        moved = len(self.start) - (self._clock is not None)
-        self.tolerances = [r.rtol, *np.broadcast_to(r.atol, moved).tolist()]
-        run, w, shape = self.compiled() if r.engine == "numba" else self.in_python()
-        size = len(ends) * (len(self.start) + BESIDE)
-        last, empty = slice(size - len(self.start) - BESIDE, size - BESIDE), np.empty
+        self.settings = self.method_.settings(r, r.step)
+        self.tables: Loop | None = None
+        self.run = self.compiled() if r.engine == "numba" else self.in_python()
+        self.divide(r.step)
+
+    def divide(self, step: float | None) -> None:
+        """Make of the calls for a step, where there is one, closures of all they need."""
+        self.steps_taken = (step or math.nan,) * 2
+        self.settings = self.method_.settings(self.request, step)
+        beside = self.method_.beside(len(self.start))
+        size = len(self.spans) * (len(self.start) + beside)
+        last, empty = slice(size - len(self.start) - beside, size - beside), np.empty
+        run, (w, shape) = self.run, self.arguments(self.tables)
 
         def states(y0: np.ndarray) -> np.ndarray:
             after = empty(size)
@@ -375,54 +431,57 @@ class ToleranceRun(Prepared):
 
         self.states, self.bare = states, bare if self._clock is None else dated  # type: ignore[method-assign]
 
-    def arguments(self, loop: Loop) -> tuple[np.ndarray, np.ndarray]:
+    def arguments(self, loop: Loop | None) -> tuple[Any, Any]:
         """Return what a recorded loop takes beside states."""
-        numbers = np.array([*self.request.scene.numbers(), *self.tolerances])
+        if loop is None:
+            return None, None
+        numbers = np.array([*self.scene.numbers(), *self.settings])
         return loop.rows(numbers, self.spans, np.full(len(self.spans), self.request.max_steps))
 
     def make(self, tangent: bool = False) -> Loop:
-        elapsed, r = stopwatch(), self.request
-        program = pair_program(self.method_.form, r.scene, r.carry, tangent)
+        elapsed = stopwatch()
+        program = loop_program(self.method_, self.scene, self.request.carry, len(self.settings), tangent)
         return Loop(program, elapsed())
 
     def loop(self, tangent: bool = False) -> Loop:
-        known = key(self.request.scene.identity, self.method_, self.request.carry, tangent)
+        known = key(self.scene.identity, self.method_, self.request.carry, tangent)
         return _loops.get(known, lambda: self.make(tangent))
 
-    def compiled(self) -> tuple[Callable[..., int], np.ndarray, np.ndarray]:
-        loop = self.loop()
-        run, tables = loop.run, self.arguments(loop)
+    def compiled(self) -> Callable[..., object]:
+        loop = self.tables = self.loop()
+        run = loop.run
+        self.arguments(loop)
         self.compile_s = loop.seconds
-        return run, *tables
+        return run
 
-    def in_python(self) -> tuple[Callable[..., object], object, object]:
+    def in_python(self) -> Callable[..., object]:
         """Return the same in floats: as it is written, where a function cannot be recorded or a float says "no"."""
-        r, recorded, tables = self.request, None, list[Any]((None, None))
+        r, scene, recorded = self.request, self.scene, None
         with suppress(CannotRecord):
             loop = self.make()
-            recorded, tables = execute(loop.program.run), [part.tolist() for part in self.arguments(loop)]
+            recorded, self.tables = execute(loop.program.run), loop
 
         def as_written(y0: list[float]) -> list[float]:
-            x, beside, rows = r.scene.unpack(y0, r.carry), [0.0] * BESIDE, list[float]()
-            given = r.max_steps, self.tolerances, PlainNumbers()
+            x, beside, rows = scene.unpack(y0, r.carry), [0.0] * self.method_.beside(len(y0)), list[float]()
+            given = r.max_steps, self.settings, PlainNumbers(), repeat, None
             for span in self.spans.tolist():
-                x, beside = march(self.method_.form, r.scene, x, beside, span, *given)
-                rows += [*r.scene.pack(x), *beside]
+                x, beside = self.method_.march(scene, x, beside, span, *given)
+                rows += [*scene.pack(x), *beside]
             return rows
 
-        def run(y0: np.ndarray, w: object, shape: object, after: np.ndarray) -> None:
+        def run(y0: np.ndarray, w: Any, shape: Any, after: np.ndarray) -> None:
             if recorded is not None:
                 with suppress(*NO_NUMBER):
-                    recorded(y0.tolist(), w, shape, found := [0.0] * len(after))
+                    recorded(y0.tolist(), w.tolist(), shape.tolist(), found := [0.0] * len(after))
                     after[:] = found
                     return
             after[:] = as_written(y0.tolist())
 
-        return run, *tables
+        return run
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         loop, d = self.loop(tangent=True), len(y0)
-        tangents, after = self.tangents(y0), np.empty((len(self.spans), 2 * d + BESIDE))
+        tangents, after = self.tangents(y0), np.empty((len(self.spans), 2 * d + self.method_.beside(d)))
         columns = []
         for v in tangents:
             loop.run(np.concatenate([y0, v]), *self.arguments(loop), after.reshape(-1))
@@ -438,19 +497,41 @@ class ToleranceRun(Prepared):
                 return self.method_.prepare(given)(**data)
         return super().__call__(**data)
 
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        r, d, tableau = self.request, len(y0), self.method_.form.tableau
+    def taken(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
+        """Return packed states after each interval with what is beside them, and the counts."""
         y = self.states(y0).reshape(len(self.spans), -1)
-        _, _, tried, rejected, lag = y[-1, d:].tolist()
+        tried, rejected, _ = y[-1, -3:].tolist()
         entered = int(np.sum(y[:, -1] < self.spans))
-        reuses = tableau.first_same_as_last
-        evaluations = int(tried) * (len(tableau.nodes) - reuses) + entered * reuses + 2
-        counts = Counts(int(tried - rejected), evaluations, 0, int(rejected), self.method_.kind)
+        evaluations = self.method_.evaluations(int(tried), entered)
+        return y, Counts(int(tried - rejected), evaluations, 0, int(rejected), self.method_.kind)
+
+    def take(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
+        """Return packed states after each interval, nan where it was not covered, and the counts, of `steps_at`."""
+        y, counts = self.latest
+        return np.where(y[:, -1:] == 0, y[:, : len(y0)], math.nan), counts
+
+    def steps_at(self, y0: np.ndarray, step: float) -> int:
+        """Return how many steps of a size the run takes, found by taking them."""
+        self.divide(step)
+        self.latest = y, counts = self.taken(y0)
+        return self.request.max_steps + 1 if self.is_spent(y, counts) else counts.steps or 1
+
+    def is_spent(self, y: np.ndarray, counts: Counts) -> bool:
+        tried = (counts.steps or 0) + (counts.rejected or 0)
+        return bool(y[-1, -1] > 0 and tried >= self.request.max_steps)
+
+    def size_at(self, step: float, steps: int) -> float:
+        return step
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r, d = self.request, len(y0)
+        y, counts = self.taken(y0)
+        lag = y[-1, -1]
         if lag == 0:
             return self.finish(y0, self.from_start(y0, y[self.saved, :d]), counts)
         reached = self.saved[y[self.saved, -1] == 0]
-        status, message = Status.failed, "the step became too small"
-        if tried >= r.max_steps:
+        status, message = Status.failed, self.method_.failure
+        if self.is_spent(y, counts):
             status, message = Status.budget, f"max_steps = {r.max_steps} spent"
         time = self._end - lag
         states = self.from_start(y0, y[reached, :d])
@@ -468,6 +549,8 @@ class RungeKuttaPair(Adaptive):
     engines: tuple[str, ...] = ("numba", "python")
     family: str = "established"
     largest: int = 32
+    derivative = "forward-mode AD through the steps taken"
+    failure = "the step became too small"
 
     @property
     def kind(self) -> str:
@@ -484,6 +567,32 @@ class RungeKuttaPair(Adaptive):
 
     def prepare(self, request: Request) -> Prepared:
         return ToleranceRun(self.name, request, self)
+
+    def settings(self, request: Request, step: float | None) -> list[float]:
+        moved = len(request.start) - (request.scene.clock is not None)
+        return [request.rtol or math.nan, *np.broadcast_to(request.atol, moved).tolist()]
+
+    def beside(self, size: int) -> int:
+        return BESIDE
+
+    def evaluations(self, tried: int, entered: int) -> int:
+        tableau = self.form.tableau
+        reuses = tableau.first_same_as_last
+        return tried * (len(tableau.nodes) - reuses) + entered * reuses + 2
+
+    def march(
+        self,
+        scene: Any,
+        x: Any,
+        beside: Any,
+        span: Any,
+        most: Any,
+        settings: Any,
+        xp: Any,
+        repeat: Any,
+        plain: Any,
+    ) -> tuple[OwnState, list[Any]]:
+        return march(self.form, scene, x, beside, span, most, settings, xp, plain)
 
 
 _pair = "explicit Runge–Kutta pair by tolerance"

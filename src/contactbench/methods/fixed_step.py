@@ -60,6 +60,8 @@ class FixedStep(Method):
     #: what a run says that fails where a step is the solution of equations which are not solved; else it has diverged
     unsolved: ClassVar[str] = ""
     adaptive = False
+    #: the step of the first pilot at most
+    longest = math.inf
     tolerance = (
         "the largest error over the saved times, relative to the largest state: pilots choose the step"
     )
@@ -70,8 +72,11 @@ class FixedStep(Method):
         loops = SITE_LOOPS if request.scene.by_sites else LOOPS
         loop = loops[request.engine](self, request)
         if request.step is not None:
-            return FixedStepRun(self.name, request, self, loop)
+            return self.run_of(request, loop)
         return ChosenStep(self.name, request, self, loop)
+
+    def run_of(self, request: Request, loop: StepLoop[Any]) -> FixedStepRun:
+        return FixedStepRun(self.name, request, self, loop)
 
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat

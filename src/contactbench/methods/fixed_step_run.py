@@ -126,6 +126,14 @@ class FixedStepRun(Prepared):
     def division(self, step: float) -> np.ndarray:
         return steps_in(self.marks, self.ends, step)
 
+    def steps_at(self, y0: np.ndarray, step: float) -> int:
+        """Return how many steps not longer than that a run takes."""
+        return total(self.division(step))
+
+    def size_at(self, step: float, steps: int) -> float:
+        """Return their size, or the mean of it where saved times shorten them."""
+        return step if math.isclose(steps * step, self._end) else self._end / steps
+
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Return packed states after each interval of n[k] steps of size h[k], (k, d)."""
         return self.loop.take(y0, self.loop.ready(h, n))[0]

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.loops import StepLoop, total
+from contactbench.methods.loops import StepLoop
 from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.solution import Status
 
@@ -55,15 +55,15 @@ class ChosenStep(Prepared):
 
     #: a `FixedStep`
     method_: Any
-    loop: StepLoop[Any]
+    loop: StepLoop[Any] | None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         # between two breaks lies something that steps as long as their distance do not see
         times = [0.0, *(time for time, _ in self.breaks if 0 < time < self._end), self._end]
-        self.first = float(np.diff(times).min()) / FIRST
-        first = replace(self.request, step=self.first)
-        self.run = FixedStepRun(self.method, first, self.method_, self.loop)
+        self.first = min(float(np.diff(times).min()) / FIRST, self.method_.longest)
+        # or a `ToleranceRun` of a method that follows the motion, which is asked the same
+        self.run: FixedStepRun = self.method_.run_of(replace(self.request, step=self.first), self.loop)
         self.compile_s = self.run.compile_s
         self.alone = Lock()  # one run to divide: calls from several threads take turns
         self.sensitivity_source = self.run.sensitivity_source
@@ -100,7 +100,7 @@ class ChosenStep(Prepared):
         assert r.rtol is not None
         target, step, gap, finer = AIM * r.rtol, self.first, math.inf, 2.0
         pilots: list[Pilot] = []
-        while (steps := total(self.run.division(step))) <= r.max_steps:
+        while (steps := self.run.steps_at(y0, step)) <= r.max_steps:
             before = pilots[-1] if pilots else None
             if before is not None and before.steps == steps:  # one step between saved times: the same pilot
                 pilots[-1] = before._replace(asked=step)
@@ -129,9 +129,9 @@ class ChosenStep(Prepared):
     def pilot(self, y0: np.ndarray, step: float) -> Pilot:
         run = self.run
         run.divide(step)
-        size = step if math.isclose(run.needed * step, self._end) else self._end / run.needed
         y, counts = run.take(y0)
-        return Pilot(run.needed, size, step, counts.evaluations or 0, np.vstack([y0, y[run.saved]]))
+        steps, saved = counts.steps or 1, np.vstack([y0, y[run.saved]])
+        return Pilot(steps, run.size_at(step, steps), step, counts.evaluations or 0, saved)
 
     def between(self, y0: np.ndarray, pilots: list[Pilot], error: float, target: float) -> float:
         """The step between two pilots at which the error, measured against the finest, is the target.

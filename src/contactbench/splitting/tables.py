@@ -177,7 +177,20 @@ B19 = two_part(
     "B19, table 5 of Blanes, Casas, Escorihuela-Tomàs (2022), arXiv:2202.01541",
     nystrom=True,
 )
+CHIN4 = Composition(
+    "contact-chin4",
+    4,
+    (
+        ("kick", Fraction(1, 6)),
+        ("drift_damp", HALF),
+        ("force_gradient", Fraction(2, 3)),
+        ("drift_damp", HALF),
+        ("kick", Fraction(1, 6)),
+    ),
+    "algorithm A of Chin, Phys. Lett. A 226, 344 (1997), doi:10.1016/S0375-9601(97)00003-0 (4A): all coefficients are "
+    "positive, and a force gradient counts as two gradients",
+)
 
 #: those that only the profile `full` runs
-APPENDIX = (YOSHIDA6, SRKN14A, B19)
+APPENDIX = (YOSHIDA6, SRKN14A, B19, CHIN4)
 COMPOSITIONS = (PRINTED, ABC, STRANG, BM4, BM6, RKN4, RKN6, RKN8, O8, *APPENDIX)

@@ -1,0 +1,289 @@
+"""Steps that follow the motion: compositions of the two flows of the logarithmic Hamiltonian, where V < 0.
+
+With P = e^{γt} p and E = −K, K = e^{−γt} P²/2m + e^{γt} V, at the start,
+
+    Λ = log(e^{−γt} P²/2m + E) − log(−e^{γt} V(q))
+
+is zero along the motion, whose time is a variable that moves: dt = dτ/A, A = e^{−γt} P²/2m + E.  Steps of equal τ are
+short where V is deep.  Both parts have exact flows.  A drift keeps A: t ↦ t + h/A, q ↦ q + P ∫e^{−γt} dt/m, E ↦ E +
+(e^{−γt₀} − e^{−γt₁}) P²/2m; a kick is P ↦ P + h ∇log(−V), E ↦ E + γh.  s e^{γt} has the flows of the contact form
+ds − P dq − E dt.  What is stored has e^{γt} taken out: p, E e^{−γt} and h e^{−γt}.  γ = 0: Mikkola, Tanikawa, Celest.
+Mech. Dyn. Astron. 74, 287 (1999), doi:10.1023/A:1008368322547; Preto, Tremaine, Astron. J. 118, 2532 (1999),
+doi:10.1086/301102.  A is no square of momenta: tables of general type keep their order, Nyström ones do not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from contactbench.blame import their_code
+from contactbench.errors import BadInput
+from contactbench.methods.base import CALLBACKS, METHODS, Method
+from contactbench.methods.by_tolerance import ToleranceRun, when
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.prepared import NO_NUMBER, Prepared, Request
+from contactbench.methods.runge_kutta import table
+from contactbench.methods.step_choice import ChosenStep
+from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
+from contactbench.numbers.protocol import Arithmetic, Condition, abilities, has_digits
+from contactbench.scene import Mechanical, Scene, State, dot
+from contactbench.scene.flow import damped_time
+from contactbench.splitting.composition import Composition
+from contactbench.splitting.tables import BM4, BM6, O8, STRANG
+
+#: what follows the packed state: another one, where the last whole step ends, and at it E e^{−γt} and what its sum has
+#: lost, the time left and what that has lost, h e^{−γt}; trials, those that found a time, time not covered
+BESIDE = 8
+#: roundings of an interval within which a saved time is met
+ROUNDINGS = 4
+#: no time is so long, and no depth so large
+HUGE = 1e300
+
+
+class Trial(NamedTuple):
+    """A state on a part of a step, with what E e^{−γt} and t have changed by, h e^{−γt}, and the least of A and −V."""
+
+    x: State
+    depth: Arithmetic
+    t: Arithmetic
+    width: Arithmetic
+    least: Arithmetic
+
+
+class Base(NamedTuple):
+    """Where the last whole step ends: see `BESIDE`."""
+
+    x: State
+    depth: Arithmetic
+    lost: Arithmetic
+    left: Arithmetic
+    late: Arithmetic
+    width: Arithmetic
+
+
+#: what the loop carries: base; of the step tried its part, and below and above which the saved time lies; the state
+#: reached; 1 to go on, 0 at the saved time, −1 where it is not reached; trials, those that found no whole step
+Carried = tuple[Base, Arithmetic, Arithmetic, Arithmetic, State, Arithmetic, Arithmetic, Arithmetic]
+
+
+def add(sum_: Arithmetic, lost: Arithmetic, change: Arithmetic) -> tuple[Arithmetic, Arithmetic]:
+    """Return sum + lost + change, and what its rounding loses (Knuth's two-sum)."""
+    change = change + lost
+    new = sum_ + change
+    back = new - sum_
+    return new, (sum_ - (new - back)) + (change - back)
+
+
+@dataclass(frozen=True)
+class Logarithmic(Method):
+    """A composition of general type of the flows of Λ, drifts first, which costs as many gradients as it has kicks."""
+
+    name: str
+    order: int
+    composition: Composition
+    about: str
+    engines: tuple[str, ...] = ("numba", "python")
+    family: str = "contact"
+    symmetric: bool = True
+    kind: str = "gradient"
+    adaptive = False
+    one_step = False
+    follows = True
+    tolerance = FixedStep.tolerance
+    #: the step of the first pilot: three to a revolution
+    longest = 2.0
+    #: how the run is differentiated: by differences
+    derivative = ""
+
+    def refuses(self, scene: Any) -> str | None:
+        V = math.nan
+        if scene.kind not in ("mechanical", "many") or scene.nonlinear_damping:
+            needs = f"{self.name} needs forces that depend on q alone and damping Γ = γ s"
+            return f"{needs}, which scene {scene.name!r} does not have"
+        with their_code(f"scene {scene.name!r}"), suppress(*NO_NUMBER):
+            V = scene.potential_at(scene.initial(()))
+        if not V < 0:
+            return f"{self.name} needs V < 0 along the motion; scene {scene.name!r} starts at V = {V:.6g}"
+        if scene.by_sites and scene.motion > 2 * self.largest:
+            return f"{self.name} takes {self.largest} components at most; scene {scene.name!r} has more"
+        own: str | None = scene.own_equations
+        return own
+
+    def prepare(self, request: Request) -> Prepared:
+        if request.steps is not None:
+            raise BadInput(f"step = {len(request.steps)} steps: {self.name} takes one, of τ")
+        if request.step is not None:
+            return self.run_of(request)
+        return ChosenStep(self.name, request, self, None)
+
+    def run_of(self, request: Request, loop: object = None) -> ToleranceRun:
+        return ToleranceRun(self.name, request, self)
+
+    def per_step(self, scene: Scene, carry: Sequence[str] | None = None) -> int:
+        return len(self.composition.stages) // 2
+
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        """Return the evaluations of n whole steps: trials for saved times come on top."""
+        return self.evaluations(n, 0)
+
+    def kind_on(self, scene: Scene) -> str:
+        return self.kind
+
+    def step_cost(self, scene: Scene, engine: str) -> float | None:
+        return self.per_step(scene) if engine in CALLBACKS else None
+
+    # -- what a run asks ---------------------------------------------------------------------------
+    def settings(self, request: Request, step: float | None) -> list[float]:
+        assert step is not None
+        return [step]
+
+    def beside(self, size: int) -> int:
+        return size + BESIDE
+
+    def evaluations(self, tried: int, entered: int) -> int:
+        return tried * (len(self.composition.stages) // 2) + 1
+
+    @property
+    def failure(self) -> str:
+        return f"a stage met V ≥ 0: {self.name} needs V < 0 all along the motion, or a smaller step"
+
+    def march(
+        self,
+        scene: Mechanical,
+        x: State,
+        beside: Sequence[Arithmetic],
+        span: Arithmetic,
+        most: Arithmetic,
+        settings: Sequence[Arithmetic],
+        xp: Any,
+        repeat: Repeat = repeat,
+        plain: object = None,
+    ) -> tuple[State, list[Any]]:
+        """Return the state after a span, and what is beside it (`BESIDE`), in at most so many trials of the run."""
+        size = len(beside) - BESIDE
+        carry = () if x.s is None else ("s",)
+        depth, lost, left, late, width, tried, rejected, lag = beside[size:]
+        shares = [table([c for _, c in self.composition.stages[i::2]], xp, rolled(repeat)) for i in (0, 1)]
+        rounding = 10.0**-xp.dps if has_digits(xp) else 2.0**-52
+
+        def enter(_: object, x: State) -> tuple[State, Arithmetic, Arithmetic]:
+            return x, *self.start(scene, x, settings[0], xp)
+
+        base = scene.unpack(list(beside[:size]), carry)
+        base, depth, width = when(width == 0, enter, (base, depth, width), xp, x)
+        left, late = add(left, late, span)
+        within = ROUNDINGS * rounding * (span + left)
+
+        def going(carried: Carried) -> Condition:
+            *_, more, tried, _ = carried
+            return (more > 0) & (tried < most)
+
+        def turn(carried: Carried) -> Carried:
+            base, part, low, high, _, _, tried, rejected = carried
+            try:
+                trial, speed = self.step(scene, base, part, shares, xp, repeat)
+            except NO_NUMBER:
+                if not abilities(xp).branch:
+                    raise
+                trial, speed = Trial(base.x, depth, part, width, -part), part
+            ahead = (base.left - trial.t) + base.late
+            fine = (trial.least > 0) & (trial.t > 0) & (trial.t < HUGE)
+            met = fine & ((abs(ahead) <= within) | (high - low <= rounding))
+            whole = fine & (part >= 1) & (ahead > within)
+
+            def accept(_: object, base: Base, trial: Trial) -> tuple[Base, Arithmetic]:
+                sums = *add(base.depth, base.lost, trial.depth), *add(base.left, base.late, -trial.t)
+                return Base(trial.x, *sums, trial.width), rejected
+
+            other = choose(met, rejected, rejected + 1, xp)
+            base, rejected = when(whole, accept, (base, other), xp, base, trial)
+            reached = [
+                choose(met, a, b, xp) for a, b in zip(Scene.pack(trial.x), Scene.pack(base.x), strict=True)
+            ]
+            early = ahead > 0
+            low, high = choose(early, part, low, xp), choose(early, high, part, xp)
+            better = part + ahead / speed
+            inside = (better > low) & (better < high)
+            part = choose(inside, better, (low + high) / 2, xp)
+            part, low, high = (choose(whole, a, b, xp) for a, b in ((1.0, part), (0.0, low), (1.0, high)))
+            more = choose(fine, choose(met, 0.0, 1.0, xp), -1.0, xp)
+            return base, part, low, high, scene.unpack(reached, carry), more, tried + 1, rejected
+
+        one = 1.0 + 0 * span
+        start = Base(base, depth, lost, left, late, width)
+        more = choose(lag > 0, -one, one, xp)
+        before = start, one, 0 * one, one, base, more, tried, rejected
+        end, _, _, _, x, more, tried, rejected = repeat_while(going, turn, before, xp)
+        lag = choose(lag > 0, lag + span, choose(more == 0, 0 * one, end.left, xp), xp)
+        return x, [*Scene.pack(end.x), *end[1:], tried, rejected, lag]
+
+    def start(self, scene: Mechanical, x: State, step: Arithmetic, xp: Any) -> tuple[Arithmetic, Arithmetic]:
+        """Return E at the start and the step of τ, given in units of the action V²/√(2E ∇V·∇V/m).
+
+        Of Kepler's motion that is √(mka), by whatever point of it: 2π/step steps make a revolution.  Where the motion
+        is not bound −V is in the place of E.
+        """
+        V, gradient = scene.V(x.q), scene.dV(x.q)
+        depth = -(scene.kinetic(x.p) + V)
+        square = abs(2 * choose(depth > 0, depth, V, xp) * dot(gradient, scene.velocity(gradient)))
+        return depth, step * V * V / xp.sqrt(choose(square > 0, square, 1.0, xp))
+
+    def step(
+        self, scene: Mechanical, base: Base, part: Arithmetic, shares: Sequence[Any], xp: Any, repeat: Repeat
+    ) -> tuple[Trial, Arithmetic]:
+        """Return where a part of a step leads, and how fast the time passes with the part there."""
+        gamma, (drifts, kicks) = scene.gamma, shares
+
+        def depth_at(z: Trial) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
+            kinetic, depth = scene.kinetic(z.x.p), base.depth + z.depth
+            return kinetic, depth, kinetic + depth
+
+        def drift(z: Trial, share: Arithmetic) -> Trial:
+            kinetic, depth, A = depth_at(z)
+            h = share * part * z.width
+            t = h / A
+            path = damped_time(gamma, t, xp)
+            loss = gamma * path
+            q = tuple(a + path * b for a, b in zip(z.x.q, scene.velocity(z.x.p), strict=True))
+            p, s = tuple(a - loss * a for a in z.x.p), z.x.s
+            if s is not None:
+                s = s + kinetic * path + h * (1 - xp.log(A) - gamma * z.t)
+                s = s - loss * s
+            change = z.depth + loss * (kinetic - loss * kinetic - depth)
+            return Trial(State(q, p, s), change, z.t + t, z.width - loss * z.width, least(A, z.least))
+
+        def kick(z: Trial, share: Arithmetic) -> Trial:
+            V, gradient = scene.V(z.x.q), scene.dV(z.x.q)
+            h = share * part * z.width
+            p = tuple(a + h / V * b for a, b in zip(z.x.p, gradient, strict=True))
+            s = None if z.x.s is None else z.x.s + h * (xp.log(-V) + gamma * z.t)
+            return Trial(State(z.x.q, p, s), z.depth + gamma * h, z.t, z.width, least(-V, z.least))
+
+        def least(a: Arithmetic, b: Arithmetic) -> Arithmetic:
+            return choose(a > b, b, a, xp)
+
+        def both(carried: tuple[Trial, int]) -> tuple[Trial, int]:
+            z, k = carried
+            return kick(drift(z, drifts[k]), kicks[k]), k + 1
+
+        nothing = 0 * part
+        z = Trial(base.x, nothing, nothing, base.width + nothing, HUGE + nothing)
+        z = drift(
+            repeat(len(kicks) if isinstance(kicks, list) else self.per_step(scene), both, (z, 0))[0],
+            drifts[-1],
+        )
+        return z, z.width / depth_at(z)[2]
+
+
+def rolled(repeat: Repeat) -> Repeat | None:
+    """Return the loop over stages, where there is one."""
+    return repeat if repeat.over_stages else None
+
+
+for _order, _composition in ((2, STRANG), (4, BM4), (6, BM6), (8, O8)):
+    _about = f"flows of the logarithmic Hamiltonian with damping, V < 0; coefficients: {_composition.source}"
+    METHODS.add(Logarithmic(f"contact-log{_order}", _order, _composition, _about))
