@@ -160,7 +160,7 @@ def compare(arguments: argparse.Namespace) -> int:
         rows = json.loads(frame.to_json(orient="records", double_precision=15))
         print_json({**known, "rows": rows}, arguments)
     else:
-        print(race.text(frame))
+        print(race.text(frame, arguments.all))
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
 
 

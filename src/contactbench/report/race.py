@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,14 @@ from contactbench.results.tables import LAWS_TABLE
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 ALIKE = ("tie", "undecided")
+#: what a law is about, and what follows from what
+SYMBOLS = {"momentum_law": "J", "contact_drift": "η", "distribution_drift": "ker η", "pairing_drift": "pairs"}
+IMPLIED = {"η": ("ker η", "pairs")}
+#: what stands behind the title of a table
+LEGENDS = {"race_settings": "for each time above", "short": "time at each error, what is kept at round-off"}
+LEGENDS[""] = f"{LEGENDS['short']}, then evaluations"
+#: rows of a table, and columns of the terminal
+ROWS, WIDTH = 10, 100
 
 
 # -- answers and notes -----------------------------------------------------------------------------------------
@@ -92,6 +101,13 @@ def has_laws(rows: pd.DataFrame) -> pd.Series:
     return rows[laws_of(rows)].notna().any(axis=1)
 
 
+def symbols(laws: Iterable[str]) -> list[str]:
+    """Return what laws are about; those that follow from another are left out."""
+    found = [SYMBOLS.get(law, law_label(law)) for law in laws]
+    implied = {each for symbol in found for each in IMPLIED.get(symbol, ())}
+    return [symbol for symbol in found if symbol not in implied]
+
+
 def time_cell(row: pd.Series) -> Cell:
     if row["status"] != "ok":
         return Cell(row["status"])
@@ -103,42 +119,58 @@ def time_cell(row: pd.Series) -> Cell:
 
 
 def kept_laws(rows: pd.DataFrame) -> str:
-    """Return the laws kept at every setting at which they were measured, and those that there was no time for."""
-    done = rows[has_laws(rows)]
-    if done.empty:
+    """Return what a method keeps at every setting at which it was measured, and what there was no time for."""
+    if not has_laws(rows).any():
         return "not measured"
-    kept, unknown = [], []
+    kept, unknown = kept_and_unknown(rows)
+    missing = f"not measured: {', '.join(unknown)}" if unknown else ""
+    return "; ".join(filter(None, [", ".join(kept), missing])) or "none"
+
+
+def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
+    done, kept, unknown = rows[has_laws(rows)], [], []
     for law in (name for name in laws_of(rows) if name in LAWS_TABLE.columns):
         known = done.loc[done[law].notna(), "laws_kept"]
         needs_derivative = law in structural_laws() and law not in OF_THE_STATE
         if known.empty and needs_derivative:
-            unknown.append(law_label(law))
+            unknown.append(law)
         elif len(known) and all(law_label(law) in text.split(", ") for text in known):
-            kept.append(law_label(law))
-    if unknown:
-        return f"{', '.join(kept)}{'; ' if kept else ''}not measured: {', '.join(unknown)}"
-    return ", ".join(kept) or "none"
+            kept.append(law)
+    return symbols(kept), symbols(unknown)
+
+
+def ranked(frame: pd.DataFrame) -> list[str]:
+    """Return the methods that can run the scene, soonest done first: by errors reached, then the mean of their ratios."""
+    able = frame[~frame["status"].isin(["unsupported"])]
+    ratios = np.log(able["ratio"]).groupby(able["method"], sort=False)
+    table = pd.DataFrame({"missed": -ratios.count(), "mean": ratios.mean()})
+    return [str(method) for method in table.sort_values(["missed", "mean"], kind="stable").index]
 
 
 def times_view(frame: pd.DataFrame, kind: str) -> View:
-    rows = []
-    for method, part in frame[frame["kind"] == kind].groupby("method", sort=False):
-        if not (part["status"] == "unsupported").all():
-            cells = [time_cell(row) for _, row in part.iterrows()]
-            rows.append((str(method), *cells, *part["evaluations"], kept_laws(part)))
+    rows, own = [], frame[frame["kind"] == kind]
+    for method in ranked(own):
+        part = own[own["method"] == method]
+        cells = [time_cell(row) for _, row in part.iterrows()]
+        rows.append((method, *cells, kept_laws(part), *part["evaluations"]))
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
-    labels = [("", "method"), *((f"{what} at error", e) for what in ("time", "evaluations") for e in errors)]
-    table = frame_of(rows, [*labels, ("", "at round-off")])
-    legend = "Least time of a bare call at the coarsest setting that reaches the error; ×: over the cheapest."
+    labels = [("", "method"), *(("time at error", e) for e in errors), ("", "keeps")]
+    table = frame_of(rows, [*labels, *(("evaluations at error", e) for e in errors)])
+    legend = (
+        "Least time of a bare call at the coarsest setting that reaches the error; ×: over the cheapest. "
+    )
+    legend += "Kept at round-off: J the momentum, η the contact form."
     return View(f"race_{kind}", TITLES[kind], table, legend, show={"": count})
 
 
 def settings_view(frame: pd.DataFrame) -> View:
     errors = list(dict.fromkeys(frame["error_asked"]))
     rows = []
-    for method, part in frame[frame["status"] == "ok"].groupby("method", sort=False):
+    done = frame[frame["status"] == "ok"]
+    for method in ranked(done):
+        part = done[done["method"] == method]
         reached = {r.error_asked: f"{r.setting}, {scientific(r.error_reached)}" for r in part.itertuples()}
-        rows.append((str(method), *(reached.get(error, DASH) for error in errors)))
+        rows.append((method, *(reached.get(error, DASH) for error in errors)))
     table = frame_of(rows, ["method", *(f"{error:g}" for error in errors)])
     return View("race_settings", "Setting, and error reached", table, "Of each time above.")
 
@@ -199,14 +231,42 @@ def html(frame: pd.DataFrame) -> str:
     return page([contents], images=images)
 
 
-def text(frame: pd.DataFrame) -> str:
-    legends = {f"race_{kind}": "time at each error, then evaluations" for kind in TITLES}
-    legends["race_settings"] = "for each time above"
-    blocks = []
+def text(frame: pd.DataFrame, every: bool = False) -> str:
+    """Return a race for the terminal, the recommendation last.
+
+    every : all rows, columns and notes; else of more than `ROWS` methods the best so many, and their times alone.
+    """
+    short = not every and frame["method"].nunique() > ROWS
+    missing, found, hidden = list(unbegun(frame)), [], 0
     for each in views(frame):
-        lines = [[head.label for head in each.columns], *([cell.text for cell in row] for row in each.rows)]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        rows = ("  ".join(t.ljust(w) for t, w in zip(line, widths, strict=True)).rstrip() for line in lines)
-        blocks.append("\n".join([f"{each.title}: {legends[each.name]}", *rows]))
-    first = list(unbegun(frame))
-    return "\n\n".join([*first, *blocks, "\n".join(list(notes(frame))[len(first) :])])
+        if short and each.name == "race_settings":
+            continue
+        shown = each.rows[: ROWS if short else None]
+        hidden += len(each.rows) - len(shown)
+        columns = [i for i, head in enumerate(each.columns) if not (short and "evaluations" in head.group)]
+        lines = [[each.columns[i].label for i in columns], *([row[i].text for i in columns] for row in shown)]
+        legend = LEGENDS.get(each.name, LEGENDS["short" if short else ""])
+        found.append("\n".join([f"{each.title}: {legend}", *in_width(lines)]))
+    said = list(notes(frame))[len(missing) :]
+    if short:
+        more = f"{hidden} more rows, evaluations, settings, and why a method got no further: --all."
+        said = [*said[:1], more]
+    blocks = (missing, said, frame.attrs["recommendation"])
+    first, last, end = ("\n".join(map(wrap, block)) for block in blocks)
+    return "\n\n".join(filter(None, [first, *found, last, end]))
+
+
+def wrap(line: str) -> str:
+    return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+
+
+def in_width(lines: list[list[str]]) -> Iterator[str]:
+    """Yield the lines of a table; one too wide for the terminal goes on below, with its first column again."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    blocks = [[0]]
+    for i in range(1, len(widths)):
+        if sum(widths[k] + 2 for k in blocks[-1]) + widths[i] > WIDTH and blocks[-1] != [0]:
+            blocks.append([0])
+        blocks[-1].append(i)
+    for block in blocks:
+        yield from ("  ".join(line[i].ljust(widths[i]) for i in block).rstrip() for line in lines)

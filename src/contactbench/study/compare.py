@@ -20,6 +20,7 @@ from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
 from contactbench.study.experiment import Row
+from contactbench.study.recommendation import recommendation
 from contactbench.study.schedule import Schedule
 from contactbench.study.search import Attempt, Search
 from contactbench.study.settings import ENDS, carry_of, times
@@ -50,8 +51,8 @@ def compare(
 
     Each method is tried from its coarsest setting to the one that reaches the smallest error, on the first
     of its engines that can run the scene; the settings that reach the errors are then timed in turns, as bare
-    calls, each eight times or more, fewer on a machine too busy for that.  Times are compared within a kind of engine:
-    compiled, or calling back into Python.
+    calls, each eight times or more, fewer on a machine too busy for that, and those that may lead until it is clear
+    who does.  Times are compared within a kind of engine: compiled, or calling back into Python.
     Ctrl-C ends it with what there is.
 
     Parameters
@@ -59,7 +60,8 @@ def compare(
     scene :
         A scene or the name of one.  Where it `slows_after` some time, fixed steps grow geometrically.
     methods :
-        Names, by default all.
+        Names, by default all: then those that hardly ever lead (of order one and two, where no error above 1e-3 is
+        asked for, and those of the benchmark's appendix) are begun when all others are done.
     errors :
         Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs and, of y*, the start.
     budget :
@@ -78,7 +80,8 @@ def compare(
         the least time of its kind at that error), margin (the ratio up to which the two cannot be told apart), verdict
         (win; tie; undecided where the margin is too wide to judge, or a rival was cut off that might be sooner done;
         loss), laws_kept, a column for each law, status, reason (why a method got no further, or was not timed).
-        ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
+        ``attrs``: "recommendation" (what to take, a sentence for each error),
+        "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
         claimed), "runs" (every setting tried), "of_floats" (functions that cannot be recorded), "unbegun" (methods
         that no time was left for), "unrefined" (those without a last search for a coarser setting), "interrupted",
         "seconds".
@@ -104,9 +107,11 @@ def compare(
             raise BadInput(f"error = {excerpt(error)}: {size}")
     switch("progress", progress)
     truth = None if reference is None else users_reference(scene, reference)
-    race = Schedule(scene, list(dict.fromkeys(given)), wanted, positive("budget", budget), progress, truth)
+    raced, seconds = list(dict.fromkeys(given)), positive("budget", budget)
+    race = Schedule(scene, raced, wanted, seconds, progress, truth, named=methods is not None)
     race.run()
     frame = frame_of(race)
+    frame.attrs["recommendation"] = list(recommendation(frame))
     frame.attrs["seconds"] = perf_counter() - begun
     return frame
 
@@ -171,7 +176,8 @@ def row(race: Schedule, search: Search, error: float) -> Row:
         known = attempt.columns(race.floor) | {"status": "ok", "reason": reason}
     cut = known["status"] in (*CUT, "interrupted") or (attempt is not None and not clock)
     last = attempt or search.finest
-    at_least = (last.seconds / ONCE if last else 0.0) if cut else math.nan
+    unlikely = last is None and search in race.last
+    at_least = (last.seconds / ONCE if last else 0.0) if cut and not unlikely else math.nan
     row = {"scene": race.question.scene.name, "method": search.method.name, "family": search.method.family}
     row |= {"engine": search.engine, "kind": search.kind, "error_asked": error, **known}
     row |= {"time_s": clock.get("time_min_s", math.nan), "at_least": at_least}
