@@ -16,7 +16,7 @@ from contactbench.methods.prescribed import geometric_steps
 from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
 from contactbench.results.tables import results
-from contactbench.scene import Driven, GeneralDamping, HeavyTop, Mechanical, RigidBody, shifted
+from contactbench.scene import Driven, Equations, GeneralDamping, HeavyTop, Mechanical, RigidBody, shifted
 from contactbench.scene.many import Lattice, Particles
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
@@ -29,7 +29,17 @@ if TYPE_CHECKING:
     from contactbench.measure.own_composition import composition
     from contactbench.study.compare import compare
 
-__all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
+__all__ = [
+    "LAWS",
+    "METHODS",
+    "SCENES",
+    "BadInput",
+    "Counts",
+    "Driven",
+    "Ensemble",
+    "Equations",
+    "GeneralDamping",
+]
 __all__ += ["HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles", "RigidBody", "Solution", "Status"]
 __all__ += ["UnknownName", "compare", "composition", "ensemble", "fixed_step", "geometric_steps", "lyapunov"]
 __all__ += ["math", "prepare", "reference", "results", "shifted", "solve", "step_map"]

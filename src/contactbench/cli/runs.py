@@ -127,7 +127,7 @@ def summary(solution: Solution) -> dict[str, object]:
         momentum = scene.momentum(state)
         out = {
             "state": dict(zip(solution.labels, y, strict=True)),
-            "H0": float(scene.energy(state)),
+            "H0": float(scene.energy(state)) if scene.has_energy else None,
             "H": float(scene.hamiltonian(state)) if scene.is_contact else None,
             "J": None if momentum is None else list(map(float, momentum)),
         }

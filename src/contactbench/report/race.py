@@ -68,7 +68,7 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
         yield f"No time was left to look for a cheaper setting of {', '.join(unrefined)}."
     ok = frame[frame["status"] == "ok"]
     unknown = [str(m) for m, rows in ok.groupby("method", sort=False) if not has_laws(rows).any()]
-    if unknown:
+    if unknown and laws_of(frame):
         why = "" if not functions else ", or a function takes no arrays"
         yield f"The laws of {', '.join(unknown)} are not measured: no time was left{why}."
     if frame.attrs["interrupted"]:
@@ -94,7 +94,8 @@ def cuts(frame: pd.DataFrame) -> Iterator[str]:
 
 # -- tables ----------------------------------------------------------------------------------------
 def laws_of(frame: pd.DataFrame) -> list[str]:
-    return list(frame.columns[frame.columns.get_loc("reason") + 1 : -1])
+    found = frame.columns[frame.columns.get_loc("reason") + 1 : -1]
+    return [] if list(found) == ["map_growth"] else list(found)
 
 
 def has_laws(rows: pd.DataFrame) -> pd.Series:
@@ -120,6 +121,8 @@ def time_cell(row: pd.Series) -> Cell:
 
 def kept_laws(rows: pd.DataFrame) -> str:
     """Return what a method keeps at every setting at which it was measured, and what there was no time for."""
+    if not laws_of(rows):
+        return DASH
     if not has_laws(rows).any():
         return "not measured"
     kept, unknown = kept_and_unknown(rows)
@@ -140,7 +143,7 @@ def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
 
 
 def ranked(frame: pd.DataFrame) -> list[str]:
-    """Return the methods that can run the scene, soonest done first: by errors reached, then the mean of their ratios."""
+    """Return the methods that can run the scene, soonest done first: by errors reached, then by their mean ratio."""
     able = frame[~frame["status"].isin(["unsupported"])]
     ratios = np.log(able["ratio"]).groupby(able["method"], sort=False)
     table = pd.DataFrame({"missed": -ratios.count(), "mean": ratios.mean()})

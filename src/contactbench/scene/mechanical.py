@@ -32,7 +32,9 @@ derived_hessian = lru_cache(256)(Formula.hessian)
 def masses(name: str, value: Any) -> float | tuple[float, ...]:
     """Return one number > 0, or a tuple of such; raise `BadInput` for anything else."""
     if callable(value) or np.ndim(value) > 1:
-        how = "a constant matrix is diagonal in other coordinates; one that depends on q SciPy's solve_ivp takes"
+        how = (
+            "a constant matrix is diagonal in other coordinates; of one that depends on q cb.Equations(rhs=…)"
+        )
         why = f"{name} = {excerpt(value)}: must be one number > 0, or one for every component; {how}"
         raise BadInput(why)
     if not isinstance(value, tuple | list | np.ndarray) or np.ndim(value) == 0:
@@ -47,10 +49,10 @@ def sign(number: Arithmetic) -> int:
 def damping_rate(name: str, value: Any) -> float:
     """Return a finite number; raise `BadInput` for anything else, which says how a function is given."""
     if callable(value):
-        how = "one of time is cb.Driven(rate=lambda t: …), one of s cb.GeneralDamping(damping=…); of q solve_ivp"
+        how = "one of time is cb.Driven(rate=lambda t: …), of s cb.GeneralDamping(damping=…), of q cb.Equations(rhs=…)"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
     if np.ndim(value):
-        how = "a rate for each momentum cb.diffrax.Contact takes, a matrix SciPy's solve_ivp"
+        how = "a rate for each momentum cb.diffrax.Contact takes, a matrix cb.Equations(rhs=…)"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
     return finite(name, value)
 
@@ -406,9 +408,6 @@ class Mechanical(Canonical):
                 scene = scene._replaced(gradient=derived_gradient(potential))
             except CannotRecord as why:
                 missing = "its gradient is missing, and the potential cannot be differentiated"
-                if isinstance(why.__cause__, TypeError) and "positional argument" in str(why):
-                    takes = ", ".join(self.functions["potential"][:-1])
-                    missing += f" (it is called with {takes}; cb.Driven has the time, lambda q, t: …)"
                 raise BadInput(f"scene {self.name!r}: {missing}: {why}") from why
         if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
             return scene

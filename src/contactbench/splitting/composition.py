@@ -113,6 +113,8 @@ def number(coefficient: Fraction, xp: Namespace) -> Arithmetic:
 
 # -- a composition on a scene ----------------------------------------------------------------------
 def refusal(composition: Composition, scene: Scene) -> str | None:
+    if not scene.flows:
+        return f"{composition.name} needs parts with exact flows; scene {scene.name!r} has none{scene.lacks}"
     if composition.nystrom and "drift_damp" not in scene.flows:
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
     return scene.own_equations

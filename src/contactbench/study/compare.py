@@ -177,7 +177,10 @@ def row(race: Schedule, search: Search, error: float) -> Row:
     cut = known["status"] in (*CUT, "interrupted") or (attempt is not None and not clock)
     last = attempt or search.finest
     unlikely = last is None and search in race.last
-    at_least = (last.seconds / ONCE if last else 0.0) if cut and not unlikely else math.nan
+    # one that was not begun takes as long as the soonest run of its engine: a library's call alone
+    begun = (a.seconds for one in race.searches if one.engine == search.engine for a in one.attempts)
+    soonest_run = last.seconds if last else min(begun, default=0.0)
+    at_least = soonest_run / ONCE if cut and not unlikely else math.nan
     row = {"scene": race.question.scene.name, "method": search.method.name, "family": search.method.family}
     row |= {"engine": search.engine, "kind": search.kind, "error_asked": error, **known}
     row |= {"time_s": clock.get("time_min_s", math.nan), "at_least": at_least}

@@ -64,10 +64,11 @@ def doubts(first: pd.Series, others: pd.DataFrame, rows: pd.DataFrame) -> Iterat
     if len(wide):
         margin = wide["margin"].max()
         spread = f"times vary by {times(margin)} on this machine, no more than ×{WIDEST:g} decides"
-        yield f"undecided whether {names(list(wide['method']), SOME)} is faster: {spread}"
-    untried = rows[rows["time_s"].isna() & rows["status"].isin([*CUT, "interrupted", "ok"])]
+        yield f"whether faster with {names(list(wide['method']), SOME)} is undecided: {spread}"
+    rivals = rows[rows["time_s"].isna() & (rows["kind"] == first["kind"])]
+    untried = rivals[rivals["status"].isin([*CUT, "interrupted", "ok"])]
     if len(untried):
-        yield f"undecided whether {names(list(untried['method']), SOME)} is faster: no time was left (--budget)"
+        yield f"whether faster with {names(list(untried['method']), SOME)} is undecided: no time was left (--budget)"
 
 
 def lack(rows: pd.DataFrame) -> str:
