@@ -13,8 +13,8 @@ import pandas as pd
 from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
 from contactbench.report.chapters import Answer, Chapter, Contents, Part, Text, shown
-from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
-from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end, floats
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.laws import law_label
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.page import page
@@ -30,13 +30,17 @@ IMPLIED = {"η": ("ker η", "pairs")}
 #: what stands behind the title of a table
 LEGENDS = {"race_settings": "for each time above", "short": "time at each error, what is kept at round-off"}
 LEGENDS[""] = f"{LEGENDS['short']}, then evaluations"
+#: components of a motion that are drawn
+MOVING = 3
 #: rows of a table, and columns of the terminal
 ROWS, WIDTH = 10, 100
 
 
 # -- answers and notes -----------------------------------------------------------------------------------------
 def answers(frame: pd.DataFrame) -> Iterator[Answer]:
-    first = frame[frame["verdict"].isin(["win", *ALIKE])]
+    first = frame[frame["verdict"].isin(["win", *ALIKE])].sort_values(
+        ["kind", "error_asked"], ascending=False, kind="stable"
+    )
     for (kind, error), rows in first.groupby(["kind", "error_asked"], sort=False):
         ranked = rows.sort_values("time_s", kind="stable")
         question = f"{TITLES[str(kind)]}, error {error:g}: who is cheapest?"
@@ -206,6 +210,37 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     return Figure(f"compare_{scene}", f"{scene}: cost against error", panels, caption)
 
 
+def motion_figure(frame: pd.DataFrame) -> Figure | None:
+    """Return the motion of one run: components over time, phase portrait, and energies beside their law."""
+    rows = pd.DataFrame(frame.attrs["motion"])
+    if rows.empty:
+        return None
+    moving = [name for name in rows if name[0] in "qMy" and name[1:].isdigit()][:MOVING]
+    letter = moving[0][0]
+    others = {name: name.replace("q", "p") for name in moving}
+    if letter != "q":
+        others = dict(zip(moving, [*moving[1:], moving[0]], strict=True))
+    energies = {name: f"shade {i}" for i, name in enumerate(("H0", "H")) if name in rows} | {
+        "law of H": "law"
+    }
+
+    def curve(x: str, y: str, label: str, role: str) -> Curve:
+        return Curve(floats(rows[x]), floats(rows[y]), label, role=role, markers=False)
+
+    roles = {name: f"shade {i + 1}" for i, name in enumerate(moving)}
+    over_time = tuple(curve("t", name, name, role) for name, role in roles.items())
+    portrait = tuple(curve(name, others[name], name, role) for name, role in roles.items())
+    panels = [
+        Panel("Motion", Axis("t"), Axis(letter), over_time),
+        Panel("Phase portrait", Axis(letter), Axis("p" if letter == "q" else f"the next {letter}"), portrait),
+    ]
+    if lines := tuple(curve("t", name, name, role) for name, role in energies.items() if name in rows):
+        panels.append(Panel("Energies", Axis("t"), Axis("energy"), lines))
+    scene, run = frame["scene"].iloc[0], rows["run"].iloc[0]
+    caption = "H decays as H(0) e^{−∫Γ'}, its law." if "law of H" in rows else ""
+    return Figure(f"motion_{scene}", f"{scene}: the motion, by {run}", tuple(panels), caption, across=3)
+
+
 def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
     curves = by_method(front(rows), "error", "cost")
     cost = contest_end(Axis(name, "log"), curves)
@@ -221,16 +256,18 @@ def front(tried: pd.DataFrame) -> pd.DataFrame:
 
 # -- documents -------------------------------------------------------------------------------------
 def html(frame: pd.DataFrame) -> str:
-    """Return a page of its own: the figure stands in it, not beside it."""
+    """Return a page of its own: its figures stand in it, not beside it."""
     from contactbench.report.draw import svg  # takes long to load
 
-    scene, drawn = str(frame["scene"].iloc[0]), figure(frame)
+    scene, drawn, moving = str(frame["scene"].iloc[0]), figure(frame), motion_figure(frame)
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
-    parts: list[Part | None] = [drawn, *views(frame), laws_view(frame), Text(items=tuple(notes(frame)))]
+    advice = Text(items=tuple(frame.attrs["recommendation"]))
+    parts: list[Part | None] = [advice, drawn, moving, *views(frame), laws_view(frame)]
+    parts.append(Text(items=tuple(notes(frame))))
     contents, images = Contents(chapter, tuple(answers(frame)), tuple(shown(parts))), {}
-    if drawn:
-        picture = base64.b64encode(svg(drawn).encode()).decode()
-        images[drawn.name] = f"data:image/svg+xml;base64,{picture}"
+    for each in filter(None, (drawn, moving)):
+        picture = base64.b64encode(svg(each).encode()).decode()
+        images[each.name] = f"data:image/svg+xml;base64,{picture}"
     return page([contents], images=images)
 
 

@@ -19,6 +19,7 @@ from contactbench.methods.base import METHODS
 from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
+from contactbench.solution import Solution
 from contactbench.study.experiment import Row
 from contactbench.study.recommendation import recommendation
 from contactbench.study.schedule import Schedule
@@ -82,7 +83,8 @@ def compare(
         loss), laws_kept, a column for each law, status, reason (why a method got no further, or was not timed).
         ``attrs``: "recommendation" (what to take, a sentence for each error),
         "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
-        claimed), "runs" (every setting tried), "of_floats" (functions that cannot be recorded), "unbegun" (methods
+        claimed), "runs" (every setting tried), "motion" (states and energies of a run of the smallest error),
+        "of_floats" (functions that cannot be recorded), "unbegun" (methods
         that no time was left for), "unrefined" (those without a last search for a coarser setting), "interrupted",
         "seconds".
 
@@ -150,8 +152,18 @@ def frame_of(race: Schedule) -> pd.DataFrame:
         "unbegun": race.unbegun,
         "unrefined": race.unrefined,
         "interrupted": race.interrupted,
+        "motion": motion(race.motion),
     }
     return frame
+
+
+def motion(solution: Solution | None) -> Runs:
+    """Return the states of a run to be drawn and its energies, a row for each time, and which run it is."""
+    if solution is None:
+        return Runs()
+    frame = solution.to_frame().assign(**{label: values for label, values, _ in solution.energies()})
+    frame = frame.assign(run=f"{solution.method}, {solution.setting}")
+    return Runs(frame.to_dict("records"))
 
 
 def laws_in(scene: Scene) -> dict[str, str]:

@@ -37,6 +37,8 @@ LEAST_REFERENCE = 5.0
 #: calls of a run in the shortest race: to warm up, and a round of each visit
 FEWEST_CALLS = 1 + VISITS
 KINDS = ("compiled", "callbacks")
+#: states of the motion that is kept to be drawn, and its components at most
+DRAWN, LARGEST_DRAWN = 400, 1000
 #: the part of the search that is kept for those that have begun: runs of one setting each are no race
 SECOND_RUNS = 0.35
 #: methods of this package of this order and below do not lead at errors of this size and below
@@ -93,6 +95,7 @@ class Schedule:
         self.interrupted = False
         self.unbegun: list[str] = []
         self.unrefined: list[str] = []
+        self.motion: Solution | None = None
         self.laws: dict[int, Row] = {}
         self.times: dict[int, Row] = {}
         self.truths: dict[tuple[tuple[str, ...], bytes], Reference | None] = {}
@@ -121,7 +124,7 @@ class Schedule:
 
     def run(self) -> None:
         """Do all of it; Ctrl-C ends it with what there is, a second time at once."""
-        for stage in (self.search, self.measure_laws, self.time):
+        for stage in (self.search, self.follow_motion, self.measure_laws, self.time):
             try:
                 with np.errstate(all="ignore"):  # long steps overflow, and end as diverged
                     stage()
@@ -191,6 +194,22 @@ class Schedule:
                 each.why = (status, f"{after} {last.setting}, {each.spent:.2g} s of its own")
             else:
                 self.unrefined.append(each.method.name)
+
+    # -- motion ----------------------------------------------------------------------------------------
+    def follow_motion(self) -> None:
+        """Keep a run to be drawn: of those that reach the smallest error the one that is soonest done."""
+        scene, found = self.question.scene, list[tuple[Search, Attempt]]()
+        for error in self.question.errors:
+            reach = [(each, a) for each in self.searches if (a := self.chosen(each, error)) is not None]
+            found = reach or found
+        if not found or scene.motion > LARGEST_DRAWN or self.interrupted or self.left(LAWS) < 0:
+            return
+        search, attempt = min(found, key=lambda pair: pair[1].seconds)
+        setting = setting_to(scene.t_end, scene, search.control, attempt.value)
+        saves = None if search.control == GROWING else times(scene, DRAWN)
+        with suppress(UserError):
+            solution = prepare(scene, search.method, save_at=saves, engine=search.engine, **setting)()
+            self.motion = solution if solution.ok else None
 
     # -- laws ------------------------------------------------------------------------------------------
     def measure_laws(self) -> None:
