@@ -8,6 +8,7 @@ makes.
 
 import dataclasses
 import enum
+import inspect
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -47,9 +48,9 @@ class Documented(Validator):
 
     @property
     def signature_parameters(self) -> tuple[str, ...]:
-        """Return the fields of a dataclass, whatever its ``__new__`` takes; nothing makes a member of an enum."""
+        """Return what a dataclass is made of, whatever its ``__new__`` takes; nothing makes a member of an enum."""
         if dataclasses.is_dataclass(self.obj):
-            return tuple(field.name for field in dataclasses.fields(self.obj) if field.init)
+            return tuple(inspect.signature(self.obj.__init__).parameters)[1:]
         return () if isinstance(self.obj, enum.EnumType) else super().signature_parameters
 
     @property

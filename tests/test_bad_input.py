@@ -51,6 +51,18 @@ def made(kind, **changes):
     return lambda: cb.solve(kind(**KINDS[kind] | GIVEN | changes), "rk4", step=0.1)
 
 
+def np_norm(q):
+    return np.linalg.norm(q)
+
+
+def damped(damping):
+    return lambda: cb.GeneralDamping(**GIVEN, **KINDS[cb.GeneralDamping] | {"damping": damping})
+
+
+def equations(rhs, **more):
+    return lambda: cb.Equations(rhs=rhs, y0=(1.0, 2.0), t_end=1.0, **more)
+
+
 # -- calls -----------------------------------------------------------------------------------------
 def solve(method="rk4", scene="particle", **options):
     return lambda: cb.solve(scene, method, **options)
@@ -126,7 +138,8 @@ CALLS = [
     (lambda: cb.Mechanical(**FORCE, **GIVEN, magnetic=abs), "no force may depend on p"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, magnetic=abs), "acts on the potential of the field"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, lagrangian=abs), "cb.ContactSystem"),
-    (lambda: cb.Driven(**GIVEN, potential=lambda q: q[0]), "it is called with q, t"),
+    (lambda: cb.Driven(**GIVEN, potential=lambda q: q[0]), "is called with q, t; it takes q"),
+    (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=(0.1, 0.2)), "cb.diffrax.Contact"),
     (lambda: cb.SCENES["rigid_body"].with_(inertia=np.eye(3)), "three principal moments"),
     (lambda: cb.SCENES["heavy_top"].with_(gamma=abs), "solve_ivp"),
     (lambda: cb.SCENES["heavy_top"].with_(potential=lambda u: math.sin(u[0])), "use cb.math.sin"),
@@ -135,7 +148,28 @@ CALLS = [
     (rk4(dt=0.2), "dt: solve takes none: choose from atol"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gama=0.1), "gama: Mechanical takes none: choose from"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, damping=abs), "cb.GeneralDamping"),
-    (lambda: cb.Driven(**DRIVEN, **GIVEN, rate=lambda q, t: t), "lambda t: …"),
+    (lambda: cb.Driven(**DRIVEN, **GIVEN, rate=lambda q, t: t), "a damping that depends on q is cb."),
+    (
+        lambda: cb.Mechanical(**GIVEN, potential=lambda q, p: q[0] * p[0]),
+        "a force that depends on p is cb.Eq",
+    ),
+    (lambda: cb.Mechanical(**GIVEN, potential=lambda q, s: q[0] * s), "a force that depends on s is cb."),
+    (lambda: cb.Mechanical(**GIVEN, potential=lambda q, t: q[0] * t), "cb.Driven(potential=lambda q, t: …)"),
+    (lambda: cb.Mechanical(**GIVEN, potential=lambda q, k: k * q[0]), "parameters={'k': …}"),
+    (lambda: cb.Mechanical(**FORCE, **GIVEN, hessian=lambda q, p: p), "it takes q, p"),
+    (
+        lambda: cb.Mechanical(**GIVEN, potential=abs, gradient=lambda q, p: q),
+        "gradient: is called with q; it",
+    ),
+    (damped(lambda s, q: s * q[0]), "a damping that depends on q is cb.ContactSystem"),
+    (lambda: cb.Mechanical(**GIVEN, potential=np_norm), "use cb.math.sqrt(sum("),
+    # equations of no Hamiltonian
+    (lambda: cb.Equations(y0=(1.0,), t_end=1.0), "rhs: is missing, a function lambda t, y: …"),
+    (equations(lambda y: y), "right_hand_side: is called with t, y; it takes y"),
+    (equations(lambda t, y: y[0]), "rhs: must return 2 numbers, a tuple; it returns 1.0"),
+    (equations(lambda t, y: y[:1]), "where rhs = (1.0,): must be 2 numbers"),
+    (equations(lambda t, y: y, s=1.0), "s = 1.0: equations have no action"),
+    (equations(lambda t, y: y, gamma=0.1), "gamma: Equations takes none"),
     (rk4(events=abs), "cb.scipy.Contact"),
     (rk4(dense_output=True), "cb.scipy.Contact"),
     # other options

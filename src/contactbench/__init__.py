@@ -16,8 +16,8 @@ from contactbench.methods.prescribed import geometric_steps
 from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
 from contactbench.results.tables import results
-from contactbench.scene import ContactSystem, Driven, GeneralDamping, HeavyTop, Mechanical, RigidBody
-from contactbench.scene import Spheres, shifted
+from contactbench.scene import ContactSystem, Driven, Equations, GeneralDamping, HeavyTop, Mechanical
+from contactbench.scene import RigidBody, Spheres, shifted
 from contactbench.scene.many import Lattice, Particles
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from contactbench.study.compare import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "ContactSystem", "Counts", "Driven", "Ensemble"]
-__all__ += ["GeneralDamping", "HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles", "RigidBody"]
-__all__ += ["Solution", "Spheres", "Status", "UnknownName", "compare", "composition", "ensemble", "fixed_step"]
-__all__ += ["geometric_steps", "lyapunov", "math", "prepare", "reference", "results", "shifted", "solve"]
-__all__ += ["step_map"]
+__all__ += ["Equations", "GeneralDamping", "HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles"]
+__all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "compare", "composition", "ensemble"]
+__all__ += ["fixed_step", "geometric_steps", "lyapunov", "math", "prepare", "reference", "results", "shifted"]
+__all__ += ["solve", "step_map"]
 __version__ = "0.1.0"
 
 

@@ -70,7 +70,7 @@ def plain_function(error: BaseException) -> str | None:
         return None
     line = linecache.getline(frame.filename, frame.lineno or 0).encode()
     failing = line[frame.colno : frame.end_colno].decode(errors="ignore")
-    called = re.match(r"(?:(?:math|numpy|np)\.)?(\w+)\(", failing)
+    called = re.match(r"(?:(?:math|numpy|np)\.)?(?:linalg\.)?(\w+)\(", failing)
     if called is None:
         return None
     written, name = called[0][:-1], called[1].replace("arc", "a", 1)  # NumPy's arcsin
@@ -78,6 +78,8 @@ def plain_function(error: BaseException) -> str | None:
         return f"{written} takes plain numbers only: use cb.math.{name}"
     if written == name:
         return None
+    if name == "norm":
+        return f"{written} takes plain numbers only: use cb.math.sqrt(sum(c * c for c in …))"
     return f"{written} takes plain numbers only: use cb.math, which has {', '.join((*FUNCTIONS, *SEVERAL))}"
 
 

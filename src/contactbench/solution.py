@@ -236,20 +236,25 @@ class Solution:
 
         figure, axes = pyplot.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
         marker = "o" if len(self.t) == 1 else None
-        motion, momenta = (self.q, self.p) if self.q is not None else (self.M, None)
-        letter = "M" if self.q is None else "q"
+        letter, motion = ("q", self.q) if self.q is not None else ("M", self.M)
+        if motion is None and not self.scene.has_energy:  # equations, whose time is on the axis
+            letter, motion = "y", np.array(self.scene.without_clock(list(self.y.T))).T
+        momenta = self.p if letter == "q" else None
         if motion is not None:
             for i, column in enumerate(motion.T[:DRAWN]):
                 axes[0].plot(self.t, column, marker=marker, label=f"{letter}{i + 1}")
                 other = motion.T[(i + 1) % len(motion.T)] if momenta is None else momenta.T[i]
                 axes[1].plot(column, other, marker=marker, label=f"{letter}{i + 1}")
         axes[0].set(xlabel="t", ylabel=letter)
-        axes[1].set(xlabel=letter, ylabel="the next M" if momenta is None else "p", title="phase portrait")
+        axes[1].set(
+            xlabel=letter, ylabel=f"the next {letter}" if momenta is None else "p", title="phase portrait"
+        )
         for label, values, style in self.energies():
             axes[2].plot(self.t, values, style, marker=marker, label=label)
         axes[2].set(xlabel="t", title="energies")
         for each in axes:
-            each.legend(fontsize="small")
+            if each.lines:
+                each.legend(fontsize="small")
         ended = "" if self.ok else f"\n{self.status}: {self.message}"
         figure.suptitle(f"{self.scene.name}: {self.method}, {self.setting}{ended}")
         return figure
@@ -257,7 +262,7 @@ class Solution:
     def energies(self) -> list[tuple[str, np.ndarray, str]]:
         """Return H0, and H and its law where there are such, each with its label and the style of its line."""
         scene, x = self.scene, self.states()
-        found = [("H0", np.asarray(scene.energy(x)), "-")]
+        found = [("H0", np.asarray(scene.energy(x)), "-")] if scene.has_energy else []
         if not (scene.is_contact and x.s is not None):
             return found
         found.append(("H", np.asarray(scene.hamiltonian_at(x)), "-"))

@@ -10,8 +10,10 @@ from html.parser import HTMLParser
 import pytest
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.support.ui import WebDriverWait
 
-from contactbench.report import page
+import contactbench as cb
+from contactbench.report import page, race
 from contactbench.report.chapters import Answer, Chapter, Contents, Section, Text
 from contactbench.report.drawing import Figure
 from contactbench.report.views import Cell, Mark, View, frame_of
@@ -177,3 +179,49 @@ def test_a_table_is_drawn_when_it_is_opened_and_sorted_with_blanks_last(chrome):
     rows = visible(chrome, '[data-view="rows"] tbody tr')
     assert len(rows) == 17
     assert all("rk4" in row.text for row in rows)
+
+
+# -- the page of a race ------------------------------------------------------------------------------
+#: of every image of the page, whether it is shown, and of the curves in it those that lead through their axes
+CURVES = """
+return [...document.querySelectorAll("figure img")].map((image) => {
+  const text = new TextDecoder().decode(Uint8Array.from(atob(image.src.split(",")[1]), (c) => c.charCodeAt(0)));
+  const box = document.createElement("div");
+  box.innerHTML = text.slice(text.indexOf("<svg"));
+  document.body.append(box);
+  const visible = [...box.querySelectorAll("path[clip-path]")].filter((path) => {
+    const own = path.getBBox();
+    const clip = box.querySelector(path.getAttribute("clip-path").slice(4, -1)).querySelector("rect").getBBox();
+    const inside = own.x < clip.x + clip.width && own.x + own.width > clip.x
+      && own.y < clip.y + clip.height && own.y + own.height > clip.y;
+    return inside && own.width > 5 && own.height > 5 && getComputedStyle(path).stroke !== "none";
+  });
+  box.remove();
+  return [image.complete && image.naturalWidth > 0, visible.length];
+});
+"""
+
+
+@pytest.mark.quick(scene="oscillator")
+@pytest.mark.parametrize("scene", ["oscillator", "equations"])
+def test_the_page_of_a_race_draws_every_curve_and_the_motion(chrome, tmp_path, scene):
+    rhs = cb.Equations(rhs=lambda t, y: (y[1], -y[0] - y[1] / 5), y0=(1.0, 0.0), t_end=10.0)
+    raced = ["rk4", "contact-rkn6"] if scene == "oscillator" else ["rk4", "rk8"]
+    frame = cb.compare(rhs if scene == "equations" else scene, raced, (1e-2, 1e-4, 1e-6), budget=60.0)
+    path = tmp_path / "race.html"
+    path.write_text(race.html(frame), encoding="utf-8")
+    opened(chrome)
+    chrome.get(path.as_uri())
+    costs, motion = race.figure(frame), race.motion_figure(frame)
+    assert [panel.title for panel in motion.panels[:2]] == ["Motion", "Phase portrait"]
+    assert len(motion.panels) == (3 if scene == "oscillator" else 2)
+    for image in visible(chrome, "figure img"):  # it is loaded when it comes into view
+        chrome.execute_script("arguments[0].scrollIntoView()", image)
+    wait = WebDriverWait(chrome, 20)
+    wait.until(lambda chrome: all(shown for shown, _ in chrome.execute_script(CURVES)))
+    found = [count for _, count in chrome.execute_script(CURVES)]
+    assert found == [sum(len(panel.curves) for panel in each.panels) for each in (costs, motion)]
+    assert all(
+        "Take " in item.text for item in visible(chrome, "section ul")[0].find_elements("tag name", "li")
+    )
+    assert chrome.get_log("browser") == []

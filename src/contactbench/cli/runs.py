@@ -127,7 +127,7 @@ def summary(solution: Solution) -> dict[str, object]:
         momentum = scene.momentum_at(state)
         out = {
             "state": dict(zip(solution.labels, y, strict=True)),
-            "H0": float(scene.energy(state)),
+            "H0": float(scene.energy(state)) if scene.has_energy else None,
             "H": float(scene.hamiltonian_at(state)) if scene.is_contact else None,
             "J": None if momentum is None else list(map(float, momentum)),
         }
@@ -156,11 +156,11 @@ def compare(arguments: argparse.Namespace) -> int:
 
         write_picture(render(figure), arguments.plot)
     if arguments.json:
-        known = {name: value for name, value in frame.attrs.items() if name != "runs"}
+        known = {name: value for name, value in frame.attrs.items() if name not in ("runs", "motion")}
         rows = json.loads(frame.to_json(orient="records", double_precision=15))
         print_json({**known, "rows": rows}, arguments)
     else:
-        print(race.text(frame))
+        print(race.text(frame, arguments.all))
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
 
 

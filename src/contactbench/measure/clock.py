@@ -109,8 +109,9 @@ class Race:
         self.visits: list[list[Visit]] = [[] for _ in self.calls]
         self.shuffle = random.Random(SEED)
 
-    def sweep(self, rounds: Sequence[int] | None = None) -> Iterator[int]:
-        for i in self.shuffle.sample(range(len(self.calls)), len(self.calls)):
+    def sweep(self, rounds: Sequence[int] | None = None, some: Sequence[int] | None = None) -> Iterator[int]:
+        which = range(len(self.calls)) if some is None else some
+        for i in self.shuffle.sample(which, len(which)):
             self.visits[i].append(self.calls[i].visit(rounds[i] if rounds else ROUNDS))
             yield i
 
@@ -119,8 +120,11 @@ class Race:
 
         After `limit` seconds it ends as it is.
         """
-        start = perf_counter()
-        lengths = [call.warm_up() for call in self.calls]
+        start, lengths = perf_counter(), list[float]()
+        for call in self.calls:
+            lengths.append(call.warm_up())
+            if perf_counter() > start + limit:
+                return
         share = max(0.0, start + budget - perf_counter()) / VISITS / max(1, len(lengths))
         rounds = [min(ROUNDS, max(1, int(share / length))) for length in lengths]
         sweep = sum(n * length for n, length in zip(rounds, lengths, strict=True))

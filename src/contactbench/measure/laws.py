@@ -115,14 +115,14 @@ def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     return scene.energy(solution.states()), scene.energy(truth(solution).states())
 
 
-@law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", shown=BOTH)
+@law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", shown=BOTH, applies=lambda scene: scene.has_energy)
 def energy_law(solution: Solution) -> float:
     numerical, exact = energies(solution)
     first = abs(float(solution.scene.energy(solution.start())))
     return float(np.abs(numerical - exact).max()) / first if first else math.nan
 
 
-@law("max |H0(y) / H0(y*) − 1|", "H0 law, relative")
+@law("max |H0(y) / H0(y*) − 1|", "H0 law, relative", applies=lambda scene: scene.has_energy)
 def energy_law_relative(solution: Solution) -> Deviation:
     return Deviation(relative_deviation(*energies(solution)))
 

@@ -165,7 +165,7 @@ def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
     if scene.by_sites:
         return f"{method.name} has no loop over sites; scene {scene.name!r} has many"
     if not fits:
-        return f"{method.name} needs {needs}, which scene {scene.name!r} does not have"
+        return f"{method.name} needs {needs}, which scene {scene.name!r} does not have{scene.lacks}"
     return scene.own_equations
 
 

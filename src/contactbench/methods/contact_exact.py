@@ -92,7 +92,7 @@ class ExactMethod(Method):
     def refuses(self, scene: Scene) -> str | None:
         if "free_damp" in scene.flows:
             return scene.own_equations
-        return f"{self.name} solves free rigid bodies with isotropic damping; scene {scene.name!r} is none"
+        return f"{self.name} solves free rigid bodies with isotropic damping; scene {scene.name!r} is none{scene.lacks}"
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:
         """Saved times are as many as steps."""

@@ -357,7 +357,8 @@ def refusal(name: str, tableau: Tableau, scene: Scene) -> str | None:
     if not tableau.nystrom:
         return None
     if scene.kind not in ("mechanical", "driven", "many") or scene.nonlinear_damping:
-        return f"{name} needs a configuration q in Rⁿ and damping Γ = γ s, which scene {scene.name!r} does not have"
+        needs = "a configuration q in Rⁿ and damping Γ = γ s"
+        return f"{name} needs {needs}, which scene {scene.name!r} does not have{scene.lacks}"
     if scene.clock is not None and "rate" in scene.functions_of_floats:
         return f"{name} needs γ'(t), and the rate of scene {scene.name!r} cannot be recorded"
     return scene.own_equations

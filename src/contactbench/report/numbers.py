@@ -43,6 +43,11 @@ def power(value: float) -> str:
     return "10" + str(round(math.log10(value))).translate(SUPERSCRIPTS)
 
 
+def exact_power(value: float) -> str:
+    """Return 10⁻³ for 1e-3 and 0.002 for 2e-3."""
+    return power(value) if float(f"1e{round(math.log10(value))}") == value else f"{value:g}"
+
+
 def readable(value: float) -> str:
     if value == round(value) and abs(value) < 1e6:
         return count(value)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pandas as pd
@@ -12,8 +13,8 @@ import pandas as pd
 from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
 from contactbench.report.chapters import Answer, Chapter, Contents, Part, Text, shown
-from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
-from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end, floats
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.laws import law_label
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.page import page
@@ -23,11 +24,23 @@ from contactbench.results.tables import LAWS_TABLE
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 ALIKE = ("tie", "undecided")
+#: what a law is about, and what follows from what
+SYMBOLS = {"momentum_law": "J", "contact_drift": "η", "distribution_drift": "ker η", "pairing_drift": "pairs"}
+IMPLIED = {"η": ("ker η", "pairs")}
+#: what stands behind the title of a table
+LEGENDS = {"race_settings": "for each time above", "short": "time at each error, what is kept at round-off"}
+LEGENDS[""] = f"{LEGENDS['short']}, then evaluations"
+#: components of a motion that are drawn
+MOVING = 3
+#: rows of a table, and columns of the terminal
+ROWS, WIDTH = 10, 100
 
 
 # -- answers and notes -----------------------------------------------------------------------------------------
 def answers(frame: pd.DataFrame) -> Iterator[Answer]:
-    first = frame[frame["verdict"].isin(["win", *ALIKE])]
+    first = frame[frame["verdict"].isin(["win", *ALIKE])].sort_values(
+        ["kind", "error_asked"], ascending=False, kind="stable"
+    )
     for (kind, error), rows in first.groupby(["kind", "error_asked"], sort=False):
         ranked = rows.sort_values("time_s", kind="stable")
         question = f"{TITLES[str(kind)]}, error {error:g}: who is cheapest?"
@@ -59,7 +72,7 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
         yield f"No time was left to look for a cheaper setting of {', '.join(unrefined)}."
     ok = frame[frame["status"] == "ok"]
     unknown = [str(m) for m, rows in ok.groupby("method", sort=False) if not has_laws(rows).any()]
-    if unknown:
+    if unknown and laws_of(frame):
         why = "" if not functions else ", or a function takes no arrays"
         yield f"The laws of {', '.join(unknown)} are not measured: no time was left{why}."
     if frame.attrs["interrupted"]:
@@ -87,11 +100,19 @@ def cuts(frame: pd.DataFrame) -> Iterator[str]:
 
 # -- tables ----------------------------------------------------------------------------------------
 def laws_of(frame: pd.DataFrame) -> list[str]:
-    return list(frame.columns[frame.columns.get_loc("reason") + 1 : -1])
+    found = frame.columns[frame.columns.get_loc("reason") + 1 : -1]
+    return [] if list(found) == ["map_growth"] else list(found)
 
 
 def has_laws(rows: pd.DataFrame) -> pd.Series:
     return rows[laws_of(rows)].notna().any(axis=1)
+
+
+def symbols(laws: Iterable[str]) -> list[str]:
+    """Return what laws are about; those that follow from another are left out."""
+    found = [SYMBOLS.get(law, law_label(law)) for law in laws]
+    implied = {each for symbol in found for each in IMPLIED.get(symbol, ())}
+    return [symbol for symbol in found if symbol not in implied]
 
 
 def time_cell(row: pd.Series) -> Cell:
@@ -105,42 +126,60 @@ def time_cell(row: pd.Series) -> Cell:
 
 
 def kept_laws(rows: pd.DataFrame) -> str:
-    """Return the laws kept at every setting at which they were measured, and those that there was no time for."""
-    done = rows[has_laws(rows)]
-    if done.empty:
+    """Return what a method keeps at every setting at which it was measured, and what there was no time for."""
+    if not laws_of(rows):
+        return DASH
+    if not has_laws(rows).any():
         return "not measured"
-    kept, unknown = [], []
+    kept, unknown = kept_and_unknown(rows)
+    missing = f"not measured: {', '.join(unknown)}" if unknown else ""
+    return "; ".join(filter(None, [", ".join(kept), missing])) or "none"
+
+
+def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
+    done, kept, unknown = rows[has_laws(rows)], [], []
     for law in (name for name in laws_of(rows) if name in LAWS_TABLE.columns):
         known = done.loc[done[law].notna(), "laws_kept"]
         needs_derivative = law in structural_laws() and law not in OF_THE_STATE
         if known.empty and needs_derivative:
-            unknown.append(law_label(law))
+            unknown.append(law)
         elif len(known) and all(law_label(law) in text.split(", ") for text in known):
-            kept.append(law_label(law))
-    if unknown:
-        return f"{', '.join(kept)}{'; ' if kept else ''}not measured: {', '.join(unknown)}"
-    return ", ".join(kept) or "none"
+            kept.append(law)
+    return symbols(kept), symbols(unknown)
+
+
+def ranked(frame: pd.DataFrame) -> list[str]:
+    """Return the methods that can run the scene, soonest done first: by errors reached, then by their mean ratio."""
+    able = frame[~frame["status"].isin(["unsupported"])]
+    ratios = np.log(able["ratio"]).groupby(able["method"], sort=False)
+    table = pd.DataFrame({"missed": -ratios.count(), "mean": ratios.mean()})
+    return [str(method) for method in table.sort_values(["missed", "mean"], kind="stable").index]
 
 
 def times_view(frame: pd.DataFrame, kind: str) -> View:
-    rows = []
-    for method, part in frame[frame["kind"] == kind].groupby("method", sort=False):
-        if not (part["status"] == "unsupported").all():
-            cells = [time_cell(row) for _, row in part.iterrows()]
-            rows.append((str(method), *cells, *part["evaluations"], kept_laws(part)))
+    rows, own = [], frame[frame["kind"] == kind]
+    for method in ranked(own):
+        part = own[own["method"] == method]
+        cells = [time_cell(row) for _, row in part.iterrows()]
+        rows.append((method, *cells, kept_laws(part), *part["evaluations"]))
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
-    labels = [("", "method"), *((f"{what} at error", e) for what in ("time", "evaluations") for e in errors)]
-    table = frame_of(rows, [*labels, ("", "at round-off")])
-    legend = "Least time of a bare call at the coarsest setting that reaches the error; ×: over the cheapest."
+    labels = [("", "method"), *(("time at error", e) for e in errors), ("", "keeps")]
+    table = frame_of(rows, [*labels, *(("evaluations at error", e) for e in errors)])
+    legend = (
+        "Least time of a bare call at the coarsest setting that reaches the error; ×: over the cheapest. "
+    )
+    legend += "Kept at round-off: J the momentum, η the contact form."
     return View(f"race_{kind}", TITLES[kind], table, legend, show={"": count})
 
 
 def settings_view(frame: pd.DataFrame) -> View:
     errors = list(dict.fromkeys(frame["error_asked"]))
     rows = []
-    for method, part in frame[frame["status"] == "ok"].groupby("method", sort=False):
+    done = frame[frame["status"] == "ok"]
+    for method in ranked(done):
+        part = done[done["method"] == method]
         reached = {r.error_asked: f"{r.setting}, {scientific(r.error_reached)}" for r in part.itertuples()}
-        rows.append((str(method), *(reached.get(error, DASH) for error in errors)))
+        rows.append((method, *(reached.get(error, DASH) for error in errors)))
     table = frame_of(rows, ["method", *(f"{error:g}" for error in errors)])
     return View("race_settings", "Setting, and error reached", table, "Of each time above.")
 
@@ -173,6 +212,37 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     return Figure(f"compare_{scene}", f"{scene}: cost against error", panels, caption)
 
 
+def motion_figure(frame: pd.DataFrame) -> Figure | None:
+    """Return the motion of one run: components over time, phase portrait, and energies beside their law."""
+    rows = pd.DataFrame(frame.attrs["motion"])
+    if rows.empty:
+        return None
+    moving = [name for name in rows if name[0] in "qMy" and name[1:].isdigit()][:MOVING]
+    letter = moving[0][0]
+    others = {name: name.replace("q", "p") for name in moving}
+    if letter != "q":
+        others = dict(zip(moving, [*moving[1:], moving[0]], strict=True))
+    energies = {name: f"shade {i}" for i, name in enumerate(("H0", "H")) if name in rows} | {
+        "law of H": "law"
+    }
+
+    def curve(x: str, y: str, label: str, role: str) -> Curve:
+        return Curve(floats(rows[x]), floats(rows[y]), label, role=role, markers=False)
+
+    roles = {name: f"shade {i + 1}" for i, name in enumerate(moving)}
+    over_time = tuple(curve("t", name, name, role) for name, role in roles.items())
+    portrait = tuple(curve(name, others[name], name, role) for name, role in roles.items())
+    panels = [
+        Panel("Motion", Axis("t"), Axis(letter), over_time),
+        Panel("Phase portrait", Axis(letter), Axis("p" if letter == "q" else f"the next {letter}"), portrait),
+    ]
+    if lines := tuple(curve("t", name, name, role) for name, role in energies.items() if name in rows):
+        panels.append(Panel("Energies", Axis("t"), Axis("energy"), lines))
+    scene, run = frame["scene"].iloc[0], rows["run"].iloc[0]
+    caption = "H decays as H(0) e^{−∫Γ'}, its law." if "law of H" in rows else ""
+    return Figure(f"motion_{scene}", f"{scene}: the motion, by {run}", tuple(panels), caption, across=3)
+
+
 def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
     curves = by_method(front(rows), "error", "cost")
     cost = contest_end(Axis(name, "log"), curves)
@@ -188,27 +258,57 @@ def front(tried: pd.DataFrame) -> pd.DataFrame:
 
 # -- documents -------------------------------------------------------------------------------------
 def html(frame: pd.DataFrame) -> str:
-    """Return a page of its own: the figure stands in it, not beside it."""
+    """Return a page of its own: its figures stand in it, not beside it."""
     from contactbench.report.draw import svg  # takes long to load
 
-    scene, drawn = str(frame["scene"].iloc[0]), figure(frame)
+    scene, drawn, moving = str(frame["scene"].iloc[0]), figure(frame), motion_figure(frame)
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
-    parts: list[Part | None] = [drawn, *views(frame), laws_view(frame), Text(items=tuple(notes(frame)))]
+    advice = Text(items=tuple(frame.attrs["recommendation"]))
+    parts: list[Part | None] = [advice, drawn, moving, *views(frame), laws_view(frame)]
+    parts.append(Text(items=tuple(notes(frame))))
     contents, images = Contents(chapter, tuple(answers(frame)), tuple(shown(parts))), {}
-    if drawn:
-        picture = base64.b64encode(svg(drawn).encode()).decode()
-        images[drawn.name] = f"data:image/svg+xml;base64,{picture}"
+    for each in filter(None, (drawn, moving)):
+        picture = base64.b64encode(svg(each).encode()).decode()
+        images[each.name] = f"data:image/svg+xml;base64,{picture}"
     return page([contents], images=images)
 
 
-def text(frame: pd.DataFrame) -> str:
-    legends = {f"race_{kind}": "time at each error, then evaluations" for kind in TITLES}
-    legends["race_settings"] = "for each time above"
-    blocks = []
+def text(frame: pd.DataFrame, every: bool = False) -> str:
+    """Return a race for the terminal, the recommendation last.
+
+    every : all rows, columns and notes; else of more than `ROWS` methods the best so many, and their times alone.
+    """
+    short = not every and frame["method"].nunique() > ROWS
+    missing, found, hidden = list(unbegun(frame)), [], 0
     for each in views(frame):
-        lines = [[head.label for head in each.columns], *([cell.text for cell in row] for row in each.rows)]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        rows = ("  ".join(t.ljust(w) for t, w in zip(line, widths, strict=True)).rstrip() for line in lines)
-        blocks.append("\n".join([f"{each.title}: {legends[each.name]}", *rows]))
-    first = list(unbegun(frame))
-    return "\n\n".join([*first, *blocks, "\n".join(list(notes(frame))[len(first) :])])
+        if short and each.name == "race_settings":
+            continue
+        shown = each.rows[: ROWS if short else None]
+        hidden += len(each.rows) - len(shown)
+        columns = [i for i, head in enumerate(each.columns) if not (short and "evaluations" in head.group)]
+        lines = [[each.columns[i].label for i in columns], *([row[i].text for i in columns] for row in shown)]
+        legend = LEGENDS.get(each.name, LEGENDS["short" if short else ""])
+        found.append("\n".join([f"{each.title}: {legend}", *in_width(lines)]))
+    said = list(notes(frame))[len(missing) :]
+    if short:
+        more = f"{hidden} more rows, evaluations, settings, and why a method got no further: --all."
+        said = [*said[:1], more]
+    blocks = (missing, said, frame.attrs["recommendation"])
+    first, last, end = ("\n".join(map(wrap, block)) for block in blocks)
+    return "\n\n".join(filter(None, [first, *found, last, end]))
+
+
+def wrap(line: str) -> str:
+    return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+
+
+def in_width(lines: list[list[str]]) -> Iterator[str]:
+    """Yield the lines of a table; one too wide for the terminal goes on below, with its first column again."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    blocks = [[0]]
+    for i in range(1, len(widths)):
+        if sum(widths[k] + 2 for k in blocks[-1]) + widths[i] > WIDTH and blocks[-1] != [0]:
+            blocks.append([0])
+        blocks[-1].append(i)
+    for block in blocks:
+        yield from ("  ".join(line[i].ljust(widths[i]) for i in block).rstrip() for line in lines)

@@ -25,6 +25,7 @@ from contactbench.scene.base import Cache, Scene, System, key
 from contactbench.scene.contact_system import ContactSystem
 from contactbench.scene.definition import verify
 from contactbench.scene.driven import Driven
+from contactbench.scene.equations import Equations
 from contactbench.scene.flow import Flow
 from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.heavy_top import HeavyTop

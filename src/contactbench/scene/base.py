@@ -423,6 +423,9 @@ class Scene(System):
     parts: ClassVar[tuple[str, ...]] = ()
     #: its flows for the paper's A, B and C, where they are not `drift`, `kick` and `damp`
     paper_flows: ClassVar[Mapping[str, str]] = {}
+    #: whether it has an energy H0, and what stands behind the refusal of a method that wants a Hamiltonian
+    has_energy: ClassVar[bool] = True
+    lacks: ClassVar[str] = ""
     #: its components are numbers, coordinates q and momenta p as many of each, and η = ds − p dq
     canonical: ClassVar[bool] = False
     #: it is canonical, and H = T(p) + V(q) + Γ(s): velocities are those of p, forces those of q
@@ -458,11 +461,36 @@ class Scene(System):
         for name in getattr(self, "parameters", {}):
             if name in taken:
                 raise BadInput(f"parameter {name!r}: {wanted}")
+        for name in () if self.by_sites else self.given:
+            self._require_arguments(name)
         for name, kept in self.reciprocals.items():
             value = getattr(self, name)
             self._fix(kept, reciprocal(value))
             if not all(map(math.isfinite, leaves(getattr(self, kept)))):
                 raise BadInput(f"{name} = {excerpt(value)}: 1/{name} must be finite")
+
+    def _require_arguments(self, name: str) -> None:
+        """Raise `BadInput`, which names another way, unless a function takes what it is called with."""
+        function, called = getattr(self, name), self.functions[name]
+        parameters = dict(getattr(self, "parameters", {})) if "**" in called else {}
+        if isinstance(function, Formula) or is_ours(function):
+            return
+        try:
+            inspect.signature(function).bind(*(each for each in called if each != "**"), **parameters)
+        except TypeError as why:
+            plain = [each.removesuffix("0") for each in called if each != "**"]
+            taken = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
+            more = [x for x in taken if x not in parameters and x not in plain]
+            known = (x for x in more if f"argument {x}" in instead())
+            other = next(known, taken[-1] if len(taken) > len(plain) + len(parameters) else "")
+            named = f", then {', '.join(parameters)} by name" if parameters else ""
+            way = instead().get(f"argument {other}", f"another is given by parameters={{{other!r}: …}}")
+            says = (
+                f"{name}: is called with {', '.join(plain)}{named}; it takes {', '.join(taken) or 'nothing'}"
+            )
+            raise BadInput(f"{says}: {way}" if other else says) from why
+        except ValueError:  # a function written in C has no signature
+            pass
 
     def _fix(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from inspect import signature
 from typing import ClassVar
 
 import numpy as np
@@ -137,24 +136,13 @@ class Driven(Mechanical):
         if self.rate is not None:
             if self.gamma:
                 raise BadInput(f"gamma = {self.gamma!r}: the rate of damping has it in it")
-            self._require_rate_of_time()
+            require_number("rate", self._value("rate"))
         if self.span is not None:
             if self.rate is None:
                 raise BadInput("span: its rate is missing, the damping that it is the integral of")
             pair = self._value("span")
             if not (isinstance(pair, tuple | list) and len(pair) == 2 and all(map(is_number, pair))):
                 raise BadInput(f"span: must return a pair of real numbers; it returns {excerpt(pair)}")
-
-    def _require_rate_of_time(self) -> None:
-        """Raise `BadInput` unless the rate is a number, and a function of the time and the parameters alone."""
-        try:
-            signature(self.rate).bind(self.t, **self.parameters)  # type: ignore[arg-type]
-        except TypeError as why:
-            form = "must be a function of the time, lambda t: …, and of the parameters by name"
-            raise BadInput(f"rate: {form} ({why}); a damping that depends on q: solve_ivp") from why
-        except ValueError:  # a function written in C has no signature
-            pass
-        require_number("rate", self._value("rate"))
 
     def breaks_until(self, end: float) -> list[tuple[float, float]]:
         found = ((b - self.t, 4 * math.ulp(max(abs(b), abs(self.t), abs(b - self.t)))) for b in self.breaks)

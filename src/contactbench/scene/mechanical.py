@@ -52,7 +52,7 @@ def damping_rate(name: str, value: Any) -> float:
         how = "of time is cb.Driven(rate=lambda t: …), of s cb.GeneralDamping(damping=…), of q and s cb.ContactSystem"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
     if np.ndim(value):
-        how = "a rate for each momentum cb.diffrax.Contact takes, a matrix SciPy's solve_ivp"
+        how = "a rate for each momentum cb.diffrax.Contact takes, a matrix cb.Equations(rhs=…)"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
     return finite(name, value)
 
@@ -444,9 +444,6 @@ class Mechanical(Canonical):
                 scene = scene._replaced(gradient=derived_gradient(potential))
             except CannotRecord as why:
                 missing = "its gradient is missing, and the potential cannot be differentiated"
-                if isinstance(why.__cause__, TypeError) and "positional argument" in str(why):
-                    takes = ", ".join(self.functions["potential"][:-1])
-                    missing += f" (it is called with {takes}; cb.Driven has the time, lambda q, t: …)"
                 raise BadInput(f"scene {self.name!r}: {missing}: {why}") from why
         if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
             return scene

@@ -116,7 +116,7 @@ def number(coefficient: Fraction, xp: Namespace) -> Arithmetic:
 # -- a composition on a scene ----------------------------------------------------------------------
 def refusal(composition: Composition, scene: Scene) -> str | None:
     if not scene.flows:
-        return f"{composition.name} is composed of exact flows, and none is known of scene {scene.name!r}"
+        return f"{composition.name} needs parts with exact flows; scene {scene.name!r} has none{scene.lacks}"
     if composition.nystrom and "drift_damp" not in scene.flows:
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
     if any(name == FORWARD for name, _ in composition.stages):

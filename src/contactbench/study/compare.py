@@ -19,7 +19,9 @@ from contactbench.methods.base import METHODS
 from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
+from contactbench.solution import Solution
 from contactbench.study.experiment import Row
+from contactbench.study.recommendation import recommendation
 from contactbench.study.schedule import Schedule
 from contactbench.study.search import Attempt, Search
 from contactbench.study.settings import ENDS, carry_of, times
@@ -52,8 +54,8 @@ def compare(
 
     Each method is tried from its coarsest setting to the one that reaches the smallest error, on the first
     of its engines that can run the scene; the settings that reach the errors are then timed in turns, as bare
-    calls, each eight times or more, fewer on a machine too busy for that.  Times are compared within a kind of engine:
-    compiled, or calling back into Python.
+    calls, each eight times or more, fewer on a machine too busy for that, and those that may lead until it is clear
+    who does.  Times are compared within a kind of engine: compiled, or calling back into Python.
     Ctrl-C ends it with what there is.
 
     Parameters
@@ -61,7 +63,8 @@ def compare(
     scene :
         A scene or the name of one.  Where it `slows_after` some time, fixed steps grow geometrically.
     methods :
-        Names, by default all.
+        Names, by default all: then those that hardly ever lead (of order one and two, where no error above 1e-3 is
+        asked for, and those of the benchmark's appendix) are begun when all others are done.
     errors :
         Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs and, of y*, the start.
     budget :
@@ -81,8 +84,10 @@ def compare(
         (win; tie; undecided where the margin is too wide to judge, or a rival was cut off that might be sooner done;
         loss), laws_kept, a column for each law, status, reason (why a method got no further, was not timed, or
         is undecided).
-        ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
-        claimed), "runs" (every setting tried), "of_floats" (functions that cannot be recorded), "unbegun" (methods
+        ``attrs``: "recommendation" (what to take, a sentence for each error),
+        "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
+        claimed), "runs" (every setting tried), "motion" (states and energies of a run of the smallest error),
+        "of_floats" (functions that cannot be recorded), "unbegun" (methods
         that no time was left for), "unrefined" (those without a last search for a coarser setting), "interrupted",
         "seconds".
 
@@ -107,9 +112,11 @@ def compare(
             raise BadInput(f"error = {excerpt(error)}: {size}")
     switch("progress", progress)
     truth = None if reference is None else users_reference(scene, reference)
-    race = Schedule(scene, list(dict.fromkeys(given)), wanted, positive("budget", budget), progress, truth)
+    raced, seconds = list(dict.fromkeys(given)), positive("budget", budget)
+    race = Schedule(scene, raced, wanted, seconds, progress, truth, named=methods is not None)
     race.run()
     frame = frame_of(race)
+    frame.attrs["recommendation"] = list(recommendation(frame))
     frame.attrs["seconds"] = perf_counter() - begun
     return frame
 
@@ -148,8 +155,18 @@ def frame_of(race: Schedule) -> pd.DataFrame:
         "unbegun": race.unbegun,
         "unrefined": race.unrefined,
         "interrupted": race.interrupted,
+        "motion": motion(race.motion),
     }
     return frame
+
+
+def motion(solution: Solution | None) -> Runs:
+    """Return the states of a run to be drawn and its energies, a row for each time, and which run it is."""
+    if solution is None:
+        return Runs()
+    frame = solution.to_frame().assign(**{label: values for label, values, _ in solution.energies()})
+    frame = frame.assign(run=f"{solution.method}, {solution.setting}")
+    return Runs(frame.to_dict("records"))
 
 
 def laws_in(scene: Scene) -> dict[str, str]:
@@ -174,7 +191,11 @@ def row(race: Schedule, search: Search, error: float) -> Row:
         known = attempt.columns(race.floor) | {"status": "ok", "reason": reason}
     cut = known["status"] in (*CUT, "interrupted") or (attempt is not None and not clock)
     last = attempt or search.finest
-    at_least = (last.seconds / ONCE if last else 0.0) if cut else math.nan
+    unlikely = last is None and search in race.last
+    # one that was not begun takes as long as the soonest run of its engine: a library's call alone
+    begun = (a.seconds for one in race.searches if one.engine == search.engine for a in one.attempts)
+    soonest_run = last.seconds if last else min(begun, default=0.0)
+    at_least = soonest_run / ONCE if cut and not unlikely else math.nan
     row = {"scene": race.question.scene.name, "method": search.method.name, "family": search.method.family}
     row |= {"engine": search.engine, "kind": search.kind, "error_asked": error, **known}
     row |= {"time_s": clock.get("time_min_s", math.nan), "at_least": at_least}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -15,9 +15,11 @@ from tqdm import tqdm
 
 from contactbench.blame import UserError
 from contactbench.errors import BadInput
-from contactbench.measure.clock import VISITS, Call, Race, time_columns
+from contactbench.measure.clock import VISITS, Call, Race, Visit, least, ratio_column, time_columns
 from contactbench.measure.laws import row as laws_row
-from contactbench.methods.base import prepare
+from contactbench.measure.statistics import PROCESSES, margin, ties
+from contactbench.methods.base import Method, prepare
+from contactbench.methods.loops import is_fixed
 from contactbench.scene import Scene
 from contactbench.solution import GROWING, Solution
 from contactbench.study.experiment import Row
@@ -35,6 +37,16 @@ LEAST_REFERENCE = 5.0
 #: calls of a run in the shortest race: to warm up, and a round of each visit
 FEWEST_CALLS = 1 + VISITS
 KINDS = ("compiled", "callbacks")
+#: states of the motion that is kept to be drawn, and its components at most
+DRAWN, LARGEST_DRAWN = 400, 1000
+#: the part of the search that is kept for those that have begun: runs of one setting each are no race
+SECOND_RUNS = 0.35
+#: methods of this package of this order and below do not lead at errors of this size and below
+LOW_ORDER, HIGH_ERROR = 2, 1e-3
+#: the part of the timing that the whole field gets; the rest is for those that may lead
+FIELD = 0.6
+#: who leads is settled where the margin of a pair is no wider than this, and left open after so many visits
+SETTLED, MOST_OF_LEADERS = 1.06, 400
 #: seconds that compiling the first method of an engine takes: without them it is not begun
 COMPILING = {"jax": 5.0, "c++": 1.5}
 #: a method without an order is begun as one of this
@@ -53,7 +65,8 @@ class Schedule:
     """The state of one race: what was found of each method, and the laws and times at the settings that reach an error.
 
     floor : what the reference may be off by, relative to the largest state; no error below is claimed.  unbegun :
-    methods that no time was left for; unrefined : those without a last search for a coarser setting.
+    methods that no time was left for; unrefined : those without a last search for a coarser setting; last : those
+    that wait until all others are done.  named : whether a user asked for these methods, each as good as another.
     """
 
     def __init__(
@@ -64,6 +77,7 @@ class Schedule:
         budget: float,
         progress: bool = False,
         truth: Reference | None = None,
+        named: bool = True,
     ) -> None:
         self.begun, self.budget = perf_counter(), budget
         self.bar = tqdm(total=len(methods) + 3, disable=None if progress else True, unit="", leave=False)
@@ -77,13 +91,15 @@ class Schedule:
             raise BadInput(f"no reference for scene {scene.name!r}: {why}")
         self.bar.update()
         self.searches = [Search(self.question, name) for name in methods]
+        self.last = set() if named else {each for each in self.searches if waits(each.method, errors)}
         self.interrupted = False
         self.unbegun: list[str] = []
         self.unrefined: list[str] = []
+        self.motion: Solution | None = None
         self.laws: dict[int, Row] = {}
         self.times: dict[int, Row] = {}
         self.truths: dict[tuple[tuple[str, ...], bytes], Reference | None] = {}
-        #: how many times longer than foreseen the derivative of a map has taken
+        #: how many times longer than foreseen the last derivative of a map took
         self.slower = 1.0
 
     def reference_of(self, scene: Scene) -> Reference:
@@ -108,7 +124,7 @@ class Schedule:
 
     def run(self) -> None:
         """Do all of it; Ctrl-C ends it with what there is, a second time at once."""
-        for stage in (self.search, self.measure_laws, self.time):
+        for stage in (self.search, self.follow_motion, self.measure_laws, self.time):
             try:
                 with np.errstate(all="ignore"):  # long steps overflow, and end as diverged
                     stage()
@@ -127,26 +143,23 @@ class Schedule:
         """Give every method a first run, then the next turn to what has had the least time.
 
         What a cheap method leaves goes to the others.  First runs: high orders first, one of each engine in turn, those
-        last that compile for seconds.
-
-        When half of the time is over those that have begun go on: runs of one setting each are no race.
+        of JAX last, which compiles for seconds.  When most of the time is over those that have begun go on.
         """
         for each in self.searches:
             if (why := each.method.refuses(self.question.scene)) is not None:
                 each.why = ("unsupported", why)
         turns = {each: each.turns() for each in self.searches if each.why is None}
         self.bar.update(len(self.searches) - len(turns))
-        half, ranked = (
-            self.left(SEARCH) / 2,
-            sorted(self.searches, key=lambda one: -(one.method.order or MIDDLE)),
-        )
+        kept = SECOND_RUNS * self.left(SEARCH)
+        ranked = sorted(self.searches, key=lambda one: -(one.method.order or MIDDLE))
         engines = [each.engine for each in ranked]
         places = {each: engines[:k].count(each.engine) for k, each in enumerate(ranked)}
 
-        def turn(one: Search) -> tuple[bool, bool, float]:
+        def turn(one: Search) -> tuple[bool, bool, bool, float]:
+            early, last = self.left(SEARCH) > kept, one in self.last
             if one.attempts:
-                return self.left(SEARCH) > half, False, one.spent
-            return self.left(SEARCH) <= half, one.engine in COMPILING, places[one]
+                return last, early, False, one.spent
+            return last, not early, one.engine == "jax", places[one]
 
         while turns and (left := self.left(SEARCH)) > 0:
             each = min(turns, key=turn)
@@ -172,7 +185,9 @@ class Schedule:
     def stop(self, status: str, before: str, after: str, some: Iterable[Search]) -> None:
         for each in (each for each in some if each.why is None):
             last = each.finest
-            if last is None:
+            if last is None and each in self.last and status == "budget":
+                each.why = (status, "begun when all others are done: no time was left")
+            elif last is None:
                 each.why = (status, before)
                 self.unbegun.append(each.method.name)
             elif not each.done:
@@ -180,16 +195,33 @@ class Schedule:
             else:
                 self.unrefined.append(each.method.name)
 
+    # -- motion ----------------------------------------------------------------------------------------
+    def follow_motion(self) -> None:
+        """Keep a run to be drawn: of those that reach the smallest error the one that is soonest done."""
+        scene, found = self.question.scene, list[tuple[Search, Attempt]]()
+        for error in self.question.errors:
+            reach = [(each, a) for each in self.searches if (a := self.chosen(each, error)) is not None]
+            found = reach or found
+        if not found or scene.motion > LARGEST_DRAWN or self.interrupted or self.left(LAWS) < 0:
+            return
+        search, attempt = min(found, key=lambda pair: pair[1].seconds)
+        setting = setting_to(scene.t_end, scene, search.control, attempt.value)
+        saves = None if search.control == GROWING else times(scene, DRAWN)
+        with suppress(UserError):
+            solution = prepare(scene, search.method, save_at=saves, engine=search.engine, **setting)()
+            self.motion = solution if solution.ok else None
+
     # -- laws ------------------------------------------------------------------------------------------
     def measure_laws(self) -> None:
         self.bar.set_description("laws")
         for error in self.question.errors:
             pairs = [(each, a) for each in self.searches if (a := self.chosen(each, error)) is not None]
-            for each, attempt in sorted(pairs, key=lambda pair: differentiation_time(*pair)):
+            order = lambda pair: (pair[0].method.family == "established", differentiation_time(*pair))  # noqa: E731
+            for each, attempt in sorted(pairs, key=order):  # first what may have something to keep
                 if id(attempt) not in self.laws and not self.interrupted:
                     begun, foreseen = perf_counter(), differentiation_time(each, attempt)
                     self.laws[id(attempt)] = self.laws_at(each, attempt)
-                    self.slower = max(self.slower, (perf_counter() - begun) / foreseen)
+                    self.slower = max(1.0, (perf_counter() - begun) / foreseen)
 
     def laws_at(self, search: Search, attempt: Attempt) -> Row:
         """Return how far a run that carries every field is from the laws; nothing where that would take too long."""
@@ -237,11 +269,50 @@ class Schedule:
             race = Race(
                 [Call(partial(attempt.run.bare, attempt.run.start)) for attempt in timed if attempt.run]
             )
+            until = perf_counter() + given
             try:
-                race.go(0.0 if self.interrupted else given, given + LATE * self.budget)
+                race.go(0.0 if self.interrupted else FIELD * given, self.left(1 + LATE))
+                if not self.interrupted:
+                    self.settle(race, [id(attempt) for attempt in timed], until)
             finally:
                 visited = zip(timed, race.visits, strict=True)
                 self.times |= {id(attempt): time_columns(visits) for attempt, visits in visited if visits}
+
+    def settle(self, race: Race, timed: list[int], until: float) -> None:
+        """Visit those that may lead, and no others, until it is decided who does or time is over."""
+        while some := self.unsettled(race, timed):
+            for _ in range(VISITS):
+                for _ in race.sweep(some=some):
+                    if perf_counter() > until:
+                        return
+
+    def unsettled(self, race: Race, timed: list[int]) -> list[int]:
+        """Return which calls stand so near to the least of an error that the clock does not tell them apart yet."""
+        found = set[int]()
+        for error in self.question.errors:
+            reach = [e for e in self.question.errors if e <= error]
+            chosen = ({id(a) for e in reach if (a := self.chosen(each, e))} for each in self.searches)
+            runs = [[i for i in map(timed.index, own & {*timed}) if race.visits[i]] for own in chosen]
+            ranked = sorted(
+                (min(own, key=lambda i: least(race.visits[i])) for own in runs if own),
+                key=lambda i: least(race.visits[i]),
+            )
+            for other in ranked[1:]:
+                first, second = race.visits[ranked[0]], race.visits[other]
+                apart = margin((halves(first), halves(second)), PROCESSES)
+                if apart > SETTLED and ties(least(second), least(first), apart):
+                    found |= {ranked[0], other}
+        return sorted(i for i in found if len(race.visits[i]) < MOST_OF_LEADERS)
+
+
+def waits(method: Method, errors: Sequence[float]) -> bool:
+    """Return whether a method of this package is not expected to lead: it is begun when all others are done."""
+    low = not method.adaptive and (method.order or MIDDLE) <= LOW_ORDER and max(errors) <= HIGH_ERROR
+    return is_fixed(method) and not method.package and (method.appendix or low)
+
+
+def halves(visits: list[Visit]) -> float:
+    return ratio_column("halves", least, visits[::2], visits[1::2]).get("halves", math.inf)
 
 
 def differentiation_time(search: Search, attempt: Attempt) -> float:

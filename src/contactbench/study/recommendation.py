@@ -1,0 +1,82 @@
+"""What to take: the end of a race as one sentence for each error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pandas as pd
+
+from contactbench.measure.statistics import WIDEST, Verdict
+from contactbench.methods.base import METHODS
+from contactbench.report.numbers import duration, exact_power, names, times
+from contactbench.report.race import kept_and_unknown
+from contactbench.results.contest import CONTACT, CUT
+
+#: solvers of other libraries that are named beside the fastest
+PEERS = 2
+#: names in one enumeration
+SOME = 3
+
+
+def recommendation(frame: pd.DataFrame) -> Iterator[str]:
+    """Yield what to take for each error of a race, or what is missing to say so."""
+    for error, rows in frame.groupby("error_asked", sort=False):
+        timed = rows[rows["time_s"].notna()]
+        compiled = timed[timed["kind"] == "compiled"]
+        ranked = (timed if compiled.empty else compiled).sort_values("time_s", kind="stable")
+        goal = exact_power(float(str(error)))
+        yield (
+            f"{best(ranked, goal, rows, frame)}."
+            if len(ranked)
+            else f"Nothing to take for {goal}: {lack(rows)}."
+        )
+
+
+def best(ranked: pd.DataFrame, goal: str, rows: pd.DataFrame, frame: pd.DataFrame) -> str:
+    """Return the fastest with what it keeps, and the best contact method and the best of other libraries beside it."""
+
+    def keeps(row: pd.Series) -> str:
+        kept, _ = kept_and_unknown(frame[frame["method"] == row["method"]])
+        return f", keeps {names(kept)}" if kept else ""
+
+    first, others = ranked.iloc[0], ranked.iloc[1:]
+    python = "" if first["kind"] == "compiled" else ", calling back into Python"
+    setting = str(first["setting"]).replace("=", " ", 1)
+    parts = [f"Take {first['method']}, {setting}: {duration(first['time_s'])} for {goal}{python}"]
+    parts[0] += keeps(first)
+    alike = others[others["verdict"] == Verdict.tie]
+    if len(alike):
+        parts.append(f"{names(list(alike['method']), SOME)} equal within ×{alike['margin'].max():.2f}")
+    packages = others["method"].map(lambda name: METHODS[name].package)
+    foreign = others[(packages != "") & ~packages.duplicated()]
+    own = others[(others["family"] == CONTACT) & (first["family"] != CONTACT)].iloc[:1]
+    named = pd.concat([own, foreign.iloc[:PEERS]]).drop(index=alike.index, errors="ignore")
+    parts += [f"{row['method']} {times(row['ratio'])}{keeps(row)}" for _, row in named.iterrows()]
+    return "; ".join([*parts, *doubts(first, others, rows)])
+
+
+def doubts(first: pd.Series, others: pd.DataFrame, rows: pd.DataFrame) -> Iterator[str]:
+    """Yield why another method may be the fastest all the same."""
+    if first["verdict"] != Verdict.undecided:
+        return
+    near = others[others["verdict"] == Verdict.undecided]
+    wide = near[near["margin"] > WIDEST]
+    if len(wide):
+        margin = wide["margin"].max()
+        spread = f"times vary by {times(margin)} on this machine, no more than ×{WIDEST:g} decides"
+        yield f"whether faster with {names(list(wide['method']), SOME)} is undecided: {spread}"
+    rivals = rows[rows["time_s"].isna() & (rows["kind"] == first["kind"])]
+    untried = rivals[rivals["status"].isin([*CUT, "interrupted", "ok"])]
+    if len(untried):
+        yield f"whether faster with {names(list(untried['method']), SOME)} is undecided: no time was left (--budget)"
+
+
+def lack(rows: pd.DataFrame) -> str:
+    if (rows["status"] == "unresolved").any():
+        return str(rows.loc[rows["status"] == "unresolved", "reason"].iloc[0])
+    reached = rows[rows["error_reached"].notna()].sort_values("error_reached", kind="stable")
+    if reached.empty:
+        return "no method ran to the end"
+    last = reached.iloc[0]
+    setting = str(last["setting"]).replace("=", " ", 1)
+    return f"the most accurate is {last['method']}, {setting}, with {last['error_reached']:.1e}"

@@ -1,0 +1,137 @@
+"""The end of a race: what to take at each error, or what is missing to say so; and how it comes to be decided."""
+
+import math
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+import contactbench as cb
+from contactbench.measure.clock import Race, Visit
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.report import race
+from contactbench.solution import Status
+from contactbench.study.compare import frame_of
+from contactbench.study.recommendation import recommendation
+from contactbench.study.schedule import Schedule, waits
+from contactbench.study.search import Attempt
+
+NAMES = ["rkn12", "contact-rkn8", "rk8", "cyrk-vern8", "cyrk-dop853", "heyoka-taylor", "scipy-dop853"]
+
+
+def raced(times, errors=(1e-6,), names=NAMES, halves=1.0, kept="", cut=()):
+    """Return the frame of a race on the oscillator whose methods took so many µs; None: the error is not reached."""
+    race = Schedule(cb.SCENES["oscillator"], names, errors, 60.0)
+    for each, own in zip(race.searches, times, strict=True):
+        if each.method.name in cut:
+            each.why = ("budget", "no time was left to begin it")
+        elif own is None:
+            each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", 1e-6, error=3e-4))
+        else:
+            each.attempts.append(Attempt(0.75, "step=0.75", Status.ok, "", own * 1e-6, error=5e-7))
+            clock = {"time_min_s": own * 1e-6, "time_median_s": own * 1e-6, "time_halves_ratio": halves}
+            race.times[id(each.attempts[0])] = clock
+            if each.method.name == kept:
+                laws = {"contact_drift": 1e-16, "contact_drift_kept": True}
+                race.laws[id(each.attempts[0])] = laws
+    return frame_of(race)
+
+
+def test_it_names_the_fastest_and_beside_it_a_contact_method_and_two_libraries():
+    (found,) = recommendation(raced([3.1, 4.34, 9.0, 5.89, 6.0, 6.82, 100.0], kept="contact-rkn8"))
+    assert found == (
+        "Take rkn12, step 0.75: 3.1 µs for 10⁻⁶; contact-rkn8 ×1.40, keeps η; cyrk-vern8 ×1.90; "
+        "heyoka-taylor ×2.20."
+    )
+
+
+def test_a_contact_method_that_leads_says_what_it_keeps():
+    (found,) = recommendation(raced([3.5, 3.1, 9.0, 5.89, 6.0, 6.82, 100.0], kept="contact-rkn8"))
+    assert found.startswith("Take contact-rkn8, step 0.75: 3.1 µs for 10⁻⁶, keeps η; cyrk-vern8 ×1.90;")
+
+
+def test_equal_ones_are_equal_within_their_margin_and_noise_is_named():
+    (found,) = recommendation(raced([3.1, 9.0, 3.2, *[9.0] * 3, 100.0], halves=1.1))
+    assert "; rk8 equal within ×1.15; contact-rkn8" in found
+    (found,) = recommendation(raced([3.1, 9.0, 3.2, *[9.0] * 3, 100.0], halves=1.3))
+    assert found.endswith(
+        "whether faster with rk8 is undecided: times vary by ×1.45 on this machine, no more than ×1.2 decides."
+    )
+
+
+def test_a_rival_that_was_not_begun_is_named_and_a_slow_one_that_was_reached_by_nobody():
+    (found,) = recommendation(raced([3.1, *[9.0] * 6], cut=("cyrk-vern8",)))
+    assert "undecided" not in found  # the least that a call of that library takes is more
+    (found,) = recommendation(raced([5.0, *[9.0] * 6], cut=("cyrk-vern8",)))
+    assert found.endswith("; whether faster with cyrk-vern8 is undecided: no time was left (--budget).")
+    (found,) = recommendation(raced([None] * 7))
+    assert found == "Nothing to take for 10⁻⁶: the most accurate is rkn12, step 0.1, with 3.0e-04."
+    (found,) = recommendation(raced([3.1], errors=(1e-40,), names=["rkn12"]))
+    assert found.startswith("Nothing to take for 10⁻⁴⁰: the reference is known to ")
+
+
+def test_those_not_expected_to_lead_wait_unless_they_are_named_and_do_not_leave_it_undecided():
+    low = {name for name, method in cb.METHODS.items() if waits(method, (1e-3, 1e-6))}
+    assert {"contact-printed", "contact-strang", "herglotz1", "herglotz2", "discrete-gradient"} <= low
+    assert not low & {*NAMES, "whfast", "rk4", "contact-rkn4", "gauss4"}
+    assert not waits(cb.METHODS["contact-strang"], (1e-2,))
+    step = FixedStep("my-own", 2, lambda scene, x, h, xp: x)
+    assert not waits(step, (1e-6,))
+    for named in (False, True):
+        race = Schedule(cb.SCENES["oscillator"], ["contact-printed", "rk4"], (1e-3,), 60.0, named=named)
+        race.left = lambda part: 0.0
+        race.search()
+        assert race.unbegun == (["contact-printed", "rk4"] if named else ["rk4"])
+
+
+def test_the_leaders_are_visited_until_it_is_decided_and_the_field_no_more():
+    """Two that differ by 2 % behind noise of 30 %, and one three times as slow."""
+    schedule = Schedule(cb.SCENES["oscillator"], ["rk4", "rk8", "rkn8"], (1e-3,), 60.0)
+    for each in schedule.searches:
+        each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", 1e-6, error=1e-4))
+    noise = iter(k % 97 / 97 * 0.3 for k in range(7, 10**6, 31))
+
+    def call(seconds):
+        return SimpleNamespace(
+            visit=lambda rounds=3: Visit([seconds * (1 + next(noise))]), warm_up=lambda: 0.0
+        )
+
+    race = Race([call(1.0), call(1.02), call(3.0)])
+    race.visits = [[Visit([1.3 * s]), Visit([s])] for s in (1.0, 1.02, 3.0)]
+    timed = [id(each.attempts[0]) for each in schedule.searches]
+    assert schedule.unsettled(race, timed) == [0, 1]
+    schedule.settle(race, timed, math.inf)
+    first, second, field = map(len, race.visits)
+    assert first == second >= 10
+    assert field == 2
+    assert schedule.unsettled(race, timed) == []
+
+
+def test_a_race_of_many_prints_ten_rows_in_a_hundred_columns_sorted_by_time():
+    names = [name for name in cb.METHODS if cb.METHODS[name].engines[0] == "numba"]
+    errors = (1e-3, 1e-5, 1e-6)
+    frame = raced([50.0 - k for k in range(len(names))], errors=errors, names=names)
+    frame.attrs["recommendation"] = [*recommendation(frame)]
+    text, every = race.text(frame), race.text(frame, every=True)
+    assert max(map(len, [*text.splitlines(), *every.splitlines()])) <= 100
+    table = text.split("\n\n")[0].splitlines()
+    assert [line.split()[0] for line in table[2:]] == names[: -race.ROWS - 1 : -1]
+    assert text.split("\n\n")[-1].count("Take ") == len(errors)
+    assert all(name in every for name in names)
+    assert "evaluations" not in table[1]
+
+
+@pytest.mark.slow
+def test_a_whole_race_of_ones_own_scene_ends_in_time_with_an_answer_for_each_error():
+    scene = cb.Mechanical(
+        name="own",
+        potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2.1,
+        gamma=0.21,
+        q=(1.5,),
+        p=(0.0,),
+        t_end=20.0,
+    )
+    frame = cb.compare(scene, budget=60.0)
+    assert frame.attrs["seconds"] <= 1.05 * 60.0
+    assert all(line.startswith("Take ") for line in frame.attrs["recommendation"])
+    assert isinstance(frame, pd.DataFrame)
