@@ -117,7 +117,7 @@ def sines(q: Vector, w: Arithmetic, **waves: Arithmetic) -> Arithmetic:
 
 
 # -- how their numbers are drawn -------------------------------------------------------------------
-# `w` is the square of the small frequency ω.  `extreme`, of hard problems, takes the place of the energy, in parts of the
+# `w` is the square of the small frequency ω.  `extreme`, of hard problems, stands for the energy, in parts of the
 # barrier, of the exponent or of the eccentricity; else it is drawn.
 def log_uniform(rng: Generator, low: float, high: float) -> float:
     return math.exp(rng.uniform(math.log(low), math.log(high)))
@@ -150,7 +150,7 @@ def draw_quartic(rng: Generator, w: float, extreme: float | None) -> Scene:
     return thrown(rng, quartic, w / 2 * part / (4 * c), (1 / math.sqrt(c),), w=w / 2, a=-1.0, b=0.0, c=c)
 
 
-def draw_sextic(rng: Generator, w: float, extreme: float | None) -> Scene:
+def draw_sextic(rng: Generator, w: float, extreme: float | None) -> Mechanical:
     c, r = log_uniform(rng, 0.1, 3.0), log_uniform(rng, 1.0, 9.0)
     energy = w * log_uniform(rng, 0.03, 5.0) * math.sqrt(3 / c) / 2
     return thrown(rng, sextic, energy, (0.0, 0.0), w=w, r=r, c=c, d=c * rng.random())
@@ -184,8 +184,9 @@ def draw_henon_heiles(rng: Generator, w: float, extreme: float | None) -> Scene:
 
 
 def orbit(potential: Callable[..., Arithmetic], speed: float, **parameters: float) -> Scene:
-    given = {"q": (1.0, 0.0), "p": (0.0, speed), "t_end": 1.0, "rotation_invariant": True}
-    return Mechanical(name="drawn", potential=potential, parameters=parameters, **given)
+    q, p = (1.0, 0.0), (0.0, speed)
+    given = Mechanical(name="drawn", potential=potential, q=q, p=p, t_end=1.0, parameters=parameters)
+    return given.with_(rotation_invariant=True)
 
 
 def draw_power_law(rng: Generator, w: float, extreme: float | None) -> Scene:
@@ -255,7 +256,7 @@ def draw_sines(count: int, rng: Generator, w: float, extreme: float | None) -> S
 def slowest(scene: Any, omega: float) -> float:
     """Return how fast the slower part of a damped oscillation decays; damping by s included, as it comes to rest."""
     gamma = scene.gamma + math.sqrt(2 * scene.kappa * scene.parameters.get("depth", 0.0))
-    return gamma / 2 if gamma < 2 * omega else omega * omega / gamma
+    return float(gamma / 2 if gamma < 2 * omega else omega * omega / gamma)
 
 
 @dataclass(frozen=True)
@@ -351,13 +352,3 @@ def draw(seed: int, family: str, number: int, hard: str = "") -> Problem:
     if own.rate is not None and not kind:
         t_end = min(t_end, DAMPED_OUT / own.rate(scene, omega))
     return Problem(family, hard, seed, scene.with_(name=f"{hard or family}-{number}", t_end=t_end))
-
-
-def numbers(seed: int) -> list[tuple[str, int, str]]:
-    """Return family, number and kind of every problem of a seed; hard ones of all but the replicate."""
-    count = REPLICATED if seed == REPLICATE else COUNT
-    found = [(family, number, "") for family in FAMILIES for number in range(count)]
-    if seed != REPLICATE:
-        pairs = [(kind, k) for kind in HARD for k in range(HARD_COUNT)]
-        found += [(HARD[kind].families[k % len(HARD[kind].families)], k, kind) for kind, k in pairs]
-    return found
