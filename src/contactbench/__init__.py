@@ -27,11 +27,21 @@ if TYPE_CHECKING:
     from contactbench.ensembles.lyapunov import Lyapunov, lyapunov
     from contactbench.interop import diffrax, scipy
     from contactbench.measure.own_composition import composition
+    from contactbench.study.advice import advise
     from contactbench.study.compare import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
 __all__ += ["HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles", "RigidBody", "Solution", "Status"]
-__all__ += ["UnknownName", "compare", "composition", "ensemble", "fixed_step", "geometric_steps", "lyapunov"]
+__all__ += [
+    "UnknownName",
+    "advise",
+    "compare",
+    "composition",
+    "ensemble",
+    "fixed_step",
+    "geometric_steps",
+    "lyapunov",
+]
 __all__ += ["math", "prepare", "reference", "results", "shifted", "solve", "step_map"]
 __version__ = "0.1.0"
 
@@ -39,7 +49,7 @@ __version__ = "0.1.0"
 #: what not every program needs, and where it is imported from when first asked for
 LATER = dict.fromkeys(("Ensemble", "ensemble"), "ensembles")
 LATER |= dict.fromkeys(("Lyapunov", "lyapunov"), "ensembles.lyapunov")
-LATER |= {"composition": "measure.own_composition", "compare": "study.compare"}
+LATER |= {"composition": "measure.own_composition", "compare": "study.compare", "advise": "study.advice"}
 #: parts that are modules, named as the library that they go with
 PARTS = ("diffrax", "scipy")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from time import perf_counter
 
 import numpy as np
@@ -19,6 +20,7 @@ from contactbench.methods.base import METHODS
 from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
+from contactbench.study.advice import advise
 from contactbench.study.experiment import Row
 from contactbench.study.schedule import Schedule
 from contactbench.study.search import Attempt, Search
@@ -105,10 +107,18 @@ def compare(
     switch("progress", progress)
     truth = None if reference is None else users_reference(scene, reference)
     race = Schedule(scene, list(dict.fromkeys(given)), wanted, positive("budget", budget), progress, truth)
+    race.first = advised(scene, wanted)
     race.run()
     frame = frame_of(race)
     frame.attrs["seconds"] = perf_counter() - begun
     return frame
+
+
+def advised(scene: Scene, errors: Sequence[float]) -> list[str]:
+    """Return the methods that advice names for the middle of some errors; none where it has nothing to go by."""
+    with suppress(BadInput):
+        return list(advise(scene, errors[len(errors) // 2])["method"])
+    return []
 
 
 def users_reference(scene: Scene, given: Callable[[np.ndarray], ArrayLike]) -> Reference:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from time import perf_counter
 from typing import Any
@@ -23,8 +22,6 @@ COSTS = dict.fromkeys(("div", "sqrt"), DIVISION) | dict.fromkeys(
 )
 #: steps and seconds of a pilot at most, its tolerance, and a step of a difference
 STEPS, SECONDS, RTOL, STEP = 100, 1.0, 1e-5, 1e-6
-#: damping over frequency below which it does not matter how weak it is
-WEAK = 1e-7
 
 
 @dataclass(frozen=True)
@@ -43,17 +40,8 @@ class Features:
     size: int
     kind: str
 
-    @classmethod
-    def of_row(cls, row: Mapping[str, Any]) -> Features:
-        return cls(*(row[name] for name in cls.__dataclass_fields__))
-
     def row(self) -> dict[str, Any]:
         return asdict(self)
-
-    def place(self) -> np.ndarray:
-        """Return the point whose distance from others says how unlike two problems are."""
-        damping = math.log10(max(self.damping, WEAK))
-        return np.array([damping, math.log10(self.span), 3 * math.log10(self.spread), math.log10(self.cost)])
 
 
 def recorded_slopes(scene: Scene) -> Formula | None:

@@ -77,6 +77,8 @@ class Schedule:
             raise BadInput(f"no reference for scene {scene.name!r}: {why}")
         self.bar.update()
         self.searches = [Search(self.question, name) for name in methods]
+        #: methods that are begun before others, in this order
+        self.first: list[str] = []
         self.interrupted = False
         self.unbegun: list[str] = []
         self.unrefined: list[str] = []
@@ -126,8 +128,8 @@ class Schedule:
     def search(self) -> None:
         """Give every method a first run, then the next turn to what has had the least time.
 
-        What a cheap method leaves goes to the others.  First runs: high orders first, one of each engine in turn, those
-        last that compile for seconds.
+        What a cheap method leaves goes to the others.  First runs: those of `first`, then high orders first, one of
+        each engine in turn, those last that compile for seconds.
 
         When half of the time is over those that have begun go on: runs of one setting each are no race.
         """
@@ -143,10 +145,13 @@ class Schedule:
         engines = [each.engine for each in ranked]
         places = {each: engines[:k].count(each.engine) for k, each in enumerate(ranked)}
 
-        def turn(one: Search) -> tuple[bool, bool, float]:
+        begun_first = {name: place for place, name in enumerate(self.first)}
+
+        def turn(one: Search) -> tuple[bool, float, bool, float]:
             if one.attempts:
-                return self.left(SEARCH) > half, False, one.spent
-            return self.left(SEARCH) <= half, one.engine in COMPILING, places[one]
+                return self.left(SEARCH) > half, 0.0, False, one.spent
+            place = begun_first.get(one.method.name, len(begun_first))
+            return self.left(SEARCH) <= half, place, one.engine in COMPILING, places[one]
 
         while turns and (left := self.left(SEARCH)) > 0:
             each = min(turns, key=turn)
