@@ -18,6 +18,7 @@ from contactbench.measure.isolation import bind
 from contactbench.methods import METHODS
 from contactbench.results.cells import DiskFull, disk
 from contactbench.scenes import SCENES
+from contactbench.study import population
 from contactbench.study.experiment import PROFILES, Experiment, experiments
 from contactbench.study.runner import Run, Task
 from contactbench.study.timetable import Timetable
@@ -32,6 +33,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--profile", choices=list(PROFILES), default="standard", help="how much to run")
     group.addoption("--results", type=Path, default=REPOSITORY / "results", help="where the tables go")
     group.addoption("--untimed", action="store_true", help="errors, counts and laws alone: no times")
+    group.addoption("--seed", type=int, help="of the random problems, instead of those of the repository")
     group.addoption("--resume", action="store_true", help="keep the rows of a run that was killed")
     group.addoption("--report", action="store_true", help="write documents and figures at the end")
 
@@ -45,6 +47,8 @@ def pytest_configure(config: pytest.Config) -> None:
     if worker or not shared:
         which = int(worker["workerid"].removeprefix("gw")) if worker else -1
         bind(CORES and [CORES[which % len(CORES)]])
+    if config.getoption("--seed") is not None:
+        population.OWN_SEED[:] = [config.getoption("--seed")]
     profile, results = PROFILES[config.getoption("--profile")], config.getoption("--results").resolve()
     timed, name = not (shared or config.getoption("untimed")), {"name": worker["run"]} if worker else {}
     config.run = Run(results, profile, selection(config), timed, **name)

@@ -164,6 +164,24 @@ def compare(arguments: argparse.Namespace) -> int:
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
 
 
+def advise(arguments: argparse.Namespace) -> int:
+    import contactbench as cb
+    from contactbench.plugins import load_file
+    from contactbench.report.advice import text
+    from contactbench.study.advice import advise
+
+    path, _, name = arguments.scene.rpartition(":")
+    if path:
+        load_file(Path(path))
+    scene = cb.SCENES[name].with_(**assignments(arguments.set))
+    frame = advise(scene, arguments.error, arguments.cost)
+    if arguments.json:
+        print_json({**frame.attrs, "rows": json.loads(frame.to_json(orient="records"))}, arguments)
+    else:
+        print(text(frame))
+    return 0
+
+
 def numbers(text: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",")]

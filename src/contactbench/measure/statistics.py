@@ -74,6 +74,33 @@ def paired_ratio(base: Sequence[float], head: Sequence[float]) -> PairedRatio:
     return PairedRatio(math.exp(np.median(logs)), math.exp(low), math.exp(high), len(logs))
 
 
+# -- shares and quantiles of a sample --------------------------------------------------------------
+#: the normal quantile of an interval of 95 %
+NORMAL = 1.959964
+
+
+def wilson(part: int, whole: int) -> tuple[float, float]:
+    """Return the interval of 95 % of a share, `part` of `whole` (Wilson, J. Am. Stat. Assoc. 22, 209 (1927))."""
+    if not whole:
+        return 0.0, 1.0
+    share, z2 = part / whole, NORMAL**2 / whole
+    middle, half = share + z2 / 2, NORMAL * math.sqrt(share * (1 - share) / whole + z2 / (4 * whole))
+    return max(0.0, (middle - half) / (1 + z2)), min(1.0, (middle + half) / (1 + z2))
+
+
+def quantile_interval(values: Sequence[float], q: float) -> tuple[float, float, float]:
+    """Return a quantile and its interval of 95 %, by resampling (percentiles, fixed seed); nan of no values."""
+    own = np.asarray(values, dtype=float)
+    if not len(own):
+        return math.nan, math.nan, math.nan
+    resampled = np.random.default_rng(0).choice(own, (RESAMPLES, len(own)))
+    found = np.quantile(
+        resampled, q, axis=1, method="nearest"
+    )  # infinite values are no numbers to interpolate
+    low, high = np.quantile(found, [0.025, 0.975], method="nearest")
+    return float(np.quantile(own, q, method="nearest")), float(low), float(high)
+
+
 # -- wins and ties ---------------------------------------------------------------------------------
 #: margins where no clock decides: of numbers of evaluations, which are interpolated between two settings; of costs of
 #: whole settings, which stand so far apart; and of errors

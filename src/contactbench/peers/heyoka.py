@@ -14,6 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
+from functools import partial
 from threading import Lock
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -64,7 +66,9 @@ def is_fast(scene: object) -> bool:
 
 
 class Taylor(Call):
-    def __init__(self, method: Peer, request: Request) -> None:
+    """A run of heyoka; shared : the scene's numbers are its runtime parameters, one program runs all scenes alike."""
+
+    def __init__(self, method: Peer, request: Request, shared: bool = False) -> None:
         import heyoka
 
         super().__init__(method, request)
@@ -76,16 +80,21 @@ class Taylor(Call):
         units = np.exp2(np.round(np.log2(r.scales))) if scaled else np.ones(len(y0))
         #: what the integrator's numbers are multiples of, powers of two; None: all are 1
         self.units = units if scaled else None
+        numbers = scene.numbers()
 
         def make() -> tuple[heyoka.taylor_adaptive, float]:
             elapsed = stopwatch()
-            system = taylor_system(scene, r.carry, heyoka, units.tolist())
+            pars: list[Any] = [Series(heyoka.par[i]) for i in range(len(numbers))]
+            alike = scene.with_numbers(pars) if shared else scene
+            system = taylor_system(alike, r.carry, heyoka, units.tolist())
             how = {"compact_mode": size > UNROLLED, "fast_math": is_fast(scene)}
             return heyoka.taylor_adaptive(system, y0 / units, tol=r.rtol, **how), elapsed()
 
-        given = (*scene.numbers(), *units), r.carry, r.rtol
+        given = (*(() if shared else numbers), *units), r.carry, r.rtol, shared
         program, self.seconds = _integrators.get(key(scene.recorded().identity, *given), make)
         self.integrator = copy(program)
+        if shared:
+            self.integrator.pars[:] = numbers[: len(program.pars)]
         #: where a packed state has what is integrated: all of it, but the time
         self.motion: slice | list[int] = slice(self.clock)
         if self.clock is not None and self.clock < size - 1:
@@ -144,7 +153,7 @@ class Taylor(Call):
         return Ending(y, counts, status, message, (time, state))
 
 
-METHODS.add(
+TAYLOR = METHODS.add(
     Peer(
         "heyoka-taylor",
         "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)",
@@ -155,3 +164,5 @@ METHODS.add(
         reason="compiles every component",
     )
 )
+#: the same for many scenes that differ by their numbers
+SHARED = replace(TAYLOR, call=partial(Taylor, shared=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from time import perf_counter
 
 import numpy as np
@@ -20,6 +21,7 @@ from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
 from contactbench.solution import Solution
+from contactbench.study.advice import advise
 from contactbench.study.experiment import Row
 from contactbench.study.recommendation import recommendation
 from contactbench.study.schedule import Schedule
@@ -114,11 +116,19 @@ def compare(
     truth = None if reference is None else users_reference(scene, reference)
     raced, seconds = list(dict.fromkeys(given)), positive("budget", budget)
     race = Schedule(scene, raced, wanted, seconds, progress, truth, named=methods is not None)
+    race.first = advised(scene, wanted)
     race.run()
     frame = frame_of(race)
     frame.attrs["recommendation"] = list(recommendation(frame))
     frame.attrs["seconds"] = perf_counter() - begun
     return frame
+
+
+def advised(scene: Scene, errors: Sequence[float]) -> list[str]:
+    """Return the methods that advice names for the middle of some errors; none where it has nothing to go by."""
+    with suppress(BadInput):
+        return list(advise(scene, errors[len(errors) // 2])["method"])
+    return []
 
 
 def users_reference(scene: Scene, given: Callable[[np.ndarray], ArrayLike]) -> Reference:

@@ -92,6 +92,8 @@ class Schedule:
         self.bar.update()
         self.searches = [Search(self.question, name) for name in methods]
         self.last = set() if named else {each for each in self.searches if waits(each.method, errors)}
+        #: methods that are begun before others, in this order
+        self.first: list[str] = []
         self.interrupted = False
         self.unbegun: list[str] = []
         self.unrefined: list[str] = []
@@ -142,8 +144,9 @@ class Schedule:
     def search(self) -> None:
         """Give every method a first run, then the next turn to what has had the least time.
 
-        What a cheap method leaves goes to the others.  First runs: high orders first, one of each engine in turn, those
-        of JAX last, which compiles for seconds.  When most of the time is over those that have begun go on.
+        What a cheap method leaves goes to the others.  First runs: those of `first`, then high orders first, one of
+        each engine in turn, those of JAX last, which compiles for seconds.  When most of the time is over those that
+        have begun go on.
         """
         for each in self.searches:
             if (why := each.method.refuses(self.question.scene)) is not None:
@@ -155,11 +158,14 @@ class Schedule:
         engines = [each.engine for each in ranked]
         places = {each: engines[:k].count(each.engine) for k, each in enumerate(ranked)}
 
-        def turn(one: Search) -> tuple[bool, bool, bool, float]:
+        begun_first = {name: place for place, name in enumerate(self.first)}
+
+        def turn(one: Search) -> tuple[bool, bool, float, bool, float]:
             early, last = self.left(SEARCH) > kept, one in self.last
             if one.attempts:
-                return last, early, False, one.spent
-            return last, not early, one.engine == "jax", places[one]
+                return last, early, 0.0, False, one.spent
+            place = begun_first.get(one.method.name, len(begun_first))
+            return last, not early, place, one.engine == "jax", places[one]
 
         while turns and (left := self.left(SEARCH)) > 0:
             each = min(turns, key=turn)

@@ -1,0 +1,34 @@
+"""Advice to read: one screen of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pandas as pd
+
+from contactbench.report.numbers import count, power, scientific, times
+
+
+def text(frame: pd.DataFrame) -> str:
+    return "\n".join(lines(frame))
+
+
+def lines(frame: pd.DataFrame) -> Iterator[str]:
+    said = frame.attrs
+    known = said["features"]
+    yield (
+        f"{said['scene']}: angular frequency about {known['omega']:.3g}, damping {known['damping']:.2g} of it, "
+        f"{known['span']:.3g} periods, time scales {known['spread']:.2g} apart, a force worth "
+        f"{known['cost']:.0f} additions"
+    )
+    if said["far"]:
+        yield "It is far from every problem of the population: this is a guess; `contactbench compare` measures."
+    yield f"Most like it: {', '.join(said['nearest'])}"
+    yield f"For an error of {power(said['error'])}, by {said['cost']}:"
+    yield f"  {'method':20} {'begin with':>16} {'evaluations':>12} {'best':>6}  regret: median, 90 %"
+    for row in frame.itertuples():
+        begin = "" if row.setting == "exact" else f"{row.setting} {scientific(row.value)}"
+        yield (
+            f"  {row.method:20} {begin:>16} {count(row.evaluations):>12} {row.best:>6.0%}  "
+            f"{times(row.regret)}, {times(row.regret_90)}"
+        )

@@ -1,0 +1,118 @@
+"""What can be said of a problem in a fraction of a second, without compiling anything, by a short pilot in Python."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from contactbench.blame import their_code
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.scene import Scene
+from contactbench.trace.form import FUNCTIONS
+from contactbench.trace.formula import Formula, formula
+
+#: what an operation costs, in additions; the cost of a function that cannot be counted
+DIVISION, FUNCTION, UNKNOWN = 4.0, 12.0, 1000.0
+COSTS = dict.fromkeys(("div", "sqrt"), DIVISION) | dict.fromkeys(
+    (*FUNCTIONS, "pow", "atan2", "hypot"), FUNCTION
+)
+#: steps and seconds of a pilot at most, its tolerance, and a step of a difference
+STEPS, SECONDS, RTOL, STEP = 100, 1.0, 1e-5, 1e-6
+
+
+@dataclass(frozen=True)
+class Features:
+    """What a problem is like.  omega : rate at which the force changes along the motion, as an angular frequency.
+
+    damping : over omega.  span : in periods 2π/omega.  spread : largest of these rates over their mean.  cost : of a
+    right-hand side, in additions.  size : components.  kind : of the scene.
+    """
+
+    omega: float
+    damping: float
+    span: float
+    spread: float
+    cost: float
+    size: int
+    kind: str
+
+    def row(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def recorded_slopes(scene: Scene) -> Formula | None:
+    """Return the right-hand side at (t, y) as a formula, None where it cannot be recorded."""
+    scene, carry = scene.recorded(), scene.carry(())
+    size = len(scene.without_clock(scene.labels(carry)))
+    try:
+        return formula(lambda t, y: tuple(scene.slopes(t, y, carry)), (0, size), ())
+    except CannotRecord:
+        return None
+
+
+def force_cost(scene: Scene, slopes: Formula | None = None) -> float:
+    """Return what a right-hand side costs, in additions, counted in its recorded form."""
+    slopes = slopes or recorded_slopes(scene)
+    if slopes is None:
+        return UNKNOWN
+    return sum(COSTS.get(getattr(step.value, "function", ""), 1.0) for step in slopes.body)
+
+
+def features(scene: Scene) -> Features:
+    """Return what a pilot finds; raise `BadInput` for a function that fails on it."""
+    from scipy.integrate import DOP853  # takes long to load
+
+    scene, carry = scene.recorded(), scene.carry(())
+    recorded = recorded_slopes(scene)
+    start, y0 = scene.split_clock(np.array(scene.pack(scene.initial(carry)), dtype=float))
+
+    def slope(t: float, y: np.ndarray) -> np.ndarray:
+        given = y.tolist()
+        found = recorded(start + t, given) if recorded else scene.slopes(start + t, given, carry)
+        return np.array(found, dtype=float)
+
+    def pull(t: float, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a place and the acceleration there, friction left out; of what has no coordinates state and slope."""
+        if not scene.canonical:
+            return y, slope(t, y)
+        x: Any = scene.unpack(scene.with_clock(y.tolist(), start + t), carry)
+        own: Any = scene
+        return np.array(x.q, dtype=float), np.array(own.velocity(own.gradient_at(x)), dtype=float)
+
+    rates, lengths, until = [], [], perf_counter() + SECONDS
+    with np.errstate(all="ignore"), their_code(f"scene {scene.name!r}"):
+        solver = DOP853(slope, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * max(1e-30, np.abs(y0).max()))
+        q, force = pull(0.0, y0)
+        for _ in range(STEPS):
+            if solver.status != "running" or perf_counter() > until or not math.isfinite(solver.h_abs):
+                break
+            before = solver.t
+            solver.step()
+            old_q, old, (q, force) = q, force, pull(solver.t, solver.y)
+            way, change = np.linalg.norm(q - old_q), np.linalg.norm(force - old)
+            if way > 0 and math.isfinite(change / way):
+                rates.append(math.sqrt(change / way) if scene.canonical else change / way)
+                lengths.append(solver.t - before)
+        damping = loss(slope, solver.t, solver.y, len(y0) // 2 if scene.canonical else len(y0))
+    omega = float(np.average(rates, weights=lengths)) if rates else 0.0
+    omega = max(omega, 2 * math.pi / scene.t_end * 1e-2)
+    size = len(y0) // 2 if scene.canonical else len(y0)
+    spread = max([omega, *rates]) / omega
+    span = scene.t_end * omega / (2 * math.pi)
+    return Features(
+        omega, max(damping, 0.0) / omega, span, spread, force_cost(scene, recorded), size, scene.kind
+    )
+
+
+def loss(slope: Any, t: float, y: np.ndarray, momenta: int) -> float:
+    """Return the mean rate at which momenta are lost, from the divergence of the field."""
+    there, total = slope(t, y), 0.0
+    for i in range(len(y)):
+        shifted = y.copy()
+        shifted[i] += STEP * max(1.0, abs(y[i]))
+        total += (slope(t, shifted)[i] - there[i]) / (shifted[i] - y[i])
+    return -total / momenta

@@ -1,0 +1,283 @@
+"""Random problems: they are what the document says, their costs are measured right, advice follows from tables."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import contactbench as cb
+from contactbench.measure.statistics import NORMAL, quantile_interval, wilson
+from contactbench.peers import heyoka
+from contactbench.report import population as report
+from contactbench.report.advice import text
+from contactbench.results import advice as tables
+from contactbench.results.tables import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
+from contactbench.study import advice, population
+from contactbench.study.experiment import PROFILES
+from contactbench.study.features import features, force_cost
+from contactbench.study.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, REPLICATE, SEED, draw
+from contactbench.study.search import Question
+
+#: those that start at the bottom of a well whose smallest frequency is ω
+WELLS = ["well-4", "well-6", "pendulum", "cosine-lattice", "morse", "henon-heiles", "toda-5", "fput-3"]
+
+
+# -- drawing ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_family_is_one_structure_and_a_seed_always_draws_the_same(family):
+    one, other, again = draw(SEED, family, 0), draw(REPLICATE, family, 3), draw(SEED, family, 0)
+    assert one.scene.identity == other.scene.identity is not None
+    assert one.scene.numbers() == again.scene.numbers() != other.scene.numbers()
+    assert (one.scene.t_end, one.scene.name) == (again.scene.t_end, f"{family}-0")
+
+
+@pytest.mark.parametrize("family", WELLS)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_well_is_thrown_from_its_bottom_and_has_the_frequency(family, seed):
+    scene = FAMILIES[family].draw(np.random.default_rng(seed), 4.0, None)
+    force = lambda q: np.array(scene.dV(tuple(q)), dtype=float)  # noqa: E731
+    bottom = np.array(scene.q)
+    assert np.abs(force(bottom)).max() < 1e-12
+    shifts = 1e-5 * np.eye(len(bottom))
+    hessian = np.array([(force(bottom + h) - force(bottom - h)) / 2e-5 for h in shifts])
+    assert np.linalg.eigvalsh(hessian).min() == pytest.approx(4.0, rel=1e-6)
+
+
+def test_an_extreme_energy_is_that_part_of_the_barrier():
+    """At exactly the barrier a pendulum and a particle between two wells have just the energy at the top."""
+    for family, top in (("pendulum", math.pi), ("well-4", 0.0)):
+        scene = FAMILIES[family].draw(np.random.default_rng(5), 1.7, 1.0)
+        energy = scene.p[0] ** 2 / 2 + scene.V(scene.q)
+        assert energy == pytest.approx(scene.V((top,)), rel=1e-12)
+
+
+def test_a_kepler_orbit_has_the_eccentricity_and_the_frequency():
+    scene = FAMILIES["kepler"].draw(np.random.default_rng(5), 4.0, 0.6)
+    energy = scene.p[1] ** 2 / 2 + scene.V(scene.q)
+    mass = scene.parameters["w"]
+    axis = -mass / (2 * energy)
+    assert mass / axis**3 == pytest.approx(4.0)
+    assert axis * 1.6 == pytest.approx(1.0)  # it starts farthest out
+
+
+def test_spans_and_damping_keep_to_their_rules():
+    for family in FAMILIES:
+        for number in range(6):
+            scene = draw(7, family, number).scene
+            known = features(scene) if family in ("pendulum", "sines-24") else None
+            if known is not None:
+                assert known.span * known.cost < 3 * DEAREST  # the period of a small motion is another one
+            gamma = getattr(scene, "gamma", None)
+            if gamma is not None:
+                assert 0 < gamma <= 10 * DAMPING[1]
+    assert draw(7, "kepler", 1).scene.gamma * draw(7, "kepler", 1).scene.t_end <= 0.5 * (1 + 1e-12)
+
+
+def test_hard_problems_are_of_their_kind():
+    orbit = draw(SEED, "kepler", 0, "near-collision").scene
+    nearest = 1 - 10**-4.0
+    e = 1 - orbit.p[1] ** 2 / orbit.parameters["w"]  # v² = w (1 − e) farthest out
+    assert 0.99 <= e <= nearest
+    assert all(kind.families for kind in HARD.values())
+
+
+# -- measuring -------------------------------------------------------------------------------------
+def test_one_program_of_heyoka_runs_a_family():
+    spent = set()
+    for number in (0, 1):
+        scene = draw(SEED, "morse", number).scene.with_(t_end=5.0)
+        given = {"rtol": 1e-9, "save_at": [5.0], "carry": ()}
+        shared = cb.prepare(scene, heyoka.SHARED, **given)
+        own = cb.solve(scene, "heyoka-taylor", **given)
+        assert np.abs(shared().y - own.y).max() < 1e-14
+        assert shared().counts == own.counts
+        spent.add(shared.compile_s)
+    assert len(spent) == 1  # that of the first, whose program it is
+
+
+def test_what_an_error_costs_is_what_a_scan_of_steps_says():
+    problem = draw(SEED, "pendulum", 1)
+    truth, _ = population.truth_of(problem)
+    question = Question(problem.scene, truth, population.ERRORS, math.inf)
+    trial = population.Trial(question, cb.METHODS["rk4"], features(problem.scene))
+    trial.search([1e-4])
+    (row,) = trial.rows([1e-4], {})
+    scan = population.Trial(question, cb.METHODS["rk4"], trial.known)
+    for n in range(20, 400, 4):
+        if scan.attempt(problem.scene.t_end / n).error <= 1e-4:
+            break
+    assert row["evaluations"] == pytest.approx(scan.tried[-1].evaluations, rel=0.15)
+    assert row["value"] == pytest.approx(scan.tried[-1].value, rel=0.2)
+    assert trial.best(1e-4).error <= 1e-4 == row["error"]
+
+
+def test_truth_says_how_far_two_solvers_agree():
+    problem = draw(SEED, "morse", 1)
+    truth, source = population.truth_of(problem)
+    exact = cb.reference(problem.scene, truth.t, ()).y
+    gap = np.abs(truth.y - exact).max() / np.abs(exact).max()
+    assert gap < 10.0 ** (1 - truth.digits)
+    assert "heyoka" in source
+
+
+def test_cells_are_the_problems_of_the_seeds_or_of_one_given(monkeypatch):
+    smoke, standard = (population.cells(PROFILES[name]) for name in ("smoke", "standard"))
+    assert set(smoke) < set(standard)
+    drawn = [(f, seed, k) for f, seed, low, high in standard for k in range(low, high)]
+    assert len(drawn) == len(set(drawn)) == len(FAMILIES) * (population.COUNT + population.REPLICATED) >= 200
+    monkeypatch.setattr(population, "OWN_SEED", [11])
+    assert {cell[1] for cell in population.cells(PROFILES["standard"])} == {11}
+    assert {cell[1] for cell in population.hard_cells(PROFILES["standard"])} == {11}
+
+
+@pytest.mark.slow
+def test_rows_of_a_problem_fit_the_tables_and_keep_what_they_say():
+    rows = list(population.cost_rows(draw(SEED, "cosine-lattice", 0)))
+    assert rows[0][0] is POPULATION_PROBLEMS
+    costs = [row for table, row in rows if table is POPULATION]
+    done = [row for row in costs if row["status"] == "ok"]
+    assert {row["method"] for row in done} > {"contact-rkn8", "rk4", "heyoka-taylor", "cvode-adams"}
+    assert all(row["error_reached"] <= row["error"] and row["time_s"] > 0 for row in done)
+    hard = list(population.hard_rows(draw(SEED, "pendulum", 0, "separatrix")))
+    assert all(
+        row["right"] is None or row["status"] == "ok" for table, row in hard if table is POPULATION_HARD
+    )
+    assert HARD_COUNT * len(HARD) >= 40
+
+
+# -- a pilot ---------------------------------------------------------------------------------------
+def test_a_pilot_finds_frequency_damping_and_span():
+    scene = cb.SCENES["oscillator"].with_(gamma=0.3, t_end=100.0)
+    known = features(scene)
+    assert known.omega == pytest.approx(1.0, rel=1e-6)
+    assert known.damping == pytest.approx(0.3, rel=1e-6)
+    assert known.span == pytest.approx(100 / (2 * math.pi), rel=1e-6)
+    assert known.spread == pytest.approx(1.0, rel=1e-6)
+
+
+def test_the_cost_of_a_force_counts_its_functions():
+    plain, dear = (
+        cb.Mechanical(name="own", q=(0.3,), p=(0.0,), gamma=0.1, t_end=1.0, potential=potential)
+        for potential in (lambda q: q[0] ** 2, lambda q: q[0] ** 2 + cb.math.cos(q[0]))
+    )
+    assert 12 <= force_cost(dear) - force_cost(plain) <= 15
+    of_floats = cb.Mechanical(
+        name="own", q=(0.3,), p=(0.0,), gamma=0.1, t_end=1.0,
+        potential=lambda q: float(q[0]) ** 2, gradient=lambda q: (2 * float(q[0]),),
+    )  # fmt: skip
+    assert force_cost(of_floats) == 1000.0
+    assert features(of_floats).omega == pytest.approx(math.sqrt(2), rel=1e-6)
+
+
+# -- intervals -------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("part", "whole"), [(0, 10), (3, 10), (50, 120), (10, 10)])
+def test_the_ends_of_wilsons_interval_are_shares_that_the_sample_just_does_not_reject(part, whole):
+    for end in wilson(part, whole):
+        if 1e-9 < end < 1 - 1e-9:
+            assert abs(part / whole - end) == pytest.approx(NORMAL * math.sqrt(end * (1 - end) / whole))
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+def test_an_interval_of_a_median_has_it_in_nineteen_of_twenty_samples():
+    rng = np.random.default_rng(3)
+    inside = 0
+    for _ in range(100):
+        _, low, high = quantile_interval(rng.standard_normal(60), 0.5)
+        inside += low <= 0 <= high
+    assert 88 <= inside <= 100
+
+
+# -- advice ----------------------------------------------------------------------------------------
+def planted():
+    """Where damping is weak "rk4" is three times cheaper than "contact-rkn8", where it is strong the other way."""
+    problems, rows = [], []
+    for seed in (1, 2):
+        for k in range(40):
+            weak = k % 2 == 0
+            name = {"seed": seed, "scene": f"a-{k}"}
+            known = {
+                "omega": 1.0,
+                "damping": 1e-5 if weak else 1.0,
+                "span": 10.0 + k / 10,
+                "spread": 1.1,
+                "cost": 20.0,
+            }
+            problems.append(
+                name | known | {"size": 1, "kind": "mechanical", "structure": f"f{k % 4}", "hard": ""}
+            )
+            for method, family in (
+                ("rk4", "established"),
+                ("contact-rkn8", "contact"),
+                ("contact-exact", "contact"),
+            ):
+                best = (method == "rk4") == weak
+                row = name | {
+                    "method": method,
+                    "family": family,
+                    "error": 1e-6,
+                    "control": "step",
+                    "value": 0.1,
+                }
+                row |= {"status": "unreached" if method == "contact-exact" else "ok"}
+                rows.append(row | {"evaluations": 100.0 if best else 300.0, "time_s": 1e-6 if best else 3e-6})
+    return pd.DataFrame(rows), pd.DataFrame(problems)
+
+
+@pytest.mark.parametrize(("gamma", "best"), [(1e-5, "rk4"), (1.0, "contact-rkn8")])
+def test_advice_names_what_was_best_on_problems_like_it(monkeypatch, gamma, best):
+    rows, problems = planted()
+    own = problems.set_index(["seed", "scene"])
+    monkeypatch.setattr(advice, "known", lambda: (rows, own, tables.threshold(problems)))
+    scene = cb.SCENES["oscillator"].with_(gamma=gamma, t_end=2 * math.pi * 12)
+    found = cb.advise(scene, error=2e-6)
+    first = found.iloc[0]
+    assert first["method"] == best
+    assert (first["best"], first["regret"], first["setting"]) == (1.0, 1.0, "step")
+    assert first["value"] == pytest.approx(0.1, rel=1e-3)
+    assert first["evaluations"] == pytest.approx(100, rel=0.1)
+    assert found.attrs["error"] == 1e-6
+    assert found["regret"].iloc[1] == pytest.approx(3.0)
+    assert "contact-exact" not in set(found["method"])  # it cannot run this scene
+    assert best in text(found)
+    assert cb.advise(scene.with_(t_end=6e6), error=1e-6).attrs["far"]
+
+
+def test_advice_is_judged_without_the_family_that_it_is_asked_for():
+    rows, problems = planted()
+    problems["structure"] = np.where(problems["damping"] < 0.1, "weak", "strong")
+    own = tables.judged(rows, problems, 1e-6, "evaluations", 1, 1)
+    assert len(own) == 40
+    assert (own["regret"] > 2.9).all()  # it has only seen the other kind
+    assert (own["of_three"] == 1.0).all()
+    other = tables.judged(rows, problems, 1e-6, "evaluations", 1, 2)
+    assert (other["regret"] == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "says"), [({"error": 0.0}, "error = 0.0"), ({"cost": "money"}, "cost = 'money'")]
+)
+def test_advice_refuses_what_it_does_not_take(given, says):
+    with pytest.raises(cb.BadInput, match=says):
+        cb.advise("particle", **given)
+
+
+# -- the report ------------------------------------------------------------------------------------
+def test_a_problem_lost_changes_the_count_of_the_answers():
+    rows, problems = planted()
+    frames = report_frames(rows, problems)
+    (evaluations, _) = report.answers(frames)
+    assert evaluations.count == "20 of 40, 0 tied"
+    assert evaluations.answer == "10⁻⁶: 50 % [35, 65]"
+    lost = (rows["scene"] == "a-1") & (rows["method"] == "rk4")
+    changed = rows.assign(evaluations=rows["evaluations"].where(~lost, 10.0))
+    (evaluations, _) = report.answers(report_frames(changed, problems))
+    assert evaluations.count == "19 of 40, 0 tied"
+    titles = [part.title for part in report.parts(frames) if part is not None]
+    assert len(titles) == 5 - 1  # no hard ones
+
+
+def report_frames(rows, problems):
+    from contactbench.report.chapters import Tables
+
+    return Tables(population=rows, population_problems=problems, population_hard=pd.DataFrame())
