@@ -16,8 +16,17 @@ from contactbench.methods.prescribed import geometric_steps
 from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
 from contactbench.results.tables import results
-from contactbench.scene import ContactSystem, Driven, Equations, GeneralDamping, HeavyTop, Mechanical
-from contactbench.scene import RigidBody, Spheres, shifted
+from contactbench.scene import (
+    ContactSystem,
+    Driven,
+    Equations,
+    GeneralDamping,
+    HeavyTop,
+    Mechanical,
+    RigidBody,
+    Spheres,
+    shifted,
+)
 from contactbench.scene.many import Lattice, Particles
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
@@ -34,7 +43,16 @@ if TYPE_CHECKING:
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "ContactSystem", "Counts", "Driven", "Ensemble"]
 __all__ += ["Equations", "GeneralDamping", "HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles"]
 __all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "advise", "compare", "composition"]
-__all__ += ["ensemble", "fixed_step", "geometric_steps", "lyapunov", "math", "prepare", "reference", "results"]
+__all__ += [
+    "ensemble",
+    "fixed_step",
+    "geometric_steps",
+    "lyapunov",
+    "math",
+    "prepare",
+    "reference",
+    "results",
+]
 __all__ += ["shifted", "solve", "step_map"]
 __version__ = "0.1.0"
 

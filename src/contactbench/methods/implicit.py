@@ -134,8 +134,8 @@ def gauss(stages: int) -> Callable[[Scene, State, Arithmetic, Namespace], tuple[
 
         def moved(weights: Sequence[Arithmetic], slopes: Sequence[State]) -> State:
             y = x
-            for weight, slope in zip(weights, slopes, strict=True):
-                y = shifted(y, weight * h, slope)
+            for weight, k in zip(weights, slopes, strict=True):
+                y = shifted(y, weight * h, k)
             return y
 
         def update(slopes: Sequence[State]) -> Sequence[State]:

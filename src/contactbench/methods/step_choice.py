@@ -147,7 +147,7 @@ class ChosenStep(Prepared):
                     break
                 shorter = math.log(target / error) / math.log(larger / error)
                 step = float(max(finer.asked, finer.size * (pilot.size / finer.size) ** shorter))
-                if total(self.run.division(step)) == finer.steps:
+                if self.run.steps_at(y0, step) == finer.steps:
                     return step
                 pilots.append(self.pilot(y0, step))
                 return step if self.distance(pilots[-1], finest) <= target / AIM else finer.asked

@@ -129,7 +129,9 @@ def is_one_definition(case: SceneCase) -> None:
     scene = case.scene
     for x, z in zip(case.states, case.exact, strict=True):
         pair = case.read([np.array([c, 2 * c]) for c in scene.pack(x)])
-        energies = (("energy",) if scene.has_energy else ()) + (("hamiltonian_at",) if scene.is_contact else ())
+        energies = (("energy",) if scene.has_energy else ()) + (
+            ("hamiltonian_at",) if scene.is_contact else ()
+        )
         for name in ("rhs", *energies):
             plain = values(scene, name, x)
             first = [np.broadcast_to(np.asarray(c), 2)[0] for c in values(scene, name, pair)]
