@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
+import numpy as np
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, motion, structure, work_precision
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chapters, view
 from contactbench.report.laws import cost_cells, law_label
-from contactbench.report.numbers import DASH, how_often, names
+from contactbench.report.numbers import DASH, duration, how_often, names
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.contest import OTHER
 from contactbench.results.judgement import law_rows
@@ -19,6 +21,8 @@ from contactbench.results.judgement import law_rows
 NAME = "headline"
 #: the scene whose work–precision picture stands here
 PICTURED = "particle"
+#: how many times as long as the longest run that was timed one may be whose time is taken from it
+FURTHER = 3.0
 #: a column of the result with the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 #: the scenes of the mission, the methods that a reader knows, and the laws; that of J where a method claims it
@@ -73,8 +77,17 @@ def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def mission_view(frames: Frames) -> View | None:
+    return at_equal_cost(frames, "mission", SHOWN_METHODS, timed=False)
+
+
+def overview(frames: Frames) -> View | None:
+    """Return the same in short, of the solvers of the mission, with the time it takes: the project's README has it."""
+    return at_equal_cost(frames, "overview", PROSE[NAME]["overview"]["methods"], timed=True)
+
+
+def at_equal_cost(frames: Frames, name: str, methods: Sequence[str], timed: bool) -> View | None:
     rows = most_met_cost(frames["decay_laws"])
-    rows = rows[rows["scene"].isin(SHOWN_SCENES) & rows["method"].isin(SHOWN_METHODS)]
+    rows = rows[rows["scene"].isin(SHOWN_SCENES) & rows["method"].isin(methods)]
     if not len(rows):
         return None
     momentum = law_rows(frames, "momentum_law")
@@ -83,14 +96,36 @@ def mission_view(frames: Frames) -> View | None:
     laws_of = {s: [law for law in SHOWN_LAWS if law != "momentum_law" or s in claimed] for s in shown}
     by_pair = {(row["method"], row["scene"]): row for _, row in rows.iterrows()}
     lines = []
-    for method in sorted(set(rows["method"]), key=SHOWN_METHODS.index):
+    for method in sorted(set(rows["method"]), key=methods.index):
         cells: list[Cell] = []
         for scene, own in laws_of.items():
-            cells += cost_cells(frames, by_pair.get((method, scene), pd.Series({"status": DASH})), own)
+            row = by_pair.get((method, scene), pd.Series({"status": DASH}))
+            cells += cost_cells(frames, row, own)
+            cells += [Cell(duration(time_at_cost(frames["work_precision"], row)))] * timed
         lines.append((method, *cells))
-    heads = {scene: ("evaluations", "order", *map(law_label, own)) for scene, own in laws_of.items()}
+    last = ["time"] * timed
+    heads = {scene: ("evaluations", "order", *map(law_label, own), *last) for scene, own in laws_of.items()}
     labels = [("", "method"), *((scene, label) for scene, own in heads.items() for label in own)]
-    return view("mission", frame_of(lines, labels))
+    return view(name, frame_of(lines, labels))
+
+
+def time_at_cost(work: pd.DataFrame, row: pd.Series) -> float:
+    """Return the time of a run that costs what a row does, from those of its method; nan where it has none."""
+    if row["status"] != "ok":
+        return math.nan
+    same = (
+        (work["scene"] == row["scene"])
+        & (work["method"] == row["method"])
+        & (work["engine"] == row["engine"])
+    )
+    own = work[same & (work["variant"] == "")].dropna(subset=["rhs_equivalents", "time_min_s"])
+    own = own.drop_duplicates("rhs_equivalents").sort_values("rhs_equivalents")
+    costs, seconds = (own[name].to_numpy(dtype=float) for name in ("rhs_equivalents", "time_min_s"))
+    cost = float(row["rhs_equivalents"])
+    if not len(own) or not costs[0] <= cost <= FURTHER * costs[-1]:
+        return math.nan
+    beyond = max(1.0, cost / costs[-1])  # a long run costs in proportion
+    return beyond * float(np.exp(np.interp(np.log(cost), np.log(costs), np.log(seconds))))
 
 
 def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:

@@ -57,7 +57,9 @@ def with_answers(readme: Path, frames: Frames) -> str:
     if around is None:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    return f"{around[0]}\n{markdown.answers(headline.answers(frames))}\n\n{around[1]}"
+    shown = headline.overview(frames)
+    tables = filter(None, [shown and markdown.table(shown), markdown.answers(headline.answers(frames))])
+    return "\n".join([around[0], "\n\n".join(tables), "", around[1]])
 
 
 def computed_part(readme: Path) -> tuple[str, str] | None:
