@@ -295,6 +295,18 @@ def test_coupled_points_move_as_scipy_says():
     assert np.allclose(found.y[-1], own, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["jax", "python"])
+@pytest.mark.parametrize("step", [0.1, 5.0])
+def test_engines_agree(engine, step):
+    """At angles of several turns a step, too."""
+    scene = PAIR.with_(p=((3.2, 9.0, 2.4), (3.0, 0.0, -4.0)))
+    both = [
+        cb.solve(scene, "contact-rkn4", step=step, engine=each, save_at=[5.0]) for each in (engine, "numba")
+    ]
+    assert np.allclose(both[0].y, both[1].y, rtol=0, atol=1e-11 * np.abs(both[1].y).max())
+
+
 # -- what they are given --------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("changes", "says"),
@@ -350,9 +362,13 @@ def test_a_start_of_one_s_own_and_a_copy():
     assert flat.momentum(flat.initial(()))[2] == pytest.approx(0.6 * 0.9 - 2.0 * 0.3)
 
 
-def test_a_reference_is_that_of_two_engines():
-    """At the frozen times it is read; elsewhere computed, of recorded potentials of several points too."""
-    assert cb.reference(PENDULUM, PENDULUM.t_end).source == "frozen"
+def test_references_are_frozen():
+    for name in ("spherical_pendulum", "upright_pendulum", "pendulum_ring"):
+        assert cb.reference(name, cb.SCENES[name].t_end).source == "frozen"
+
+
+@pytest.mark.slow
+def test_a_reference_of_several_points_is_computed():
     found = cb.reference(ROTORS, [1.0, 2.0])
     assert found.digits >= 15
     best = cb.solve(ROTORS, "contact-rkn8", step=0.02, save_at=[1.0, 2.0])

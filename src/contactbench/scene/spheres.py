@@ -317,7 +317,8 @@ class Spheres(Mechanical):
 
     def of_numbers(self, function: Any) -> Any:
         """Return a function of points as one of their numbers; what is recorded is one."""
-        if self.bodies == 1 or function is None or isinstance(function, Formula | partial):
+        grouped = isinstance(function, Formula) or getattr(function, "func", None) is call_grouped
+        if self.bodies == 1 or grouped:
             return function
         return partial(call_grouped, function, self.dimension)
 
@@ -336,22 +337,15 @@ class Spheres(Mechanical):
     def V(self, q: Vector) -> Arithmetic:
         return self.of_numbers(self.potential)(q, **self.parameters)  # type: ignore[no-any-return]
 
-    def gradient_at(self, x: State) -> Vector:
-        """Return the part of ∇V along the sphere."""
-        force: Vector = ()
-        for q, g in zip(self.points(x.q), self.points(self.dV(x.q)), strict=True):
-            across = dot(q, g) / dot(q, q)
-            force += tuple(b - across * a for a, b in zip(q, g, strict=True))
-        return force
-
     def rhs(self, x: State) -> State:
-        free = super().rhs(x)
-        forces = zip(self.pairs(x), self.points(free.q), self.points(free.p), strict=True)
-        bent: Vector = ()
-        for (q, p), v, f in forces:
-            pull = dot(p, v) / dot(q, q)
-            bent += tuple(b - pull * a for a, b in zip(q, f, strict=True))
-        return free._replace(p=bent)
+        rate, slope, velocity = self.dissipation_rate(x.s), self.dV(x.q), self.velocity(x.p)
+        force: Vector = ()
+        for (q, p), g, v in zip(self.pairs(x), self.points(slope), self.points(velocity), strict=True):
+            pull = (dot(q, g) - dot(p, v)) / dot(q, q)
+            force += tuple(pull * a - b - rate * c for a, b, c in zip(q, g, p, strict=True))
+        if x.s is None:
+            return State(velocity, force)
+        return State(velocity, force, self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s))
 
     def jacobian(self, x: State) -> list[list[Arithmetic]] | None:
         rows = super().jacobian(x)
