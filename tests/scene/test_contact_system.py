@@ -43,7 +43,16 @@ ROUGH = cb.ContactSystem(
 PENDULUM, POLAR, THERMOSTAT = map(cb.SCENES.get, ("double_pendulum", "polar", "thermostat"))
 SCENES = [GENERAL, ROUGH, PENDULUM, POLAR, THERMOSTAT]
 METHODS = {"contact-gauss2": 2, "contact-gauss4": 4, "contact-gauss6": 6}
-PEERS = ("rk4", "rk8-7", "gauss6", "scipy-radau", "cvode-bdf", "cyrk-dop853", "diffrax-dopri8", "heyoka-taylor")
+PEERS = (
+    "rk4",
+    "rk8-7",
+    "gauss6",
+    "scipy-radau",
+    "cvode-bdf",
+    "cyrk-dop853",
+    "diffrax-dopri8",
+    "heyoka-taylor",
+)
 GIVEN = {"q": (1.0,), "p": (0.5,), "t_end": 1.0}
 
 

@@ -22,7 +22,9 @@ from properties import GENERAL, cubic_flow
 
 SCENE = cb.SCENES["quadratic_damping"]
 TIMES = SCENE.t_end * np.arange(1, 26) / 25
-COMPOSED = [name for name, m in cb.METHODS.items() if isinstance(m, ContactMethod) and m.refuses(SCENE) is None]
+COMPOSED = [
+    name for name, m in cb.METHODS.items() if isinstance(m, ContactMethod) and m.refuses(SCENE) is None
+]
 #: a linear part, damping that feeds (s < 0 at the start), κ of either sign
 SCENES = [
     SCENE,
