@@ -23,15 +23,15 @@ from typing import Any, NamedTuple
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.implicit import TYPICAL, Implicit, fixed_point, found, gauss_tableau
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.numbers.dual import leaves
+from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace, Vector
 from contactbench.scene import Scene
 from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damping
 
 
-class Slope(NamedTuple):
-    """q', P', s', or S' where r is known, and r', where it is not; of what is not there None."""
+class Lifted(NamedTuple):
+    """q, P, s, or S where r is known, and r, where it is not, or their slopes; of what is not there None."""
 
     q: Vector
     P: Vector
@@ -39,67 +39,62 @@ class Slope(NamedTuple):
     r: Any
 
 
-def slope_at(scene: Any, x: OwnState, r: Arithmetic, known: bool) -> Slope:
+def slope_at(scene: Any, x: OwnState, r: Arithmetic, known: bool) -> Lifted:
     """Return the slope of the lifted equations at a state of the scene; known : r is a function of the time."""
     rate, k = scene.damping_at(x), scene.rhs(x)
     P = tuple(r * (f + rate * p) for f, p in zip(k.p, x.p, strict=True))
     if known:
-        return Slope(k.q, P, None if x.s is None else r * (k.s + rate * x.s), None)
-    return Slope(k.q, P, k.s, r * rate)
+        return Lifted(k.q, P, None if x.s is None else r * (k.s + rate * x.s), None)
+    return Lifted(k.q, P, k.s, r * rate)
 
 
-def combined(start: Vector, weights: Sequence[Arithmetic], slopes: Sequence[Vector], h: Arithmetic) -> Vector:
-    """Return start + h Σ w k, component by component."""
-    columns = zip(start, *slopes, strict=True)
-    return tuple(c + h * sum(w * k for w, k in zip(weights, ks, strict=True)) for c, *ks in columns)
+def combined(start: Lifted, weights: Sequence[Arithmetic], slopes: Sequence[Lifted], h: Arithmetic) -> Lifted:
+    """Return start + h Σ w k."""
+    columns = zip(leaves(start), *map(leaves, slopes), strict=True)
+    made: Lifted = rebuild(
+        start, [c + h * sum(w * k for w, k in zip(weights, ks, strict=True)) for c, *ks in columns]
+    )
+    return made
 
 
-def extrapolation(nodes: Sequence[Arithmetic]) -> list[list[Arithmetic]]:
-    """Return the weights with which slopes at the nodes of a step are those at the nodes of the next one."""
-    rows = []
+def extrapolated(slopes: Sequence[Lifted], nodes: Sequence[Arithmetic], r: Arithmetic) -> tuple[Lifted, ...]:
+    """Return the collocation polynomial's slopes at the nodes of the next step, where r is 1 again."""
+    nothing, found = rebuild(slopes[0], [0 * c for c in leaves(slopes[0])]), []
     for c in nodes:
-        row = []
-        for j, own in enumerate(nodes):
-            weight = own / own
-            for k, other in enumerate(nodes):
-                weight = weight * (1 + c - other) / (own - other) if k != j else weight
-            row.append(weight)
-        rows.append(row)
-    return rows
+        others = [[(1 + c - b) / (a - b) for b in nodes if b is not a] for a in nodes]
+        k = combined(nothing, [math.prod(row, start=c / c) for row in others], slopes, 1)
+        known = k.r is None
+        s = k.s / r if known and k.s is not None else k.s
+        found.append(Lifted(k.q, tuple(P / r for P in k.P), s, None if known else k.r / r))
+    return tuple(found)
 
 
-Step = Callable[..., tuple[OwnState, Arithmetic, tuple[Slope, ...], Arithmetic]]
+Step = Callable[..., tuple[OwnState, Arithmetic, tuple[Lifted, ...], Arithmetic]]
 
 
 def collocation(stages: int) -> Step:
     """Return a step from x and the slopes to start with: x, iterations, slopes to start the next with, and r₁."""
 
     def step(
-        scene: Any, x: OwnState, h: Arithmetic, xp: Namespace, slopes: tuple[Slope, ...]
-    ) -> tuple[OwnState, Arithmetic, tuple[Slope, ...], Arithmetic]:
+        scene: Any, x: OwnState, h: Arithmetic, xp: Namespace, slopes: tuple[Lifted, ...]
+    ) -> tuple[OwnState, Arithmetic, tuple[Lifted, ...], Arithmetic]:
         A, b = gauss_tableau(stages, xp)
         nodes = [sum(row[1:], row[0]) for row in A]
         known = slopes[0].r is None
-        spent = [scene.damped_within(x, c * h, xp) for c in nodes] if known else []
-        grown, end = [xp.exp(G) for G in spent], scene.damped_within(x, h, xp)
-        keep, lose = damping(end, 1.0, xp) if known else (1.0, 0.0)
+        start = Lifted(x.q, x.p, x.s, None if known else 1 + 0 * x.p[0])
+        grown = [xp.exp(scene.damped_within(x, c * h, xp)) for c in nodes] if known else []
 
-        def lifted(weights: Sequence[Arithmetic], slopes: Sequence[Slope]) -> tuple[Vector, Vector, Any, Any]:
-            q, P = (
-                combined(x.q, weights, [k.q for k in slopes], h),
-                combined(x.p, weights, [k.P for k in slopes], h),
-            )
-            s = None if x.s is None else combined((x.s,), weights, [(k.s,) for k in slopes], h)[0]
-            return q, P, s, None if known else combined((1.0,), weights, [(k.r,) for k in slopes], h)[0]
+        def state(z: Lifted, p: Vector, s: Any, c: Arithmetic) -> OwnState:
+            y = x._replace(q=z.q, p=p, s=s)
+            return y if scene.clock is None else y._replace(t=x.t + c * h)
 
-        def stage(slopes: Sequence[Slope], i: int) -> tuple[OwnState, Arithmetic]:
-            q, P, s, r = lifted(A[i], slopes)
-            if known:  # S' does not depend on s
-                s, r = x.s, grown[i]
-            y = x._replace(q=q, p=tuple(c / r for c in P), s=s)
-            return (y if scene.clock is None else y._replace(t=x.t + nodes[i] * h)), r
+        def stage(slopes: Sequence[Lifted], i: int) -> tuple[OwnState, Arithmetic]:
+            z = combined(start, A[i], slopes, h)
+            r = grown[i] if known else z.r
+            s = x.s if known else z.s  # S' does not depend on s
+            return state(z, tuple(P / r for P in z.P), s, nodes[i]), r
 
-        def update(slopes: tuple[Slope, ...]) -> tuple[Slope, ...]:
+        def update(slopes: tuple[Lifted, ...]) -> tuple[Lifted, ...]:
             if scene.separable:  # with velocities of momenta that are known already it converges faster
                 momenta = [stage(slopes, i)[0].p for i in range(stages)]
                 pairs = zip(slopes, momenta, strict=True)
@@ -107,35 +102,16 @@ def collocation(stages: int) -> Step:
             return tuple(slope_at(scene, *stage(slopes, i), known) for i in range(stages))
 
         slopes, converged, turns = fixed_point(update, slopes, xp, patient=True)
-        q, P, s, r = lifted(b, slopes)
+        z = combined(start, b, slopes, h)
         if known:  # little is lost: the rounding of the factor is that of the loss
-            y, r = x._replace(q=q, p=tuple(keep * c - lose * c for c in P)), xp.exp(end)
-            y = y._replace(s=None if s is None else keep * s - lose * s)
+            G = scene.damped_within(x, h, xp)
+            r, (keep, lose) = xp.exp(G), damping(G, 1.0, xp)
+            p, s = tuple(keep * P - lose * P for P in z.P), None if z.s is None else keep * z.s - lose * z.s
         else:
-            y = x._replace(q=q, p=tuple(c / r for c in P), s=s)
-        if scene.clock is not None:
-            y = y._replace(t=x.t + h)
-        return found(y, converged, xp), turns, carried_on(slopes, extrapolation(nodes), r, known), r
+            r, p, s = z.r, tuple(P / z.r for P in z.P), z.s
+        return found(state(z, p, s, 1), converged, xp), turns, extrapolated(slopes, nodes, r), r
 
     return step
-
-
-def carried_on(
-    slopes: Sequence[Slope], rows: list[list[Arithmetic]], r: Arithmetic, known: bool
-) -> tuple[Slope, ...]:
-    """Return the collocation polynomials' slopes at the nodes of the next step, where r is 1 again."""
-
-    def ahead(parts: Sequence[Vector], row: Sequence[Arithmetic], over: Arithmetic) -> Vector:
-        return combined(tuple(0 * c for c in parts[0]), row, parts, over)
-
-    one, over = r / r, 1 / r
-    found = []
-    for row in rows:
-        s = None if slopes[0].s is None else ahead([(k.s,) for k in slopes], row, over if known else one)[0]
-        rate = None if known else ahead([(k.r,) for k in slopes], row, over)[0]
-        q, P = ahead([k.q for k in slopes], row, one), ahead([k.P for k in slopes], row, over)
-        found.append(Slope(q, P, s, rate))
-    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -147,7 +123,7 @@ class ContactGauss(Implicit):
     def refuses(self, scene: Scene) -> str | None:
         return unfit(self, scene, scene.canonical, "canonical coordinates (q, p, s)")
 
-    def first(self, scene: Scene, x: OwnState, xp: Namespace) -> tuple[Slope, ...]:
+    def first(self, scene: Scene, x: OwnState, xp: Namespace) -> tuple[Lifted, ...]:
         known = scene.damped_within(x, 0.0, xp) is not None
         return (slope_at(scene, x, 1.0, known),) * self.each
 
@@ -177,9 +153,7 @@ class ContactGauss(Implicit):
         return n * TYPICAL * self.each + 1
 
 
-_about = (
-    "Gauss's collocation on the symplectisation, a contact map for every H(q, p, s); Arnold, Appendix 4.E"
-)
+_about = "Gauss's collocation on the symplectisation, a contact map for every H; Arnold, Appendix 4.E"
 for _stages in (1, 2, 3):
     METHODS.add(
         ContactGauss(

@@ -14,7 +14,8 @@ from typing import Any
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
-from contactbench.numbers.dual import Dual, leaves, rebuild, slope
+from contactbench.numbers.dual import Dual, leaves, rebuild
+from contactbench.numbers.dual import slope as slope_of
 from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, has_digits
 from contactbench.scene import AnyState, Mechanical, Scene, State, Vector, dot, shifted
 
@@ -46,7 +47,7 @@ def fixed_point[K](
     def size(components: Iterable[Arithmetic]) -> Arithmetic:
         numbers = list(components)
         if patient:
-            numbers += [Dual(slope(c), 0.0) for c in numbers if isinstance(c, Dual)]
+            numbers += [Dual(slope_of(c), 0.0) for c in numbers if isinstance(c, Dual)]
         return sum(map(abs, numbers), nothing)
 
     def going(carried: tuple[K, Arithmetic, Arithmetic, Arithmetic]) -> Condition:
