@@ -170,7 +170,7 @@ def structure(frame: pd.DataFrame) -> Figure | None:
     claims = rows[f"{LAW}_claimed"].eq(True)
     kept = rows[claims][f"{LAW}_kept"].dropna()
     families = [look(*map(str, pair)).family for pair in zip(rows["method"], rows["family"], strict=True)]
-    groups = np.where(rows["family"].eq(CONTACT) & ~claims, "contact, adaptive steps", families)
+    groups = np.where(rows["family"].eq(CONTACT) & ~claims, "contact, steps that follow", families)
     curves = []
     for name, own in rows.groupby(groups, sort=False):
         points = floats(own["solution_error"]), above(own[LAW])
