@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from contactbench.blame import their_code
+from contactbench.blame import UserError, their_code
 from contactbench.checks import function, is_number, switch, text, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
@@ -130,19 +130,72 @@ class FixedStep(Method):
         return self.per_step(scene) if engine in CALLBACKS else None
 
     def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:
-        """Raise `BadInput` unless a user's step map takes a state of the scene to a state of the same fields."""
+        """Raise `BadInput` unless a user's step map takes a state of the scene to a state of the same fields.
+
+        It must evaluate as often as it declares, too: else it would win every race by evaluations.
+        """
         x, h, what = scene.initial(carry), TRIED * scene.t_end, f"method {self.name!r}"
-        with their_code(what):
-            try:
-                after = self.advance(scene, x, min(h, step or h), 1, math)
-            except ArithmeticError:  # Python's way to say inf; the run will end as diverged
-                return
+        twin, calls = with_counters(scene)
+        try:
+            with their_code(what):
+                try:
+                    after = self.advance(twin, x, min(h, step or h), 1, math)
+                except ArithmeticError:  # Python's way to say inf; the run will end as diverged
+                    return
+        except UserError as error:
+            raise UserError(f"{error}{expected(x, error.__cause__)}") from error.__cause__
         if type(after) is not type(x):
             raise BadInput(f"{what}: its step map returns {excerpt(after)}: must be a {type(x).__name__}")
         for name, old, new in zip(x._fields, x, after, strict=True):
             if not alike(old, new):
                 must = f"must be like {excerpt(old)}"
                 raise BadInput(f"{what}: its step map returns {name} = {excerpt(new)}: {must}")
+        kind, declared = self.kind_on(scene), self.counts(scene, 1, carry)
+        if any(calls.values()) and not self.iterates and calls.get(kind, declared) != declared:
+            raise UserError(f"{what}: {miscounted(declared, kind, calls)}")
+
+
+#: what the evaluations of a kind are of
+COUNTED = {"rhs": "right-hand side", "gradient": "gradient"}
+
+
+def with_counters(scene: Scene) -> tuple[Scene, dict[str, int]]:
+    """Return a scene that counts how often its right-hand side and its gradient are evaluated, by kind."""
+    calls, where = {"rhs": 0}, "gradient_at" if scene.by_sites else "gradient"
+    if getattr(scene, where, None) is not None:
+        calls["gradient"], force = 0, getattr(scene, where)
+
+        def counted_force(*arguments: Any, **parameters: Any) -> Any:
+            calls["gradient"] += 1
+            return force(*arguments, **parameters)
+
+        scene = scene._replaced(**{where: counted_force})
+    slope = scene.rhs
+
+    def counted_slope(*arguments: Any) -> Any:
+        calls["rhs"] += 1
+        return slope(*arguments)
+
+    return scene._replaced(rhs=counted_slope), calls
+
+
+def miscounted(declared: int, kind: str, calls: dict[str, int]) -> str:
+    found = ", ".join(f"{COUNTED[name]} {count}" for name, count in calls.items())
+    right = f"evaluations={calls[kind]}" if calls[kind] else 'kind="gradient"'
+    return f"declares {declared} evaluations of the {COUNTED[kind]} a step; counted: {found}: declare {right}"
+
+
+def expected(x: AnyState, error: BaseException | None) -> str:
+    """Return what stands behind an error inside a step map: what it is called with and what it may call."""
+    if "positional argument" in str(error):
+        calls = (
+            "scene.rhs(x), scene.V(q), scene.dV(q) and scene.velocity(p), which know the scene's parameters"
+        )
+        return f"; a step map is called with scene, x, h, xp, and may call {calls}"
+    if not isinstance(error, TypeError | AttributeError | IndexError | ValueError):
+        return ""
+    kind = type(x).__name__
+    return f"; x = {excerpt(x)}: vectors are tuples, what is not carried is None, and scene.rhs(x) is a {kind} too"
 
 
 def alike(old: object, new: object) -> bool:

@@ -14,7 +14,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import march, order_at
 from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method, prepare
-from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step import COUNTED, FixedStep
 from contactbench.methods.loops import trajectory
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.registry import NAME
@@ -241,7 +241,10 @@ def counts(case: MethodCase) -> None:
         calls[0] = 0
         reported = run().counts.evaluations
         case.measured["calls"] = calls[0]
-        require(reported == calls[0], f"{reported} evaluations reported, {calls[0]} calls")
+        says = f"{reported} evaluations reported, {calls[0]} calls of the {COUNTED[found.kind]}"
+        require(
+            reported == calls[0], f"{says} in {found.steps} steps: declare evaluations= and kind= as it is"
+        )
 
 
 def engines_agree(case: MethodCase) -> None:
