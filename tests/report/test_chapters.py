@@ -56,6 +56,9 @@ SOME = {
     "structure_buys": [row("chaotic_ring", m, 0.1, **RING) for m in ("contact-a", "rk4")],
     "scaling": [row("fput", "rk4", 0.1, evaluations=10, **SIZE)],
     "gradients": [row("particle", m, 0.1, **DERIVATIVE) for m in ("contact-a", "rk4")],
+    "population": [
+        {"seed": 1, "scene": "a-0", "method": "rk4", "error": 1e-6, "status": "ok", "evaluations": 10.0}
+    ],
     "claims": [CLAIM],
 }
 

@@ -101,7 +101,7 @@ def test_what_an_error_costs_is_what_a_scan_of_steps_says():
     truth, _ = population.truth_of(problem)
     question = Question(problem.scene, truth, population.ERRORS, math.inf)
     trial = population.Trial(question, cb.METHODS["rk4"], features(problem.scene))
-    trial.search([1e-4])
+    trial.search([1e-4], {})
     (row,) = trial.rows([1e-4], {})
     scan = population.Trial(question, cb.METHODS["rk4"], trial.known)
     for n in range(20, 400, 4):

@@ -10,7 +10,7 @@ from itertools import islice
 import numpy as np
 import pandas as pd
 
-from contactbench.report import claims, convergence, laws, motion, structure, work_precision
+from contactbench.report import claims, convergence, laws, motion, population, structure, work_precision
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chapters, view
 from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, duration, how_often, names
@@ -66,6 +66,7 @@ def answers(frames: Frames) -> Iterator[Answer]:
         yield from convergence.answers(frames)
     if len(frames["work_precision"]):
         yield from cost_answers(frames)
+    yield from population.answers(frames)
     yield from structure.answers(frames)
     yield from islice(claims.answers(frames), 1)
 

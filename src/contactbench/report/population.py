@@ -43,6 +43,11 @@ def seeds(frames: Frames) -> list[int]:
     return [int(seed) for seed in problems_of(frames)["seed"].value_counts(sort=True).index]
 
 
+def told(frames: Frames) -> bool:
+    """Return whether there are costs, and the problems that they are of."""
+    return bool(len(frames["population"]) and len(problems_of(frames)))
+
+
 @lru_cache(2)
 def won(frames: Frames) -> pd.DataFrame:
     """Return the best contact method beside the best other, a row for each problem, error and cost."""
@@ -98,17 +103,18 @@ def quantile(values: Sequence[float] | pd.Series, q: float) -> Cell:
 
 # -- answers ---------------------------------------------------------------------------------------
 def answers(frames: Frames) -> Iterator[Answer]:
-    if not len(frames["population"]):
+    if not told(frames):
         return
     seed = seeds(frames)[0]
+    drawn = int((problems_of(frames)["seed"] == seed).sum())
     for cost in COSTS:
-        told, counts = [], []
+        says, counts = [], []
         for error in errors(frames):
             own = of(frames, seed, cost, error)
             part = int((own["winner"] == OURS).sum())
-            told.append(f"{power(error)}: {percent(part, len(own))}")
+            says.append(f"{power(error)}: {percent(part, len(own))}")
             counts.append(f"{part} of {len(own)}, {int((own['winner'] == 'tie').sum())} tied")
-        yield Answer(QUESTIONS[cost], ", ".join(told), "; ".join(counts))
+        yield Answer(QUESTIONS[cost].format(drawn), ", ".join(says), "; ".join(counts))
 
 
 # -- views -----------------------------------------------------------------------------------------
@@ -229,7 +235,7 @@ def hard_view(frames: Frames) -> View | None:
 
 @chapter("population", answers)
 def parts(frames: Frames) -> Iterable[Part | None]:
-    if not len(frames["population"]):
+    if not told(frames):
         return []
     made = (contests_view, methods_view, strata_view, advice_view, hard_view)
     return [one(frames) for one in made]

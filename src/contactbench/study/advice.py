@@ -108,4 +108,5 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
 
 
 def gmean(values: pd.Series) -> float:
-    return float(np.exp(np.log(values.astype(float)).mean()))
+    with np.errstate(divide="ignore"):  # nothing is set of an exact method
+        return float(np.exp(np.log(values.to_numpy(dtype=float)).mean()))

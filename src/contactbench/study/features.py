@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,11 @@ COSTS = dict.fromkeys(("div", "sqrt"), DIVISION) | dict.fromkeys(
     (*FUNCTIONS, "pow", "atan2", "hypot"), FUNCTION
 )
 #: steps and seconds of a pilot at most, its tolerance, and a step of a difference
-STEPS, SECONDS, RTOL, STEP = 100, 1.0, 1e-5, 1e-6
+STEPS, SECONDS, RTOL, STEP = 100, 1.5, 1e-5, 1e-6
+#: of steps shorter than this part of the longest the change of a force is rounding
+SHORT = 1e-3
+#: an angle that a motion goes through at least: of one that does not swing the span is the time
+SLOWEST = 0.1
 
 
 @dataclass(frozen=True)
@@ -83,25 +87,26 @@ def features(scene: Scene) -> Features:
         own: Any = scene
         return np.array(x.q, dtype=float), np.array(own.velocity(own.gradient_at(x)), dtype=float)
 
-    rates, lengths, until = [], [], perf_counter() + SECONDS
+    passed, until = list[tuple[float, float, float]](), process_time() + SECONDS
     with np.errstate(all="ignore"), their_code(f"scene {scene.name!r}"):
         solver = DOP853(slope, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * max(1e-30, np.abs(y0).max()))
         q, force = pull(0.0, y0)
-        for _ in range(STEPS):
-            if solver.status != "running" or perf_counter() > until or not math.isfinite(solver.h_abs):
+        while len(passed) < STEPS and solver.status == "running" and process_time() < until:
+            if not math.isfinite(solver.h_abs):
                 break
             before = solver.t
             solver.step()
             old_q, old, (q, force) = q, force, pull(solver.t, solver.y)
-            way, change = np.linalg.norm(q - old_q), np.linalg.norm(force - old)
-            if way > 0 and math.isfinite(change / way):
-                rates.append(math.sqrt(change / way) if scene.canonical else change / way)
-                lengths.append(solver.t - before)
+            way, change = float(np.linalg.norm(q - old_q)), float(np.linalg.norm(force - old))
+            passed.append((way, change, solver.t - before))
         damping = loss(slope, solver.t, solver.y, len(y0) // 2 if scene.canonical else len(y0))
-    omega = float(np.average(rates, weights=lengths)) if rates else 0.0
-    omega = max(omega, 2 * math.pi / scene.t_end * 1e-2)
+    ways, changes, lengths = np.array(passed or [(0.0, 0.0, 0.0)]).T
+    seen = (ways > SHORT * ways.max()) & np.isfinite(changes)
+    rates = (changes[seen] / ways[seen]) ** (0.5 if scene.canonical else 1.0)
+    omega = float(np.average(rates, weights=lengths[seen])) if seen.any() else 0.0
+    omega = max(omega, SLOWEST / scene.t_end)
     size = len(y0) // 2 if scene.canonical else len(y0)
-    spread = max([omega, *rates]) / omega
+    spread = float(max(omega, *rates)) / omega
     span = scene.t_end * omega / (2 * math.pi)
     return Features(
         omega, max(damping, 0.0) / omega, span, spread, force_cost(scene, recorded), size, scene.kind

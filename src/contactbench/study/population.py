@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from time import perf_counter
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from contactbench.methods.base import METHODS, Method, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import Prepared
 from contactbench.peers.heyoka import SHARED
+from contactbench.results.advice import WORST
 from contactbench.results.tables import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
 from contactbench.solution import Solution, Status, keywords
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
@@ -38,12 +40,20 @@ from contactbench.study.search import Question
 from contactbench.study.settings import carry_of
 from contactbench.truth import Reference
 
-#: those that are best anywhere in the tables, the classical ones, and what libraries compile soon
+#: those that are best anywhere in the tables, the classical ones, and what libraries compile soon; first those by whose
+#: cost others are given up
 RACED = (
-    *("contact-strang", "contact-rkn4", "contact-rkn6", "contact-rkn8", "contact-o8", "contact-bm6"),
-    *("contact-exact", "rk4", "rk8", "rkn8", "rkn12", "quinlan-tremaine12", "stormer12", "gauss6"),
-    *("rk8-7", "rkn8-6", "rkn12-10", "cvode-adams"),
-    *("cyrk-dop853", "cyrk-vern8", "cyrk-lsoda", "heyoka-taylor"),
+    *("rkn12-10", "rkn8", "rk8-7", "rkn8-6", "rkn12", "rk8", "contact-rkn8", "contact-rkn6", "contact-rkn4"),
+    *(
+        "contact-o8",
+        "contact-bm6",
+        "contact-strang",
+        "contact-exact",
+        "rk4",
+        "quinlan-tremaine12",
+        "stormer12",
+    ),
+    *("gauss6", "cvode-adams", "cyrk-dop853", "cyrk-vern8", "cyrk-lsoda", "heyoka-taylor"),
 )
 #: what runs under a name, where it is not what is registered
 ALIKE = {SHARED.name: SHARED}
@@ -53,11 +63,14 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 #: ends of runs whose largest error counts, in parts of the span
 ENDS = (0.5, 1.0)
 #: what a run may take, in additions; what an evaluation takes beside them; and settings of a method for one error
-LONGEST, BESIDE, TRIES = 2e7, 20.0, 4
-#: evaluations of an adaptive step, about
-TYPICAL = 10.0
+LONGEST, BESIDE, TRIES = 3e7, 20.0, 4
+#: evaluations of an adaptive step, about: of one-step methods, and of those that choose their order, whose own work is
+#: worth so many additions an evaluation
+TYPICAL, VARIABLE, OWN_WORK = 12.0, 2.0, 150.0
 #: the error aimed at, in parts of that asked for; near enough to it; and settings between which is interpolated
 AIM, NEAR, APART = 0.5, 8.0, 2.5
+#: by how much a step changes at most from one setting to the next, a tolerance by its square
+LEAP = 24.0
 #: truth: an error is asked for that is so many times what two solvers differ by
 CLEAR = 10.0
 #: the coarsest step in 1/ω for each evaluation it takes, and the loosest tolerance to begin with
@@ -80,6 +93,8 @@ class Tried:
     error: float
     evaluations: float
     run: Prepared
+    #: of the whole run, once
+    seconds: float
 
     @property
     def ok(self) -> bool:
@@ -93,26 +108,40 @@ class Trial:
     question: Question
     method: Method
     known: Features
+    #: evaluations that a run may make
+    limit: float = math.inf
     tried: list[Tried] = field(default_factory=list)
 
     def attempt(self, value: float, control: str = "") -> Tried:
         scene, carry = self.question.scene, carry_of(self.question.scene)
-        most = max(100, int(LONGEST / (self.known.cost + BESIDE) / self.stages))
+        beside = OWN_WORK if self.stages == VARIABLE else BESIDE
+        most = max(100, int(min(self.limit, LONGEST / (self.known.cost + beside)) / self.stages))
         runs = []
         for part in ENDS:
             end = part * scene.t_end
             given = keywords(control or self.method.control, value)
             runs.append(prepare(scene, self.method, save_at=[end], carry=carry, max_steps=most, **given))
         solutions: list[Solution] = []
+        begun = 0.0
         for run in runs:
+            begun = perf_counter()
             solutions.append(run())
             if not solutions[-1].ok:
                 break
+        seconds = perf_counter() - begun
         last = solutions[-1]
         error = self.question.error(solutions) if last.ok else math.nan
         count = last.counts.rhs_equivalents
         self.tried.append(
-            Tried(value, last.status, last.message, error, math.nan if count is None else count, runs[-1])
+            Tried(
+                value,
+                last.status,
+                last.message,
+                error,
+                math.nan if count is None else count,
+                runs[-1],
+                seconds,
+            )
         )
         return self.tried[-1]
 
@@ -120,7 +149,7 @@ class Trial:
     def stages(self) -> float:
         """Return the evaluations of a step, about."""
         each = self.method.per_step(self.question.scene) if isinstance(self.method, FixedStep) else 0
-        return float(each or TYPICAL)
+        return float(each or (TYPICAL if self.method.order else VARIABLE))
 
     # -- the next setting ------------------------------------------------------------------------------
     def allowed(self, value: float) -> float:
@@ -149,7 +178,8 @@ class Trial:
             if other.value != near.value and other.error != near.error:
                 found = math.log(other.error / near.error) / math.log(other.value / near.value)
                 slope = min(max(found, order / 2), 1.5 * order)
-        ratio = min(max((AIM * target / near.error) ** (1 / slope), 1 / 16), 16.0)
+        leap = LEAP**2 if self.method.adaptive else LEAP
+        ratio = min(max((AIM * target / near.error) ** (1 / slope), 1 / leap), leap)
         value = near.value * ratio
         bad = [one.value for one in self.tried if not one.ok and one.value > near.value]
         return self.allowed(math.sqrt(near.value * min(bad)) if bad and value >= min(bad) else value)
@@ -169,12 +199,14 @@ class Trial:
         fewest = min((one.evaluations for one in reach), default=math.nan)
         return bool(miss) and fewest <= APART * max(one.evaluations for one in miss)
 
-    def search(self, targets: Sequence[float]) -> None:
+    def search(self, targets: Sequence[float], least: dict[float, float]) -> None:
+        """Try settings for each error; least : evaluations that it has cost any method so far, which are kept."""
         if self.method.exact:
             self.attempt(0.0)
             return
         last = self.attempt(self.first())
         for target in targets:
+            self.limit = WORST * least.get(target, math.inf)
             for _ in range(TRIES):
                 if last.status is Status.unsupported or self.enclosed(target):
                     break
@@ -186,6 +218,8 @@ class Trial:
                 last = self.attempt(value)
                 if last.status is Status.budget and value < min(one.value for one in self.tried[:-1]):
                     return
+            if (best := self.best(target)) is not None:
+                least[target] = min(least.get(target, math.inf), best.evaluations)
 
     # -- what came out -----------------------------------------------------------------------------------
     def best(self, target: float) -> Tried | None:
@@ -269,27 +303,27 @@ def cost_rows(problem: Problem) -> Recorded:
     trials = [
         Trial(question, method, known) for method in raced().values() if not method.refuses(problem.scene)
     ]
+    least: dict[float, float] = {}
     with np.errstate(all="ignore"):
         for trial in trials:
-            trial.search(targets)
-        seconds = visited({id(a): a.run for trial in trials for error in targets if (a := trial.best(error))})
+            trial.search(targets, least)
+        seconds = visited([a for trial in trials for error in targets if (a := trial.best(error))])
     for trial in trials:
         for row in trial.rows(targets, seconds):
             name = {"seed": problem.seed, "scene": problem.scene.name, "method": trial.method.name}
             yield POPULATION, name | row
 
 
-def visited(runs: dict[int, Prepared]) -> dict[int, float]:
-    """Return the least time of each bare call, all visited in turns; of slow ones that of the first call."""
+def visited(tried: Sequence[Tried]) -> dict[int, float]:
+    """Return the least time of the bare call of each setting, all visited in turns; of slow ones that of its run."""
+    seconds = {id(one): one.seconds for one in tried}
+    most = SLOWER * min(seconds.values(), default=0.0)
+    runs = {id(one): one.run for one in tried if one.seconds <= most}
     calls = {name: Call(partial(run.bare, run.start), round_seconds=1e-4) for name, run in runs.items()}
-    for call in calls.values():
-        call.warm_up()
-    fastest = min((call.once[0] for call in calls.values()), default=0.0)
-    soon = [name for name, call in calls.items() if call.once[0] <= SLOWER * fastest]
     for _ in range(VISITS):
-        for name in soon:
-            calls[name].visit(1)
-    return {name: call.once[0] for name, call in calls.items()}
+        for call in calls.values():
+            call.visit(1)
+    return seconds | {name: call.once[0] for name, call in calls.items()}
 
 
 def hard_rows(problem: Problem) -> Recorded:

@@ -351,4 +351,5 @@ def draw(seed: int, family: str, number: int, hard: str = "") -> Problem:
     scene = own.damped(scene, min(gamma, own.most(omega, t_end)))
     if own.rate is not None and not kind:
         t_end = min(t_end, DAMPED_OUT / own.rate(scene, omega))
-    return Problem(family, hard, seed, scene.with_(name=f"{hard or family}-{number}", t_end=t_end))
+    named = scene.with_(name=f"{hard or family}-{number}", t_end=t_end)
+    return Problem(family, hard, seed, named.recorded())  # once for all methods
