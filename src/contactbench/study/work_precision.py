@@ -70,7 +70,7 @@ def ladder(profile: Profile) -> list[Cell]:
 def by_pilots(scene: Scene, method: Method, engine: str) -> bool:
     """Return whether a fixed-step method is run by tolerance too: a contact one of high order, on its first engine."""
     contact = method.family == CONTACT and method.control == "step" and (method.order or 0) >= HIGH_ORDER
-    explicit = not getattr(method, "iterates", False)  # pilots that iterate take longer than the run
+    explicit = not method.iterates  # pilots that iterate take longer than the run
     first = engine == method.engines[0] and scene.slows_after is None
     return contact and explicit and first and method.refuses(scene) is None
 
