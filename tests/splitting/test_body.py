@@ -9,6 +9,8 @@ import pytest
 
 import contactbench as cb
 from contactbench.measure.pullback import growth
+from contactbench.methods.by_tolerance import PlainNumbers
+from contactbench.numbers.dual import Dual, DualNumbers
 from contactbench.scene import BodyState, free_body, rotate, rotation_matrix
 from contactbench.scene.free_body import carlson, free, jacobi
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
@@ -91,6 +93,20 @@ def assert_determined(x, inertia, M, t):
     truth, reach = truth_and_reach(inertia, M, t)
     assert np.all(abs(flat(x) - truth) < 16 * EPSILON * reach), (inertia, M, t)
     np.testing.assert_allclose(rotate(x.R, x.M), M, rtol=0, atol=3e-15 * math.hypot(*M))
+
+
+@pytest.mark.parametrize("root", [1e-3, 1e-6, 1e-8])
+@pytest.mark.parametrize("u", [0.1, 1.0, 5.0])
+def test_derivatives_beside_the_separatrix_are_right_to_a_rounding_over_the_modulus(u, root):
+    """By k' = √(1 − m): so many digits contact-abc and contact-exact have of a map there, whose values have all."""
+    m, m1 = Dual(1 - root * root, -2 * root), Dual(root * root, 2 * root)
+    sn, cn, dn, _ = jacobi(Dual(u, 0.0), m, m1, DualNumbers(PlainNumbers()))
+    mp = decimal_context(60)
+    for name, found in (("sn", sn), ("cn", cn), ("dn", dn)):
+        exact = lambda k, name=name: mp.ellipfun(name, u, m=1 - k * k)  # noqa: E731
+        step = mp.mpf(root) / 10**20
+        true = (exact(root + step) - exact(root - step)) / (2 * step)
+        assert abs(found.b - true) < 2 * EPSILON / root
 
 
 @pytest.mark.parametrize("kind", KINDS)

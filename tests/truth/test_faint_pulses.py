@@ -137,3 +137,36 @@ def test_a_closed_form_that_leaves_a_pulse_out_is_no_truth(monkeypatch):
     found = cb.reference(scene, [3.0, 12.0, 20.0], ())
     np.testing.assert_allclose(found.y[-1, :2], true, rtol=1e-9)
     assert ends == [20.0]
+
+
+def test_two_solvers_of_a_motion_at_rest_agree_on_it():
+    """A force that heyoka does not have, zero at the start and for good: 0/0 was the digits of the truth."""
+    where = cb.math.where
+    scene = cb.Driven(
+        name="rest",
+        potential=lambda q, t: q[0] ** 2 * where(t < 5, 0.5, 1.0),
+        gamma=0.1,
+        q=(0.0,),
+        p=(0.0,),
+        t_end=10.0,
+        breaks=(5.0,),
+    )
+    found = cb.reference(scene, [10.0], ())
+    assert (found.source, found.digits) == ("two solvers", 15)
+    assert np.array_equal(found.y[0, :2], [0.0, 0.0])
+
+
+def test_a_refusal_of_a_scene_with_time_names_breaks(monkeypatch):
+    rough = cb.Driven(
+        name="rough",
+        potential=lambda q, t: q[0] ** 2 / 2 - q[0] * exp(-(((t - 9.0) * 16) ** 2)),
+        gamma=0.1,
+        q=(1.0,),
+        p=(0.0,),
+        t_end=20.0,
+    )
+    monkeypatch.setattr("contactbench.truth.survey.PIECES", 10)
+    survey = Survey(rough, (), 20.0)
+    survey.stops  # noqa: B018
+    assert "too rough at t = " in str(survey.ended)
+    assert str(survey.ended).endswith("name the times in breaks=")

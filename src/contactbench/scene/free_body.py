@@ -19,7 +19,8 @@ Zon, Schofield, J. Comput. Phys. 225, 145 (2007), doi:10.1016/j.jcp.2006.11.019.
 
 Jacobi's functions and Carlson's integral of the third kind are plain arithmetic.  Moduli come with their complements,
 m and m1 = 1 − m ≥ SMALLEST, so that nothing is lost towards m = 1.  Loops stop when they have converged; on arrays and
-traced numbers they have a fixed length instead, enough for double precision.
+traced numbers they have a fixed length instead, enough for double precision.  Derivatives through the moduli are right
+to ε/√(1 − m) alone: to 10⁻⁸ of a body 10⁻⁸ off its middle axis, whose values have all digits.
 """
 
 from __future__ import annotations

@@ -141,6 +141,13 @@ def jump_at(scene: Scene, time: float) -> BadInput:
     return BadInput(f"no reference for scene {scene.name!r}: {jump}")
 
 
+def of_bends(scene: Scene) -> str:
+    """Return what a refusal of a scene adds where its force or damping depends on time."""
+    return (
+        "" if scene.clock is None else "; where a force or damping bends or jumps, name the times in breaks="
+    )
+
+
 class OutOfTime(BadInput):
     """The time given to a computation does not suffice; `needed` : seconds it would take, by extrapolation."""
 
@@ -175,7 +182,8 @@ class Stopwatch:
             needed = (perf_counter() - self.begun) * self.span / t if t > 0 else math.inf
             raise OutOfTime(
                 f"no reference for scene {self.scene.name!r} in the time it was given (t = {t:.3g} of "
-                f"{self.span:.3g} so far): allow it more, or choose an earlier t_end{faster}",
+                f"{self.span:.3g} so far): allow it more, or choose an earlier t_end{faster}"
+                f"{of_bends(self.scene)}",
                 needed,
             )
 

@@ -81,8 +81,9 @@ def doubles(
                 raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
         lost = lost_at_breaks(slope, breaks, times, found[0])
         one, other = (every[saved] for every in found)
-        gap = (np.abs(one - other).max() + lost) / np.abs(one).max()
-        return one, max(0, math.floor(-math.log10(max(gap, 1e-15))))
+        size = max(np.abs(one).max(), np.finfo(float).tiny)  # at rest both are zero
+        gap = min((np.abs(one - other).max() + lost) / size, 1.0)
+        return one, math.floor(-math.log10(max(gap, 1e-15)))
 
     explicit, implicit = PAIRS
     try:

@@ -26,6 +26,7 @@ from contactbench.truth.engines import (
     across_breaks,
     initial_value_problem,
     jump_at,
+    of_bends,
     sides,
 )
 
@@ -197,7 +198,8 @@ class Survey:
                 solver.atol = self.least = STEP * scale + ROUNDING * step * self.varying
                 ends += cuts
                 if len(ends) > PIECES:
-                    raise DoublesOnly(f"no reference for scene {self.scene.name!r}: it is too rough")
+                    rough = f"it is too rough at t = {ends[-1]:.6g}{of_bends(self.scene)}"
+                    raise DoublesOnly(f"no reference for scene {self.scene.name!r}: {rough}")
             else:
                 due.pop()
         return y
