@@ -136,6 +136,7 @@ CALLS = [
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=lambda t: t), "cb.Driven(rate=lambda t: …)"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, kinetic=abs), "mass=(1., 2., 5.)"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, magnetic=abs), "acts on the potential of the field"),
+    (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=(0.1, 0.2)), "cb.diffrax.Contact"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, lagrangian=abs), "cb.ContactSystem"),
     (lambda: cb.Driven(**GIVEN, potential=lambda q: q[0]), "is called with q, t; it takes q"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=(0.1, 0.2)), "cb.diffrax.Contact"),
