@@ -10,11 +10,11 @@ a little step shows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -302,52 +302,7 @@ def march[S: Scene](
 
 
 # -- the run -------------------------------------------------------------------------------------------
-class Marching(Hashable, Protocol):
-    """What a run asks of a method whose loop decides how many steps lead to a saved time.
-
-    kind, derivative, failure : what is counted; how the map of the steps taken is differentiated, empty where it is
-    not; why the loop gives up.
-    """
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def kind(self) -> str: ...
-    @property
-    def derivative(self) -> str: ...
-    @property
-    def failure(self) -> str: ...
-
-    def prepare(self, request: Request) -> Prepared:
-        """As in `Method`."""
-
-    def settings(self, request: Request, step: float | None) -> list[float]:
-        """Return the numbers that `march` is given."""
-
-    def beside(self, size: int) -> int:
-        """Return how many numbers follow a packed state: the last are attempts, those rejected, time not covered."""
-
-    def evaluations(self, tried: int, entered: int) -> int:
-        """Return what so many attempts in so many intervals evaluate."""
-
-    def march(
-        self,
-        scene: Any,
-        x: OwnState,
-        beside: Sequence[Arithmetic],
-        span: Arithmetic,
-        most: Arithmetic,
-        settings: Sequence[Arithmetic],
-        xp: Any,
-        repeat: Repeat,
-        plain: OwnState,
-    ) -> tuple[OwnState, list[Any]]:
-        """Return the state after a span and what is beside it; plain : the same state, where its numbers are dual."""
-
-
-def loop_program(
-    method: Marching, scene: Scene, carry: tuple[str, ...], settings: int, tangent: bool
-) -> Program:
+def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: int, tangent: bool) -> Program:
     """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`.
 
     tangent : a tangent vector follows the state and is carried along by the steps that are taken.
@@ -382,9 +337,15 @@ _loops: Cache[Loop] = Cache(256)
 
 @dataclass
 class ToleranceRun(Prepared):
-    """Run a `Marching` method, from saved time to saved time and from break to break."""
+    """Run a method whose loop decides how many steps lead to a saved time, or to a break.
 
-    method_: Marching
+    ``march(scene, x, beside, span, most, settings, xp, repeat, plain)`` returns the state after a span and what is
+    beside it, `beside(size)` numbers for a packed state of a size: the last are attempts, those rejected, time not
+    covered; plain : the same state, where its numbers are dual.  `settings`, `evaluations`, `kind`, `derivative` and
+    `failure` say what it is given, what is counted, how the map is differentiated and why the loop gives up.
+    """
+
+    method_: Any
 
     #: known before the run, of fixed steps
     needed, totals = None, Counts()
@@ -494,7 +455,8 @@ class ToleranceRun(Prepared):
         if data and r.scales is not None:
             given = r.to_scale(True, **r.scene.checked(data))
             if not np.array_equal(given.scales, r.scales):
-                return self.method_.prepare(given)(**data)
+                other: Prepared = self.method_.prepare(given)
+                return other(**data)
         return super().__call__(**data)
 
     def taken(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:

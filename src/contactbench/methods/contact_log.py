@@ -96,8 +96,9 @@ class Logarithmic(Method):
     tolerance = FixedStep.tolerance
     #: the step of the first pilot: three to a revolution
     longest = 2.0
-    #: how the run is differentiated: by differences
+    #: the run is differentiated by differences
     derivative = ""
+    failure = "a stage met V ≥ 0: V < 0 is needed all along the motion, and maybe a smaller step"
 
     def refuses(self, scene: Any) -> str | None:
         V = math.nan
@@ -147,10 +148,6 @@ class Logarithmic(Method):
     def evaluations(self, tried: int, entered: int) -> int:
         return tried * (len(self.composition.stages) // 2) + 1
 
-    @property
-    def failure(self) -> str:
-        return f"a stage met V ≥ 0: {self.name} needs V < 0 all along the motion, or a smaller step"
-
     def march(
         self,
         scene: Mechanical,
@@ -167,7 +164,8 @@ class Logarithmic(Method):
         size = len(beside) - BESIDE
         carry = () if x.s is None else ("s",)
         depth, lost, left, late, width, tried, rejected, lag = beside[size:]
-        shares = [table([c for _, c in self.composition.stages[i::2]], xp, rolled(repeat)) for i in (0, 1)]
+        rolled, stages = repeat if repeat.over_stages else None, self.composition.stages
+        shares = [table([c for _, c in stages[i::2]], xp, rolled) for i in (0, 1)]
         rounding = 10.0**-xp.dps if has_digits(xp) else 2.0**-52
 
         def enter(_: object, x: State) -> tuple[State, Arithmetic, Arithmetic]:
@@ -201,9 +199,8 @@ class Logarithmic(Method):
 
             other = choose(met, rejected, rejected + 1, xp)
             base, rejected = when(whole, accept, (base, other), xp, base, trial)
-            reached = [
-                choose(met, a, b, xp) for a, b in zip(Scene.pack(trial.x), Scene.pack(base.x), strict=True)
-            ]
+            ends = zip(Scene.pack(trial.x), Scene.pack(base.x), strict=True)
+            reached = [choose(met, a, b, xp) for a, b in ends]
             early = ahead > 0
             low, high = choose(early, part, low, xp), choose(early, high, part, xp)
             better = part + ahead / speed
@@ -238,12 +235,9 @@ class Logarithmic(Method):
         """Return where a part of a step leads, and how fast the time passes with the part there."""
         gamma, (drifts, kicks) = scene.gamma, shares
 
-        def depth_at(z: Trial) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
-            kinetic, depth = scene.kinetic(z.x.p), base.depth + z.depth
-            return kinetic, depth, kinetic + depth
-
         def drift(z: Trial, share: Arithmetic) -> Trial:
-            kinetic, depth, A = depth_at(z)
+            kinetic, depth = scene.kinetic(z.x.p), base.depth + z.depth
+            A = kinetic + depth
             h = share * part * z.width
             t = h / A
             path = damped_time(gamma, t, xp)
@@ -272,16 +266,8 @@ class Logarithmic(Method):
 
         nothing = 0 * part
         z = Trial(base.x, nothing, nothing, base.width + nothing, HUGE + nothing)
-        z = drift(
-            repeat(len(kicks) if isinstance(kicks, list) else self.per_step(scene), both, (z, 0))[0],
-            drifts[-1],
-        )
-        return z, z.width / depth_at(z)[2]
-
-
-def rolled(repeat: Repeat) -> Repeat | None:
-    """Return the loop over stages, where there is one."""
-    return repeat if repeat.over_stages else None
+        z = drift(repeat(self.per_step(scene), both, (z, 0))[0], drifts[-1])
+        return z, z.width / (scene.kinetic(z.x.p) + base.depth + z.depth)
 
 
 for _order, _composition in ((2, STRANG), (4, BM4), (6, BM6), (8, O8)):

@@ -103,12 +103,12 @@ KEPLER_DRAG = Mechanical(
 
 KEPLER_CLOSE = KEPLER_DRAG.with_(
     name="kepler_close",
-    about="eccentricity 0.99: the time scale shrinks by 2800, thirty times, and what is left of the energy where the "
-    "orbit turns is a difference of terms two hundred times as large.",
+    about="eccentricity 0.99, two returns: at each the time scale shrinks by 2800, and the energy left where the orbit "
+    "turns is a difference of terms two hundred times as large.",
     gamma=1e-4,
     q=(0.01, 0.0),
     p=(0.0, 14.106735979665885),
-    t_end=200.0,
+    t_end=15.0,
 )
 
 KEPLER = KEPLER_DRAG.with_(

@@ -45,14 +45,7 @@ COARSEST = {
     **dict.fromkeys(("weak_damping", "weak_damping_particle", "tumbling"), 0.25),
     **dict.fromkeys(("saddle_edge", "underflow"), 0.1),
     **dict.fromkeys(("kepler_drag", "kepler_close"), 0.008),
-} | {
-    "stiff_spring": 0.0025,
-    "needle": 0.0125,
-    "escape": 0.0004,
-    "kepler_drag": 0.008,
-    "kepler_close": 0.008,
-    "large_step": 2.1,
-}
+} | {"stiff_spring": 0.0025, "needle": 0.0125, "escape": 0.0004, "large_step": 2.1}
 #: rungs where a factor of four would miss the point: γh = 25, 5, 1; both sides of the stability limit
 RUNGS = {"overdamped": (1.0, 0.2, 0.04, 0.01), "large_step": (1.0, 2 / 3, 0.25, 1 / 16)}
 #: elsewhere, by four: the finest reaches the errors of tight tolerances, with one rung more for low orders
