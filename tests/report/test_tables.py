@@ -345,8 +345,8 @@ def test_text_and_page_have_every_time_and_law_and_the_plot_every_kind(frame):
     assert "contact-exact: unsupported" in text
     assert "who is cheapest?" in page
     assert [panel.title for panel in race.figure(frame).panels] == ["Compiled", "Evaluations"]
-    (drawn,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
-    assert b"<svg" in base64.b64decode(drawn)
+    drawn = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
+    assert [b"<svg" in base64.b64decode(each) for each in drawn] == [True] * 2  # costs, and the motion
     laws = json.loads(re.search(r'id="data">(.*)</script>', page)[1])["race_laws"]
     assert "contact drift" in [label for label, *_ in laws["heads"]]
     assert len(laws["rows"]) == int((frame["status"] == "ok").sum())

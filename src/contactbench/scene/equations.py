@@ -13,7 +13,7 @@ import numpy as np
 from contactbench.blame import their_code
 from contactbench.checks import finite, function, vector
 from contactbench.errors import BadInput, excerpt
-from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.scene.algebra import AnyState, Vector
 from contactbench.scene.base import Check, Numeric, Scene, named_numbers
 from contactbench.scene.mechanical import LARGEST_HESSIAN
@@ -196,7 +196,4 @@ class Equations(Scene):
     contact_terms = contact_form
 
     def momentum(self, x: EquationState) -> None:
-        return None
-
-    def damped_by(self, x: EquationState, t: Arithmetic, xp: Namespace) -> None:
         return None

@@ -11,6 +11,7 @@ from contactbench.methods.base import METHODS
 from contactbench.report.numbers import duration, exact_power, names, times
 from contactbench.report.race import kept_and_unknown
 from contactbench.results.contest import CONTACT, CUT
+from contactbench.study.schedule import waits
 
 #: solvers of other libraries that are named beside the fastest
 PEERS = 2
@@ -52,10 +53,10 @@ def best(ranked: pd.DataFrame, goal: str, rows: pd.DataFrame, frame: pd.DataFram
     own = others[(others["family"] == CONTACT) & (first["family"] != CONTACT)].iloc[:1]
     named = pd.concat([own, foreign.iloc[:PEERS]]).drop(index=alike.index, errors="ignore")
     parts += [f"{row['method']} {times(row['ratio'])}{keeps(row)}" for _, row in named.iterrows()]
-    return "; ".join([*parts, *doubts(first, others, rows)])
+    return "; ".join([*parts, *doubts(first, others, rows, frame)])
 
 
-def doubts(first: pd.Series, others: pd.DataFrame, rows: pd.DataFrame) -> Iterator[str]:
+def doubts(first: pd.Series, others: pd.DataFrame, rows: pd.DataFrame, frame: pd.DataFrame) -> Iterator[str]:
     """Yield why another method may be the fastest all the same."""
     if first["verdict"] != Verdict.undecided:
         return
@@ -66,7 +67,9 @@ def doubts(first: pd.Series, others: pd.DataFrame, rows: pd.DataFrame) -> Iterat
         spread = f"times vary by {times(margin)} on this machine, no more than ×{WIDEST:g} decides"
         yield f"whether faster with {names(list(wide['method']), SOME)} is undecided: {spread}"
     rivals = rows[rows["time_s"].isna() & (rows["kind"] == first["kind"])]
-    untried = rivals[rivals["status"].isin([*CUT, "interrupted", "ok"])]
+    errors = [float(error) for error in frame["error_asked"].unique()]
+    waiting = rivals["method"].map(lambda name: waits(METHODS[name], errors)) & rivals["error_reached"].isna()
+    untried = rivals[rivals["status"].isin([*CUT, "interrupted", "ok"]) & ~waiting.astype(bool)]
     if len(untried):
         yield f"whether faster with {names(list(untried['method']), SOME)} is undecided: no time was left (--budget)"
 

@@ -145,18 +145,18 @@ class Schedule:
         """Give every method a first run, then the next turn to what has had the least time.
 
         What a cheap method leaves goes to the others.  First runs: those of `first`, then high orders first, one of
-        each engine in turn, those of JAX last, which compiles for seconds.  When most of the time is over those that
-        have begun go on.
+        each engine and family in turn, those of JAX last, which compiles for seconds.  When most of the time is over
+        those that have begun go on.
         """
         for each in self.searches:
             if (why := each.method.refuses(self.question.scene)) is not None:
                 each.why = ("unsupported", why)
-        turns = {each: each.turns() for each in self.searches if each.why is None}
+        ranked = sorted(self.searches, key=lambda one: -(one.method.order or MIDDLE))
+        turns = {each: each.turns() for each in ranked if each.why is None}
         self.bar.update(len(self.searches) - len(turns))
         kept = SECOND_RUNS * self.left(SEARCH)
-        ranked = sorted(self.searches, key=lambda one: -(one.method.order or MIDDLE))
-        engines = [each.engine for each in ranked]
-        places = {each: engines[:k].count(each.engine) for k, each in enumerate(ranked)}
+        kinds = [(each.engine, each.method.family) for each in ranked]
+        places = {each: kinds[:k].count(kinds[k]) for k, each in enumerate(ranked)}
 
         begun_first = {name: place for place, name in enumerate(self.first)}
 
