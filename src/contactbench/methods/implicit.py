@@ -22,14 +22,24 @@ from contactbench.scene import AnyState, Mechanical, Scene, State, Vector, dot, 
 FIRST = 3
 #: iterations after which a step has none, and the last increment that is none, relative to what is iterated
 MOST, CONVERGED = 200, 1e-10
+#: an increment that changes no state, relative to it: at rest slopes are rounding
+LOST = 1e-15
 #: iterations of a typical step
 TYPICAL = 8
 
 
 def fixed_point[K](
-    update: Callable[[K], K], k: K, xp: Namespace, part: Callable[[K], object] = lambda k: k
+    update: Callable[[K], K],
+    k: K,
+    xp: Namespace,
+    part: Callable[[K], object] = lambda k: k,
+    moves: Arithmetic = 1.0,
+    lost: Arithmetic = 0.0,
 ) -> tuple[K, Condition, Arithmetic]:
-    """Return k with update(k) = k, whether it was found, and after how many updates; part : of k, what settles."""
+    """Return k with update(k) = k, whether it was found, and after how many updates.
+
+    part : of k, what settles.  moves, lost : what an increment is multiplied by, and what of that does nothing.
+    """
     nothing: Arithmetic = 0 * leaves(k)[0]
 
     def size(components: Iterable[Arithmetic]) -> Arithmetic:
@@ -49,7 +59,7 @@ def fixed_point[K](
 
     start = k, nothing + 0.0, nothing + 1e300, nothing + math.inf
     k, turns, gap, _ = repeat_while(going, turn, start, xp)
-    return k, gap <= CONVERGED * size(leaves(part(k))), turns
+    return k, (gap <= CONVERGED * size(leaves(part(k)))) | (gap * moves <= lost), turns
 
 
 @dataclass(frozen=True)
@@ -127,7 +137,8 @@ def gauss(stages: int) -> Callable[[Scene, State, Arithmetic, Namespace], tuple[
             return tuple(scene.rhs(moved(row, slopes)) for row in A)
 
         first: Sequence[State] = (scene.rhs(x),) * stages
-        slopes, converged, turns = fixed_point(update, first, xp)
+        lost = LOST * sum(map(abs, leaves(x)))
+        slopes, converged, turns = fixed_point(update, first, xp, moves=abs(h), lost=lost)
         return found(moved(b, slopes), converged, xp), turns
 
     return step

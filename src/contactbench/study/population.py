@@ -93,7 +93,7 @@ class Tried:
     error: float
     evaluations: float
     run: Prepared
-    #: of the whole run, once
+    #: of the whole run, once: what its parts say
     seconds: float
 
     @property
@@ -122,13 +122,13 @@ class Trial:
             given = keywords(control or self.method.control, value)
             runs.append(prepare(scene, self.method, save_at=[end], carry=carry, max_steps=most, **given))
         solutions: list[Solution] = []
-        begun = 0.0
-        for run in runs:
+        seconds = math.inf
+        for part, run in zip(ENDS, runs, strict=True):
             begun = perf_counter()
             solutions.append(run())
+            seconds = min(seconds, (perf_counter() - begun) / part)
             if not solutions[-1].ok:
                 break
-        seconds = perf_counter() - begun
         last = solutions[-1]
         error = self.question.error(solutions) if last.ok else math.nan
         count = last.counts.rhs_equivalents
