@@ -146,6 +146,29 @@ def test_rows_of_a_problem_fit_the_tables_and_keep_what_they_say():
     assert HARD_COUNT * len(HARD) >= 40
 
 
+# -- what random problems have found -------------------------------------------------------------
+@pytest.mark.parametrize("method", ["rkn8", "rkn12", "rk8", "contact-rkn8"])
+def test_pilots_do_not_agree_on_a_motion_that_is_lost(method):
+    """At γ = 300 the factor e^{−γh} of four long steps leaves nothing of it, exactly, and of eight neither."""
+    scene = cb.Mechanical(
+        name="creep", q=(1.0,), p=(0.0,), gamma=300.0, t_end=5.0, potential=lambda q: q[0] ** 2 / 2
+    )
+    solution = cb.solve(scene, method, rtol=1e-6, save_at=[5.0])
+    slow = scene.gamma / 2 - math.sqrt(scene.gamma**2 / 4 - 1)
+    assert solution.ok
+    assert solution.q[-1, 0] == pytest.approx(math.exp(-5 * slow), rel=2e-5)
+
+
+@pytest.mark.parametrize("method", ["gauss4", "gauss6"])
+def test_an_implicit_step_at_rest_has_converged(method):
+    """q and p have decayed, s has come to rest: its slope is rounding, which no iteration makes any smaller."""
+    scene = draw(SEED, "quadratic-damping", 7).scene
+    solution = cb.solve(scene, method, step=0.05, save_at=[scene.t_end])
+    assert solution.status == "ok"
+    rest = math.sqrt(2 * scene.parameters["depth"] / scene.kappa)
+    assert solution.s[-1] == pytest.approx(rest, rel=1e-3)
+
+
 # -- a pilot ---------------------------------------------------------------------------------------
 def test_a_pilot_finds_frequency_damping_and_span():
     scene = cb.SCENES["oscillator"].with_(gamma=0.3, t_end=100.0)

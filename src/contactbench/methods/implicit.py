@@ -25,6 +25,8 @@ FIRST = 3
 MOST, CONVERGED = 200, 1e-10
 #: increments of doubles that are rounding, on the same scale
 ROUNDING = 2.0**-46
+#: an increment that changes no state, relative to it: at rest slopes are rounding
+LOST = 1e-15
 #: iterations of a typical step
 TYPICAL = 8
 
@@ -35,11 +37,14 @@ def fixed_point[K](
     xp: Namespace,
     part: Callable[[K], object] = lambda k: k,
     patient: bool = False,
+    moves: Arithmetic = 1.0,
+    lost: Arithmetic = 0.0,
 ) -> tuple[K, Condition, Arithmetic]:
     """Return k with update(k) = k, whether it was found, and after how many updates.
 
     part : of k, what settles.  patient : increments may grow for a while that are not yet rounding, as those of errors
-    that turn do, and the slopes of dual numbers have to settle too.
+    that turn do, and the slopes of dual numbers have to settle too.  moves, lost : what an increment is multiplied by,
+    and what of that does nothing.
     """
     rounding = 10.0 ** (6 - xp.dps) if has_digits(xp) else ROUNDING
     nothing: Arithmetic = 0 * leaves(k)[0]
@@ -67,7 +72,7 @@ def fixed_point[K](
 
     start = k, nothing + 0.0, nothing + 1e300, nothing + math.inf
     k, turns, gap, _ = repeat_while(going, turn, start, xp)
-    return k, gap <= CONVERGED * size(leaves(part(k))), turns
+    return k, (gap <= CONVERGED * size(leaves(part(k)))) | (gap * moves <= lost), turns
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,8 @@ def gauss(stages: int) -> Callable[[Scene, State, Arithmetic, Namespace], tuple[
             return tuple(scene.rhs(moved(row, slopes)) for row in A)
 
         first: Sequence[State] = (scene.rhs(x),) * stages
-        slopes, converged, turns = fixed_point(update, first, xp)
+        lost = LOST * sum(map(abs, leaves(x)))
+        slopes, converged, turns = fixed_point(update, first, xp, moves=abs(h), lost=lost)
         return found(moved(b, slopes), converged, xp), turns
 
     return step

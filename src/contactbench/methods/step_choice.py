@@ -26,6 +26,8 @@ from contactbench.solution import Status
 AIM = 0.4
 #: first pilot: this many steps over the whole span, or between breaks
 FIRST = 4
+#: of methods without an exact flow of damping, damping times the first step at most
+DAMPED = 8.0
 #: gaps larger than this are not asymptotic
 TRUSTED_GAP = 0.05
 #: how far the observed order may be from the method's
@@ -62,6 +64,10 @@ class ChosenStep(Prepared):
         # between two breaks lies something that steps as long as their distance do not see
         times = [0.0, *(time for time, _ in self.breaks if 0 < time < self._end), self._end]
         self.first = min(float(np.diff(times).min()) / FIRST, self.method_.longest)
+        rate = self.request.scene.conformal_rate
+        if not self.method_.contact and isinstance(rate, float) and rate:
+            # over steps much longer than the damping takes all of such pilots agree, on nothing that is left
+            self.first = min(self.first, DAMPED / abs(rate))
         # or a `ToleranceRun` of a method that follows the motion, which is asked the same
         self.run: FixedStepRun = self.method_.run_of(replace(self.request, step=self.first), self.loop)
         self.compile_s = self.run.compile_s

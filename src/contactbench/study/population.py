@@ -63,12 +63,12 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 #: ends of runs whose largest error counts, in parts of the span
 ENDS = (0.5, 1.0)
 #: what a run may take, in additions; what an evaluation takes beside them; and settings of a method for one error
-LONGEST, BESIDE, TRIES = 3e7, 20.0, 4
+LONGEST, BESIDE, TRIES = 3e7, 20.0, 5
 #: evaluations of an adaptive step, about: of one-step methods, and of those that choose their order, whose own work is
 #: worth so many additions an evaluation
 TYPICAL, VARIABLE, OWN_WORK = 12.0, 2.0, 150.0
 #: the error aimed at, in parts of that asked for; near enough to it; and settings between which is interpolated
-AIM, NEAR, APART = 0.5, 8.0, 2.5
+AIM, NEAR, APART = 0.5, 8.0, 1.6
 #: by how much a step changes at most from one setting to the next, a tolerance by its square
 LEAP = 24.0
 #: truth: an error is asked for that is so many times what two solvers differ by
@@ -93,7 +93,7 @@ class Tried:
     error: float
     evaluations: float
     run: Prepared
-    #: of the whole run, once
+    #: of the whole run, once: what its parts say
     seconds: float
 
     @property
@@ -122,13 +122,13 @@ class Trial:
             given = keywords(control or self.method.control, value)
             runs.append(prepare(scene, self.method, save_at=[end], carry=carry, max_steps=most, **given))
         solutions: list[Solution] = []
-        begun = 0.0
-        for run in runs:
+        seconds = math.inf
+        for part, run in zip(ENDS, runs, strict=True):
             begun = perf_counter()
             solutions.append(run())
+            seconds = min(seconds, (perf_counter() - begun) / part)
             if not solutions[-1].ok:
                 break
-        seconds = perf_counter() - begun
         last = solutions[-1]
         error = self.question.error(solutions) if last.ok else math.nan
         count = last.counts.rhs_equivalents
