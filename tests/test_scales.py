@@ -119,6 +119,7 @@ def test_a_first_step_is_that_of_the_motion_in_other_units(engine, length, time,
     )
     assert other.ok
     assert other.counts.steps == pytest.approx(one.counts.steps, rel=0.1)
+    assert cb.solve("oscillator", "rk8-7", rtol=1e-6, atol=1e-300, engine=engine).ok
 
 
 @pytest.mark.parametrize("time", [1e-9, 1.0, 1e6])

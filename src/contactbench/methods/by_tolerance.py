@@ -177,7 +177,7 @@ class Nystrom(Explicit[Canonical]):
         """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
         force = slope[: len(y.q)]
         parts = [scaled(share / (norm(way, xp) + TINY), way) for share, way in ((1.0, force), (0.5, y.u))]
-        way = tuple(NUDGE * size * units[0] * (a + b) for a, b in zip(*parts, strict=True))
+        way = tuple(NUDGE * size * (a + b) for a, b in zip(*parts, strict=True))
         there = self.slope(scene, y._replace(q=tuple(a + b for a, b in zip(y.q, way, strict=True))), xp)
         change = norm([a - b for a, b in zip(there, force, strict=False)], xp)
         return xp.sqrt(change / (norm(way, xp) + TINY))
@@ -241,10 +241,10 @@ def march[S: Scene](
     def first_step(y: OwnState) -> Arithmetic:
         packed = parts(y)
         weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
-        #: coordinates and momenta may be of any size; without an atol they are taken as they are
-        units = tuple(xp.where(a > 0, a / rtol, 1.0) for a in atol)
+        #: momenta may be of another size than coordinates; without an atol they are taken as they are
+        units = tuple(xp.where((a > 0) & (atol[0] > 0), a / atol[0], 1.0) for a in atol)
         moved = y.q if isinstance(form, Nystrom) else packed
-        size = norm([a / unit for a, unit in zip(moved, units, strict=False)], xp) + atol[0] / rtol / units[0]
+        size = norm([a / unit for a, unit in zip(moved, units, strict=False)], xp) + atol[0] / rtol
         rate = form.rate(scene, y, form.slope(scene, y, xp), size, units, xp)
         error = unit_error(form) * (norm(weighed, xp) + 1)
         return START * xp.exp(power * xp.log(AIM / error)) / (rate + TINY)
