@@ -683,6 +683,11 @@ class Scene(System):
     def conformal_rate(self) -> Numeric:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
 
+    def damping_at(self, x: OwnState) -> Arithmetic:
+        """Return ∂H/∂s at a state, the constant one where it is."""
+        rate: Arithmetic = self.conformal_rate
+        return rate
+
     def damped_by(self, x: OwnState, t: Arithmetic, xp: Namespace) -> Numeric:
         """Return ∫Γ' over the time t from x, None where it depends on the motion."""
         return None if self.conformal_rate is None else self.conformal_rate * t
