@@ -1,5 +1,6 @@
 """Random problems: they are what the document says, their costs are measured right, advice follows from tables."""
 
+import json
 import math
 
 import numpy as np
@@ -7,6 +8,7 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
+from contactbench.cli import main
 from contactbench.measure.statistics import NORMAL, quantile_interval, wilson
 from contactbench.peers import heyoka
 from contactbench.report import population as report
@@ -256,7 +258,7 @@ def test_advice_names_what_was_best_on_problems_like_it(monkeypatch, gamma, best
     found = cb.advise(scene, error=2e-6)
     first = found.iloc[0]
     assert first["method"] == best
-    assert (first["best"], first["regret"], first["setting"]) == (1.0, 1.0, "step")
+    assert (pytest.approx(1.0), 1.0, "step") == (first["best"], first["regret"], first["setting"])
     assert first["value"] == pytest.approx(0.1, rel=1e-3)
     assert first["evaluations"] == pytest.approx(100, rel=0.1)
     assert found.attrs["error"] == 1e-6
@@ -304,3 +306,25 @@ def report_frames(rows, problems):
     from contactbench.report.chapters import Tables
 
     return Tables(population=rows, population_problems=problems, population_hard=pd.DataFrame())
+
+
+# -- the command -----------------------------------------------------------------------------------
+def test_the_command_takes_a_file_and_a_name_and_prints_text_or_json(tmp_path, monkeypatch, capsys):
+    rows, problems = planted()
+    own = problems.set_index(["seed", "scene"])
+    monkeypatch.setattr(advice, "known", lambda: (rows, own, tables.threshold(problems)))
+    file = tmp_path / "own.py"
+    file.write_text(
+        "import contactbench as cb\n"
+        "cb.SCENES.add(cb.SCENES['oscillator'].with_(name='advised-one', gamma=1e-5, t_end=75.0))\n"
+    )
+    try:
+        assert main(["advise", f"{file}:advised-one"]) == 0
+        said = capsys.readouterr().out
+        assert main(["advise", "advised-one", "--json", "--cost", "evaluations"]) == 0
+        found = json.loads(capsys.readouterr().out)
+    finally:
+        cb.SCENES.pop("advised-one", None)
+    assert "advised-one: angular frequency about 1, damping 1e-05 of it" in said
+    assert found["rows"][0]["method"] == "rk4"
+    assert found["features"]["size"] == 1

@@ -176,7 +176,8 @@ def advise(arguments: argparse.Namespace) -> int:
     scene = cb.SCENES[name].with_(**assignments(arguments.set))
     frame = advise(scene, arguments.error, arguments.cost)
     if arguments.json:
-        print_json({**frame.attrs, "rows": json.loads(frame.to_json(orient="records"))}, arguments)
+        rows = json.loads(frame.to_json(orient="records", double_precision=15))
+        print_json({**frame.attrs, "rows": rows}, arguments)
     else:
         print(text(frame))
     return 0

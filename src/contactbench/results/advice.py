@@ -18,8 +18,9 @@ COSTS = ("evaluations", "time_s")
 NEIGHBOURS, ALIKE = 12, 0.3
 #: a regret is no larger: what does not reach an error costs so many times the least
 WORST = 30.0
-#: damping over frequency below which it does not matter how weak it is
-WEAK = 1e-7
+#: damping over frequency below which it does not matter how weak it is, and a force that costs less than a step
+#: beside it, in additions
+LEAST = {"damping": 1e-7, "cost": 30.0}
 #: a problem is far from all that is known where the nearest is farther than for so many problems of the population
 KNOWN = 0.95
 #: how much each feature counts, by the decade; and another kind of scene
@@ -29,8 +30,7 @@ OTHER_KIND = 2.0
 
 def places(problems: pd.DataFrame) -> np.ndarray:
     """Return a point for each problem, (n, 5): the features that advice goes by, weighted."""
-    known = {name: problems[name].astype(float).to_numpy() for name in WEIGHTS}
-    known["damping"] = np.maximum(known["damping"], WEAK)
+    known = {name: np.maximum(problems[name].astype(float), LEAST.get(name, 0.0)) for name in WEIGHTS}
     return np.stack([weight * np.log10(known[name]) for name, weight in WEIGHTS.items()], axis=1)
 
 
