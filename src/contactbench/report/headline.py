@@ -122,10 +122,10 @@ def time_at_cost(work: pd.DataFrame, row: pd.Series) -> float:
     own = work[same & (work["variant"] == "")].dropna(subset=["rhs_equivalents", "time_min_s"])
     own = own.drop_duplicates("rhs_equivalents").sort_values("rhs_equivalents")
     costs, seconds = (own[name].to_numpy(dtype=float) for name in ("rhs_equivalents", "time_min_s"))
-    cost = float(row["rhs_equivalents"])
+    cost: float = float(row["rhs_equivalents"])
     if not len(own) or not costs[0] <= cost <= FURTHER * costs[-1]:
         return math.nan
-    beyond = max(1.0, cost / costs[-1])  # a long run costs in proportion
+    beyond = float(max(1.0, cost / costs[-1]))  # a long run costs in proportion
     return beyond * float(np.exp(np.interp(np.log(cost), np.log(costs), np.log(seconds))))
 
 

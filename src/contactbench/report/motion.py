@@ -33,6 +33,6 @@ def curves(rows: pd.DataFrame, x: str, y: str, line: bool) -> Iterator[Curve]:
     """Yield the truth as a line, below the methods, each a line or points."""
     for name, own in sorted(rows.groupby("method", sort=False), key=lambda each: each[0] != TRUTH):
         truth = name == TRUTH
-        look = {"role": TRUTH} if truth else {"method": str(name)}
-        points = floats(own[x]), floats(own[y])
-        yield Curve(*points, str(name), **look, line=truth or line, markers=not (truth or line))
+        points, lined = (floats(own[x]), floats(own[y])), truth or line
+        method, role = ("", TRUTH) if truth else (str(name), "")
+        yield Curve(*points, str(name), method, role, lined, not lined)

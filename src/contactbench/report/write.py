@@ -58,7 +58,8 @@ def with_answers(readme: Path, frames: Frames) -> str:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
     shown = headline.overview(frames)
-    tables = filter(None, [shown and markdown.table(shown), markdown.answers(headline.answers(frames))])
+    tables = [markdown.table(shown)] if shown is not None else []
+    tables.append(markdown.answers(headline.answers(frames)))
     return "\n".join([around[0], "\n\n".join(tables), "", around[1]])
 
 
