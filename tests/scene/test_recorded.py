@@ -345,3 +345,18 @@ def test_constants_in_derivatives_are_rounded_for_doubles_alone(function):
             found = derivative((x,))[0]
             assert abs(found - (f(x + h) - f(x - h)) / (2 * h)) < 1e-36 * (1 + abs(found))
             assert derivative((2.31,))[0] == pytest.approx(float(found), rel=1e-14)
+
+
+@pytest.mark.parametrize("names", [("v0", "v1"), ("v1", "v0"), ("a0", "tuple0"), ("v5", "v3")])
+def test_parameters_may_have_any_names(names):
+    def end(stiffness, other):
+        def potential(q, **given):
+            return given[stiffness] * q[0] ** 2 / 2 + given[other] * q[0] ** 4 / 4
+
+        values = {stiffness: 2.0, other: 0.5}
+        scene = cb.Mechanical(
+            name="named", potential=potential, q=(1.0,), p=(0.3,), t_end=3.0, parameters=values
+        )
+        return cb.solve(scene, "contact-rkn6", step=0.1).y[-1]
+
+    assert np.array_equal(end(*names), end("k", "c"))

@@ -75,10 +75,10 @@ class Formula(form.Digested):
             if isinstance(n, str) or not n:
                 signature.append("xp" if n else next(supply))
             else:
-                signature.append(f"a{i}")
-                body.append(form.Unpack(tuple(next(supply) for _ in range(n)), f"a{i}"))
-        body += [form.Update((own,), (name,)) for own, name in zip(supply, self.names, strict=True)]
-        written = form.Function("formula", (*signature, *self.names), (*body, *self.body), self.results)
+                signature.append(f"tuple{i}")
+                body.append(form.Unpack(tuple(next(supply) for _ in range(n)), f"tuple{i}"))
+        # parameters go by position: one may be called as a variable of the tape is
+        written = form.Function("formula", (*signature, *supply), (*body, *self.body), self.results)
         return execute(written, WRITTEN, SCOPE)
 
     def __call__(self, *arguments: Any, **named: Arithmetic) -> Any:
@@ -86,8 +86,12 @@ class Formula(form.Digested):
             if isinstance(n, int) and n and len(given) != n:
                 raise BadInput(f"{len(given)} components: this function was recorded for {n}")
         if self.exact is not None and all_digits_count(arguments[0]):
-            return self.to_all_digits.function(*arguments, **named)
-        return self.function(*arguments, **named)
+            return self.to_all_digits(*arguments, **named)
+        if len(named) != len(self.names):
+            raise TypeError(
+                f"parameters {', '.join(named)}: this function takes {', '.join(self.names) or 'none'}"
+            )
+        return self.function(*arguments, *[named[name] for name in self.names])
 
     @cached_property
     def to_all_digits(self) -> Formula:
