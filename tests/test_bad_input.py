@@ -151,7 +151,7 @@ CALLS = [
     (lambda: cb.Driven(**DRIVEN, **GIVEN, rate=lambda q, t: t), "a damping that depends on q is cb."),
     (
         lambda: cb.Mechanical(**GIVEN, potential=lambda q, p: q[0] * p[0]),
-        "a force that depends on p is cb.Eq",
+        "a force that depends on p is cb.ContactSystem",
     ),
     (lambda: cb.Mechanical(**GIVEN, potential=lambda q, s: q[0] * s), "a force that depends on s is cb."),
     (lambda: cb.Mechanical(**GIVEN, potential=lambda q, t: q[0] * t), "cb.Driven(potential=lambda q, t: …)"),

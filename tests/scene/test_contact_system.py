@@ -341,7 +341,7 @@ def massive(**changes):
         (system(lambda q, p, s: math.sin(p[0])), "use cb.math.sin"),
         (system(lambda q, p, s: 1j * p[0]), "must return a real number"),
         (system(lambda q, p, s: (p[0],)), "must return a real number"),
-        (system(lambda q, p: p[0]), "takes 2 positional arguments"),
+        (system(lambda q, p: p[0]), "is called with q, p, s; it takes q, p"),
         (system(lambda q, p, s: p[0] * q[1]), "IndexError"),
         (system(lambda q, p, s: q[0] / (p[0] - 0.5)), "ZeroDivisionError"),
         (system(3), "hamiltonian = 3: must be a function"),

@@ -309,7 +309,9 @@ def report_frames(rows, problems):
 
 
 # -- the command -----------------------------------------------------------------------------------
-def test_the_command_takes_a_file_and_a_name_and_prints_text_or_json(tmp_path, monkeypatch, capsys):
+def test_the_command_takes_a_file_and_a_name_and_prints_text_or_json(
+    tmp_path, monkeypatch, capsys, registries
+):
     rows, problems = planted()
     own = problems.set_index(["seed", "scene"])
     monkeypatch.setattr(advice, "known", lambda: (rows, own, tables.threshold(problems)))

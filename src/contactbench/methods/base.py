@@ -119,6 +119,8 @@ class Method(ABC):
     #: whether a step iterates until nothing changes: what it costs is counted as it runs (see implicit.py), and
     #: `counts` is what it typically costs
     iterates: ClassVar[bool] = False
+    #: what a run says that fails where a step is the solution of equations which are not solved; else it has diverged
+    unsolved: ClassVar[str] = ""
     #: whether only the profile `full` runs it
     appendix: bool = False
     #: what is imported for it; blank where this package runs it by itself

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -57,8 +57,6 @@ class FixedStep(Method):
     symmetric: bool = False
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
     appendix: bool = False
-    #: what a run says that fails where a step is the solution of equations which are not solved; else it has diverged
-    unsolved: ClassVar[str] = ""
     adaptive = False
     #: the step of the first pilot at most
     longest = math.inf
@@ -72,7 +70,7 @@ class FixedStep(Method):
         loops = SITE_LOOPS if request.scene.by_sites else LOOPS
         loop = loops[request.engine](self, request)
         if request.step is not None:
-            return self.run_of(request, loop)
+            return FixedStepRun(self.name, request, self, loop)
         return ChosenStep(self.name, request, self, loop)
 
     def run_of(self, request: Request, loop: StepLoop[Any]) -> FixedStepRun:

@@ -246,7 +246,7 @@ class Spheres(Mechanical):
     inverse_radius: Any = field(init=False, repr=False, default=1.0)
 
     kind = "spheres"
-    canonical = False
+    canonical = separable = False
     constrained = True
     coefficients: ClassVar[tuple[str, ...]] = ("gamma", "kappa", "mass", "radius")
     reciprocals: ClassVar[dict[str, str]] = {"mass": "inverse_mass", "radius": "inverse_radius"}

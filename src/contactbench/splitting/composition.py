@@ -119,7 +119,7 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
         return f"{composition.name} needs parts with exact flows; scene {scene.name!r} has none{scene.lacks}"
     if composition.nystrom and "drift_damp" not in scene.flows:
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
-    if any(name == FORWARD for name, _ in composition.stages):
+    if FORWARD in dict(composition.stages):
         if FORWARD not in scene.flows:
             return f"{composition.name} needs the kick of ‖∇V‖²/m; scene {scene.name!r} has none"
         if floats := scene.functions_of_floats:
