@@ -205,7 +205,7 @@ class Shown:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         counts = self.progress is not None and report.when == "call"
         if counts and (line := self.progress.step(report.nodeid.partition("::test_")[2])):
-            self.config.get_terminal_writer().line(line)
+            self.config.get_terminal_writer().write(f"{line}\n", flush=True)
 
     def pytest_sessionfinish(self) -> None:
         if self.progress is not None:

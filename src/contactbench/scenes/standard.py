@@ -264,7 +264,7 @@ PENDULUM_RING = Spheres(
     q=_STARTS * 2,
     p=tuple((-0.5 * y, 0.5 * x) for x, y in _STARTS) + ((0.0, 0.0),) * 8,
     t_end=5.0,
-    experiments=("convergence",),
+    experiments=("laws",),
 )
 
 PARTICLE_LONG = PARTICLE.with_(
