@@ -9,24 +9,20 @@ import pandas as pd
 from contactbench.report.chapters import chart
 from contactbench.report.curves import floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-
-TRUTH = "truth"
-#: of the whole run, the share at its end whose orbit is drawn
-SHARE = 0.048
+from contactbench.results.tables import ORBIT, TRUTH
 
 
 def figure(rows: pd.DataFrame) -> Figure | None:
     if not len(rows):
         return None
-    end = rows["t"].max()
-    late = rows[rows["t"] >= (1 - SHARE) * end - 1e-9]
+    late = rows[rows["t"] >= rows["t"].max() - ORBIT - 1e-9]
     energy = Panel("energy", Axis("time t"), Axis(r"$H_0$"), tuple(curves(rows, "t", "energy", True)))
     axes = Axis("$q_1$"), Axis("$q_2$")
     orbit = Panel("the orbit at the end", *axes, tuple(curves(late, "q1", "q2", False)), equal=True)
     methods = rows[rows["method"] != TRUTH]
     counts = methods.groupby("method", sort=False)["evaluations"].first()
-    values = {"evaluations": int(counts.max()), "other": str(counts.index[-1]).upper(), "turns": SHARE * end}
-    return chart("motion", [energy, orbit], **values)
+    other = str(counts.index[-1]).upper()
+    return chart("motion", [energy, orbit], evaluations=int(counts.max()), other=other, turns=ORBIT)
 
 
 def curves(rows: pd.DataFrame, x: str, y: str, line: bool) -> Iterator[Curve]:

@@ -91,6 +91,8 @@ POPULATION_PROBLEMS = declare("population_problems")
 POPULATION_HARD = declare("population_hard")
 GRADIENTS = declare("gradients")
 REVERSIBILITY = declare("reversibility")
+#: what the motion is compared with, and over which time at its end the orbit is drawn
+TRUTH, ORBIT = "truth", 14.4
 #: the quantities that long runs are averaged for: H0 once in a period, where the force vanishes; Lyapunov's exponent
 #: per unit of time; the dimension of Kaplan and Yorke, of the section once in a period; and 0 for the true flow
 ENERGY, EXPONENT, DIMENSION = "mean H0 at phase 0", "largest exponent", "dimension"
