@@ -55,11 +55,13 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[s
     return list(filter(runs, methods))
 
 
-#: on callbacks a rival is timed on that scene alone: elsewhere compiled, and by its evaluations
+#: on callbacks a rival is timed on one scene alone: elsewhere compiled, and by its evaluations
 RIVALS = {"contact-yoshida6", "contact-rkn6a", "contact-rkn8b", "gauss4", "gauss6", "discrete-gradient"}
 RIVALS |= {"contact-gauss2", "contact-gauss4", "contact-gauss6"}
 RIVALS |= {"quinlan-tremaine8", "quinlan-tremaine12", "stormer12", "sprk-5", "sprk-10"}
 RIVALS |= {"rk8", "rk8-7", "rkn8", "rkn12", "rkn8-6", "rkn12-10"}
+#: the scenes on which callbacks and XLA are timed; elsewhere CyRK has the same tableaux compiled
+TIMED_DEAR = ("oscillator", "particle", "rigid_body")
 #: of the other scenes a method is timed on one in so many by the smoke profile
 SOME = 3
 
@@ -67,18 +69,18 @@ SOME = 3
 def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
     """Return every (method, engine) to be timed on a scene.
 
-    A method's first engine, and what calls back into Python; others (the cross-checks) on one scene only.  Of a scene
-    that not every experiment runs, the first engine, unless it is dear.  The smoke profile has everything on that one
-    scene but few of the cross-checks, and elsewhere a part without JAX.  What a user brings no profile leaves out.
+    A method's first engine, and on some scenes what calls back into Python; others (the cross-checks) on one scene
+    only.  Elsewhere the first engine, unless it is dear.  The smoke profile has everything on that one scene but few
+    of the cross-checks, and elsewhere a part without JAX.  What a user brings no profile leaves out.
     """
 
     def chosen(name: str, engine: str) -> bool:
         first, here = engine == METHODS[name].engines[0], scene.name == SMOKE
-        if scene.experiments and (not first or engine in DEAR):
+        brought = scene.name not in OWN or name not in OWN
+        if scene.name not in TIMED_DEAR and not brought and (not first or engine in DEAR):
             return False
         if name in RIVALS and not (first or here):
             return False
-        brought = scene.name not in OWN or name not in OWN
         if not profile.brief or here or brought:
             cross_checked = here and (not profile.brief or brought or engine != "jax" or name in EVERYWHERE)
             return first or "python" in engine or cross_checked

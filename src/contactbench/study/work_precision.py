@@ -48,7 +48,9 @@ def ladder(profile: Profile) -> list[Cell]:
     for scene in scenes_of("work_precision"):
         for name, engine in engines(scene, profile):
             method = cb.METHODS[name]
-            if method.control == EXACT:
+            if method.refuses(scene) is not None:  # one row says why
+                values = (tolerances(method) if method.adaptive else steps(scene, method.order or 1))[:1]
+            elif method.control == EXACT:
                 values = [0.0]
             elif method.adaptive:
                 rungs = [r for r in tolerances(method) if "python" not in engine or r not in BETWEEN]
@@ -69,7 +71,8 @@ def by_pilots(scene: Scene, method: Method, engine: str) -> bool:
     """Return whether a fixed-step method is run by tolerance too: a contact one of high order, on its first engine."""
     contact = method.family == CONTACT and method.control == "step" and (method.order or 0) >= HIGH_ORDER
     explicit = not method.iterates  # pilots that iterate take longer than the run
-    return contact and explicit and engine == method.engines[0] and scene.slows_after is None
+    first = engine == method.engines[0] and scene.slows_after is None
+    return contact and explicit and first and method.refuses(scene) is None
 
 
 def error(solutions: Sequence[Solution]) -> float:
