@@ -19,7 +19,7 @@ from numpy.random import Generator
 from contactbench.numbers import functions as xm
 from contactbench.numbers.protocol import Arithmetic, Vector
 from contactbench.registry import Registry
-from contactbench.scene import Driven, Mechanical, RigidBody, Scene
+from contactbench.scene import Driven, Mechanical, RigidBody, Scene, Spheres
 from contactbench.study.features import force_cost
 
 #: of the population and of its replicate, fixed before either was run; problems of each family in both
@@ -104,6 +104,10 @@ def pushed(
     x = q[0]
     push = drive["push"] * xm.cos(drive["turn"] * t + drive["phase"])
     return w * x * (x * (a / 2 + c * x * x / 4) - push)
+
+
+def weight(q: Vector, w: Arithmetic, e: Arithmetic) -> Arithmetic:
+    return w * (q[2] + e * q[0] * q[0] / 2)
 
 
 def sines(q: Vector, w: Arithmetic, **waves: Arithmetic) -> Arithmetic:
@@ -246,6 +250,16 @@ def draw_s_damped(rng: Generator, w: float, extreme: float | None) -> Scene:
     return well.with_(potential=sunken, parameters=numbers, kappa=w / depth * log_uniform(rng, 1e-8, 1e-1))
 
 
+def draw_spherical(rng: Generator, w: float, extreme: float | None) -> Scene:
+    """Return a point on a sphere under its weight, a little firmer to one side, thrown level from a tilt."""
+    tilt, side, e = rng.uniform(0.2, 2.8), rng.uniform(0.0, 2 * math.pi), rng.uniform(0.0, 0.4)
+    speed = math.sqrt(w) * math.sin(tilt) * rng.uniform(0.1, 1.5)
+    level = (math.cos(side), math.sin(side))
+    q = (math.sin(tilt) * level[0], math.sin(tilt) * level[1], -math.cos(tilt))
+    p = (-speed * level[1], speed * level[0], 0.0)
+    return Spheres(name="drawn", potential=weight, q=q, p=p, t_end=1.0, parameters={"w": w, "e": e})
+
+
 def draw_sines(count: int, rng: Generator, w: float, extreme: float | None) -> Scene:
     waves = {f"wave{k}": rng.uniform(0.0, 0.3) / count for k in range(count)}
     waves |= {f"phase{k}": rng.uniform(0.0, 2 * math.pi) for k in range(count)}
@@ -305,6 +319,7 @@ for family in (
         lambda body, omega: min(body.rates),
     ),
     Family("quadratic-damping", draw_s_damped),
+    Family("spherical-pendulum", draw_spherical),
     *(Family(f"sines-{n}", partial(draw_sines, n)) for n in (6, 24)),
 ):
     FAMILIES.add(family)
