@@ -135,3 +135,41 @@ def test_a_broken_law_is_a_row_with_what_breaks_it():
     broken = next(p for p in discovered()["laws"].parts(frames(laws=rows)) if p.name == "law_exceptions")
     assert [cell.text for cell in broken.rows[0][:4]] == ["J law", "`needle`", "contact-b", "1"]
     assert broken.rows[0][-1].text == "contact-b, step=0.4"
+
+
+@pytest.mark.parametrize(
+    ("costs", "named"), [((1, 1, 4), "rk4 ×1.00, ×1.80"), ((4, 4, 4), "gauss6 ×1.00, ×1.00")]
+)
+def test_a_kind_of_problem_names_the_method_of_least_mean_regret(costs, named):
+    known = {
+        "omega": 1.0,
+        "damping": 0.01,
+        "span": 10.0,
+        "spread": 1.0,
+        "cost": 10.0,
+        "size": 2.0,
+        "kind": "mechanical",
+    }
+    problems = [
+        {"seed": 1, "scene": f"kepler-{i}", "structure": "kepler", "hard": "", "t_end": 1.0, "digits": 12}
+        | known
+        for i in range(3)
+    ]
+    rows = [
+        {
+            "seed": 1,
+            "scene": f"kepler-{i}",
+            "method": name,
+            "family": "established",
+            "error": 1e-6,
+            "status": "ok",
+        }
+        | {"evaluations": float(cost)}
+        for name, each in (("rk4", costs), ("gauss6", (2, 2, 2)))
+        for i, cost in enumerate(each)
+    ]
+    text = markdown.document(
+        discovered()["which"].fill(frames(population=rows, population_problems=problems))
+    )
+    line = next(line for line in text.splitlines() if "1/r², 10⁻⁶" in line)
+    assert [cell.strip() for cell in line.split("|")[2:5]] == ["3", named, "—"]
