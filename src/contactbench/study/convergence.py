@@ -7,7 +7,7 @@ part, because round-off would hide the slope.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import contactbench as cb
 from contactbench.measure.order import error_at, fit_order
@@ -24,20 +24,28 @@ POINTS = 9
 #: below this, relative to the solution, an error is round-off
 FLOOR = 1e-12
 EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
+#: and where these do not show an order yet
+FINER = (256, 512)
 
 
 def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, float, float]]:
-    refused = method.refuses(scene) is not None  # one row says why
-    for h in halving_steps(scene, 1 if refused else POINTS):
+    hs = halving_steps(scene, POINTS)
+    if method.follows:  # between round-off and the largest steps there are few that halve
+        hs = [hs[0] * 2 ** ((1 - k) / 2) for k in range(2 * POINTS)]
+    if method.refuses(scene) is not None:  # one row says why
+        hs = hs[:1]
+    for h in hs:
         solution = cb.solve(scene, method.name, save_at=times(scene), carry=(), **keywords(method.control, h))
         yield outcome(solution), h, cb.LAWS["solution_error"](solution)
 
 
-def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, float, float]]:
+def at_fifty_digits(
+    scene: Scene, method: FixedStep, counts: Sequence[int] = EXTENDED_STEPS
+) -> Iterator[tuple[Row, float, float]]:
     """Yield rows of runs on mpmath numbers: the error at t = 4, relative to the larger of the start and the truth."""
     truth = cb.reference(scene, [EXTENDED_TIME], scene.optional).y[0]
     size = max(math.hypot(*scene.pack(scene.initial(scene.optional))), math.hypot(*truth))
-    for n in EXTENDED_STEPS:
+    for n in counts:
         h = EXTENDED_TIME / n
         row = key(scene.name, method.name, "mpmath", "step", h)
         row |= {"status": "ok", "message": "", "steps": n, "jacobians": 0}
@@ -50,6 +58,11 @@ def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, floa
         yield row, h, error
 
 
+def points(measured: Sequence[tuple[Row, float, float]]) -> tuple[list[float], list[float]]:
+    """Return the steps and the errors."""
+    return [h for _, h, _ in measured], [error for _, _, error in measured]
+
+
 @experiment(
     lambda profile: pairs(
         profile, "convergence", [name for name in methods_of(profile) if cb.METHODS[name].control == "step"]
@@ -58,9 +71,15 @@ def at_fifty_digits(scene: Scene, method: FixedStep) -> Iterator[tuple[Row, floa
 def convergence(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     extended = method.order > 4 and isinstance(method, FixedStep) and method.refuses(scene) is None
-    measured = at_fifty_digits(scene, method) if extended else in_double_precision(scene, method)
-    rows, hs, errors = zip(*measured, strict=True)
-    fit = fit_order(hs, errors, EXTENDED_FLOOR if extended else FLOOR)
+    measured = list(at_fifty_digits(scene, method) if extended else in_double_precision(scene, method))
+    floor = EXTENDED_FLOOR if extended else FLOOR
+    for n in FINER if extended else ():
+        if math.isfinite(fit_order(*points(measured), floor).order):
+            break
+        measured += at_fifty_digits(scene, method, [n])
+    rows = [row for row, _, _ in measured]
+    hs, errors = points(measured)
+    fit = fit_order(hs, errors, floor)
     order = {"order": fit.order, "order_uncertainty": fit.uncertainty, "order_nominal": method.order}
     for i, row in enumerate(rows):
         point = {"step": hs[i], "solution_error": errors[i], "pairwise_order": fit.pairwise[i]}
