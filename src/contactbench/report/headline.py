@@ -129,13 +129,14 @@ def time_at_cost(work: pd.DataFrame, row: pd.Series) -> float:
     return beyond * float(np.exp(np.interp(np.log(cost), np.log(costs), np.log(seconds))))
 
 
-def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
-    if not contests:
+def cheapest_parts(contests: Mapping[str, work_precision.Contest]) -> list[Part]:
+    """Return the contests that are asked about first, and where the contact methods lose in any."""
+    found = {name: own for name, own in contests.items() if len(own.contests)}
+    if not found:
         return []
-    tables = (
-        replace(work_precision.winners_view(own, f"cheapest_{own.kind.name}"), legend="") for own in contests
-    )
-    lost = work_precision.losses_view({own.kind.title: own.contests for own in contests}, "lost")
+    shown = [own for name, own in found.items() if name in PROSE[NAME]["shown"]["contests"]]
+    tables = (work_precision.cheapest_view(own) for own in shown)
+    lost = work_precision.losses_view({own.kind.title: own.contests for own in found.values()}, "lost")
     return [Section("Who is cheapest where", (Text(PROSE[NAME]["legend"]), *tables)), lost]
 
 
@@ -144,9 +145,8 @@ def parts(frames: Frames) -> list[Part | None]:
     found: list[Part | None] = [motion.figure(frames["motion"]), mission_view(frames)]
     if len(frames["work_precision"]):
         drawn = work_precision.figure(frames["work_precision"], PICTURED)
-        contests = work_precision.all_contests(frames).values()
         found.append(drawn and replace(drawn, caption=""))
-        found += cheapest_parts([c for c in contests if len(c.contests)])
+        found += cheapest_parts(work_precision.all_contests(frames))
     questions = {chapter.file: chapter.question for chapter in chapters(frames) if chapter.name != NAME}
     questions["glossary.md"] = "What is each method, scene and column?"
     rows = [(Cell(file, link=file), question) for file, question in questions.items()]

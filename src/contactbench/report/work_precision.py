@@ -115,6 +115,10 @@ def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
     return replace(made, name=name, title=own.kind.title, source=source)
 
 
+def cheapest_view(own: Contest) -> View:
+    return replace(winners_view(own, f"cheapest_{own.kind.name}"), legend="")
+
+
 def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE) -> View:
     def cell(own: pd.DataFrame) -> Cell:
         lost, judged = own[own["winner"] == OTHER], own[own["winner"] != ""]
@@ -149,8 +153,11 @@ def parts(frames: Frames) -> list[Part]:
         )
         for scene in dict.fromkeys(work["scene"])
     ]
+    first = PROSE["headline"]["shown"]["contests"]
+    cheapest = (cheapest_view(own) for own in found if len(own.contests) and own.kind.name not in first)
     return [
-        Text("Who is cheapest where, and where the contact methods lose: [README.md](README.md)."),
+        Text("By evaluations and compiled time, and where the contact methods lose: [README.md](README.md)."),
+        Section("Who is cheapest where", tuple(cheapest)),
         Section("Scene by scene", (Text(LEGEND), *scenes)),
     ]
 
