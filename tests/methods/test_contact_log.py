@@ -198,6 +198,7 @@ def test_a_tolerance_chooses_the_step(method, rtol):
     assert 0 < solution.step_chosen <= 2
 
 
+@pytest.mark.slow
 def test_particles_are_taken_component_by_component():
     solution = cb.solve("planets", "contact-log6", step=0.2, save_at=[2500.0, 5000.0])
     assert solution.scene is not None

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import few_slow
 from contactbench.measure.order import fit_order
 from contactbench.peers.rebound import attraction
 from contactbench.peers.sprk import LONGEST
@@ -65,6 +66,7 @@ def test_sprk_called_back_takes_the_same_steps(method):
     assert c.counts == python.counts
 
 
+@pytest.mark.slow
 def test_sprk_takes_chains_and_says_what_it_cannot():
     ring, planets = cb.SCENES["fput"].with_(n=16), cb.SCENES["planets"]
     assert error(planets, "sprk-5", step=50.0, carry=(), engine="c") < 1e-8
@@ -81,12 +83,13 @@ def test_sprk_takes_chains_and_says_what_it_cannot():
 
 
 # -- WHFast --------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("scene", [KEPLER, PLANETS], ids=lambda s: s.name)
+@pytest.mark.parametrize("scene", few_slow([KEPLER, PLANETS], PLANETS), ids=lambda s: s.name)
 def test_whfast_keeps_the_contract_where_it_runs(scene):
     measured = {found.rule: found.measured for found in check_method(cb.METHODS["whfast"], scenes=[scene])}
     assert measured[6]["order"] == pytest.approx(2, abs=0.02)
 
 
+@pytest.mark.slow
 def test_whfast_drags_the_centre_of_mass_too():
     """Total momentum falls as e^{−γt} to round-off; and no order is lost for a pair that flies off."""
     scene = PLANETS.with_(p=PLANETS.p + np.tile((3e-3, -1e-3, 2e-3), 6) * np.repeat(PLANETS.masses, 3))

@@ -51,7 +51,6 @@ def gap(a, b):
 @pytest.mark.parametrize("boundary", BOUNDARIES)
 @pytest.mark.parametrize("n", SIZES)
 @pytest.mark.quick(n=9, boundary="ring")
-@pytest.mark.quick(n=2049, boundary="free")
 def test_numba_agrees_with_arrays_whatever_the_length(n, boundary):
     """Held or not, masses of their own or not, with and without s, by every way to be recorded."""
     for held, mass in ((True, masses(n)), (False, 1.3)):

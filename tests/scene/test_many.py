@@ -167,7 +167,7 @@ def test_saved_times_take_no_gigabytes(setting, monkeypatch):
 # -- the contract --------------------------------------------------------------------------------------
 @pytest.mark.parametrize("scene", [SMALL["free masses"], SMALL["bodies 2D"]])
 @pytest.mark.parametrize("method", ["contact-strang", "scipy-dop853"])
-@pytest.mark.quick(method="contact-strang", scene="chain")
+@pytest.mark.slow
 def test_methods_keep_their_rules_on_it(method, scene):
     check_method(cb.METHODS[method], engines=cb.METHODS[method].engines[:1], scenes=[scene.with_(t_end=4.0)])
 

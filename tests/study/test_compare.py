@@ -325,6 +325,7 @@ def test_every_method_has_a_first_run_before_any_has_a_second():
     assert schedule.unbegun == []
 
 
+@pytest.mark.slow
 def test_where_not_all_can_begin_those_that_have_go_on_and_the_others_are_named_first(monkeypatch):
     """Compiling takes a seventh of the search."""
     attempt = Search.attempt
