@@ -21,13 +21,27 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from contactbench.methods.base import METHODS, unfit
-from contactbench.methods.implicit import TYPICAL, Implicit, fixed_point, found, gauss_tableau
+from contactbench.methods.implicit import (
+    TYPICAL,
+    Implicit,
+    bare,
+    eliminated,
+    fixed_point,
+    found,
+    gauss_tableau,
+    jacobian,
+    otherwise,
+    solved,
+)
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Arithmetic, Count, Namespace, Vector
+from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, Vector
 from contactbench.scene import Scene
 from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damping
+
+#: the most equations that are eliminated for Newton's iteration: more take seconds to be compiled
+ELIMINATED = 24
 
 
 class Lifted(NamedTuple):
@@ -37,6 +51,17 @@ class Lifted(NamedTuple):
     P: Vector
     s: Any
     r: Any
+
+
+def components(z: Lifted) -> list[Arithmetic]:
+    """Return what is there, dual numbers whole."""
+    return [*z.q, *z.P, *(c for c in (z.s, z.r) if c is not None)]
+
+
+def with_components(z: Lifted, values: Sequence[Arithmetic]) -> Lifted:
+    n, rest = len(z.q), iter(values[2 * len(z.q) :])
+    s, r = (None if c is None else next(rest) for c in (z.s, z.r))
+    return Lifted(tuple(values[:n]), tuple(values[n : 2 * n]), s, r)
 
 
 def slope_at(scene: Any, x: OwnState, r: Arithmetic, known: bool) -> Lifted:
@@ -73,7 +98,7 @@ Step = Callable[..., tuple[OwnState, Arithmetic, tuple[Lifted, ...], Arithmetic]
 
 
 def collocation(stages: int) -> Step:
-    """Return a step from x and the slopes to start with: x, iterations, slopes to start the next with, and r₁."""
+    """Return a step from x and the slopes to start with: x, evaluations, slopes to start the next with, and r₁."""
 
     def step(
         scene: Any, x: OwnState, h: Arithmetic, xp: Namespace, slopes: tuple[Lifted, ...]
@@ -101,7 +126,48 @@ def collocation(stages: int) -> Step:
                 slopes = tuple(k._replace(q=tuple(scene.velocity(p))) for k, p in pairs)
             return tuple(slope_at(scene, *stage(slopes, i), known) for i in range(stages))
 
+        def newton() -> tuple[tuple[Lifted, ...], Condition, Arithmetic]:
+            """Solve by simplified Newton iteration, with the Jacobian where the step begins."""
+
+            def slope(values: Sequence[Arithmetic]) -> Sequence[Arithmetic]:
+                z = with_components(start, values)
+                r = 1.0 if known else z.r
+                p = z.P if known else tuple(P / r for P in z.P)
+                return components(slope_at(scene, state(z, p, x.s if known else z.s, 0), r, known))
+
+            J, span = jacobian(slope, components(start)), bare(h)
+            scales = [[1.0] * len(x.q) + [bare(r)] * (size - len(x.q)) for r in grown or (1.0,) * stages]
+            matrix = [
+                [
+                    float(i == j and a == b) - span * bare(A[i][j]) * (J[a][b] * scale[a] / scale[b])
+                    for j in range(stages)
+                    for b in range(size)
+                ]
+                for i, scale in enumerate(scales)
+                for a in range(size)
+            ]
+            factors = eliminated(matrix)
+
+            def improved(slopes: tuple[Lifted, ...]) -> tuple[Lifted, ...]:
+                there = [c for k in slopes for c in components(k)]
+                here = [
+                    c for i in range(stages) for c in components(slope_at(scene, *stage(slopes, i), known))
+                ]
+                change = solved(factors, [a - b for a, b in zip(there, here, strict=True)])
+                again = [a - d for a, d in zip(there, change, strict=True)]
+                return tuple(
+                    with_components(k, again[i * size : (i + 1) * size]) for i, k in enumerate(slopes)
+                )
+
+            first = (slope_at(scene, x, 1.0, known),) * stages
+            slopes, converged, turns = fixed_point(improved, first, xp, patient=True)
+            return slopes, converged, stages * turns + (size + 2)
+
+        size = len(components(start))
         slopes, converged, turns = fixed_point(update, slopes, xp, patient=True)
+        spent = stages * turns
+        if stages * size <= ELIMINATED:
+            slopes, converged, spent = otherwise((slopes, converged, spent), newton, xp)
         z = combined(start, b, slopes, h)
         if known:  # little is lost: the rounding of the factor is that of the loss
             G = scene.damped_within(x, h, xp)
@@ -109,7 +175,7 @@ def collocation(stages: int) -> Step:
             p, s = tuple(keep * P - lose * P for P in z.P), None if z.s is None else keep * z.s - lose * z.s
         else:
             r, p, s = z.r, tuple(P / z.r for P in z.P), z.s
-        return found(state(z, p, s, 1), converged, xp), turns, extrapolated(slopes, nodes, r), r
+        return found(state(z, p, s, 1), converged, xp), spent, extrapolated(slopes, nodes, r), r
 
     return step
 
@@ -118,7 +184,7 @@ def collocation(stages: int) -> Step:
 class ContactGauss(Implicit):
     """Collocation on the symplectisation; a run starts from the slope at its beginning, one evaluation."""
 
-    unsolved = "its fixed-point iteration does not converge"
+    unsolved = "its iteration does not converge"
 
     def refuses(self, scene: Scene) -> str | None:
         return unfit(self, scene, scene.canonical, "canonical coordinates (q, p, s)")
@@ -132,8 +198,8 @@ class ContactGauss(Implicit):
     ) -> tuple[OwnState, Arithmetic]:
         def another(carried: tuple[OwnState, Arithmetic, Any]) -> tuple[OwnState, Arithmetic, Any]:
             x, spent, slopes = carried
-            x, turns, slopes, _ = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
-            return x, spent + self.each * turns, slopes
+            x, more, slopes, _ = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
+            return x, spent + more, slopes
 
         x, spent, _ = repeat(n, another, (x, 0 * leaves(x)[0] + 1.0, self.first(scene, x, xp)))
         return x, spent

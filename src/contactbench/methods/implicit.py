@@ -21,8 +21,12 @@ from contactbench.scene import AnyState, Mechanical, Scene, State, Vector, dot, 
 
 #: iterations that may differ by more than the one before
 FIRST = 3
+#: iterations after which increments are less than half of what is iterated, or never are
+TRIED = 12
 #: iterations after which a step has none, and the last increment that is none, relative to what is iterated
 MOST, CONVERGED = 200, 1e-10
+#: an increment beyond all numbers
+LARGEST = 1e300
 #: increments of doubles that are rounding, on the same scale
 ROUNDING = 2.0**-46
 #: an increment that changes no state, relative to it: at rest slopes are rounding
@@ -59,7 +63,8 @@ def fixed_point[K](
         k, turns, gap, before = carried
         more = (gap < before) | (turns < FIRST)
         if patient:
-            more = more | (gap > rounding * size(leaves(part(k))))
+            whole = size(leaves(part(k)))
+            more = (more | (gap > rounding * whole)) & ((gap < whole / 2) | (turns < TRIED))
         return (gap > 0) & more & (turns < MOST)
 
     def turn(
@@ -70,9 +75,87 @@ def fixed_point[K](
         increments = (a - b for a, b in zip(leaves(part(new)), leaves(part(k)), strict=True))
         return new, turns + 1, size(increments), gap
 
-    start = k, nothing + 0.0, nothing + 1e300, nothing + math.inf
+    start = k, nothing + 0.0, nothing + LARGEST, nothing + math.inf
     k, turns, gap, _ = repeat_while(going, turn, start, xp)
-    return k, (gap <= CONVERGED * size(leaves(part(k)))) | (gap * moves <= lost), turns
+    small = (gap <= CONVERGED * size(leaves(part(k)))) | (gap * moves <= lost)
+    return k, small & (gap < LARGEST), turns
+
+
+# -- Newton's iteration --------------------------------------------------------------------------------
+def otherwise[K](
+    first: tuple[K, Condition, Arithmetic],
+    again: Callable[[], tuple[K, Condition, Arithmetic]],
+    xp: Namespace,
+) -> tuple[K, Condition, Arithmetic]:
+    """Return what was found, whether, and its cost; where it was not, what another way finds, which is only then gone.
+
+    Both are as `fixed_point` returns them, the costs added.
+    """
+    k, there, cost = first
+    open_, settled, lost = 1.0, 0.0, -1.0
+
+    def another(carried: tuple[K, Arithmetic, Arithmetic]) -> tuple[K, Arithmetic, Arithmetic]:
+        k, there, more = again()
+        return k, choose(there, settled, lost, xp), carried[2] + more
+
+    start = k, choose(there, settled, open_, xp) + 0 * cost, cost
+    k, end, cost = repeat_while(lambda carried: carried[1] > settled, another, start, xp)
+    return k, end > lost, cost
+
+
+def bare(x: Arithmetic) -> Arithmetic:
+    """Return a number without what makes it a dual one."""
+    while isinstance(x, Dual):
+        x = x.a
+    return x
+
+
+def jacobian(
+    function: Callable[[Sequence[Arithmetic]], Sequence[Arithmetic]], x: Sequence[Arithmetic]
+) -> list[list[Arithmetic]]:
+    """Return the derivatives of a function of so many numbers, a row for each of its values."""
+
+    def along(direction: Sequence[float]) -> list[Arithmetic]:
+        values = function([Dual(bare(c), d) for c, d in zip(x, direction, strict=True)])
+        return [bare(slope_of(v)) for v in values]
+
+    # what the function has of dual numbers besides its arguments is not of x
+    still = along([0.0] * len(x))
+    columns = [along([float(i == j) for i in range(len(x))]) for j in range(len(x))]
+    return [[c[i] - still[i] for c in columns] for i in range(len(still))]
+
+
+def absent(x: Arithmetic) -> bool:
+    return isinstance(x, float | int) and x == 0
+
+
+def eliminated(matrix: Sequence[Sequence[Arithmetic]]) -> list[list[Arithmetic]]:
+    """Return L − 1 and U of matrix = L U in one, without pivoting: for matrices 1 − h J."""
+    rows = [list(row) for row in matrix]
+    for k, pivot in enumerate(rows):
+        for row in rows[k + 1 :]:
+            if absent(row[k]):
+                continue
+            row[k] = row[k] / pivot[k]
+            for j in range(k + 1, len(row)):
+                if not absent(pivot[j]):
+                    row[j] = row[j] - row[k] * pivot[j]
+    return rows
+
+
+def solved(factors: Sequence[Sequence[Arithmetic]], b: Sequence[Arithmetic]) -> list[Arithmetic]:
+    """Return x with L U x = b."""
+
+    def less(value: Arithmetic, row: Sequence[Arithmetic], x: Sequence[Arithmetic]) -> Arithmetic:
+        return value - sum(a * c for a, c in zip(row, x, strict=True) if not absent(a))
+
+    y: list[Arithmetic] = []
+    for value, row in zip(b, factors, strict=True):
+        y.append(less(value, row[: len(y)], y))
+    x: list[Arithmetic] = []
+    for k in reversed(range(len(y))):
+        x.insert(0, less(y[k], factors[k][k + 1 :], x) / factors[k][k])
+    return x
 
 
 @dataclass(frozen=True)
