@@ -10,6 +10,8 @@ from cases import FIXED, pairs
 
 #: Herglotz's steps are merged in a run of `cb.solve`, and agree to round-off, as do those that iterate
 MERGED = [m for m in FIXED if m.one_step and not m.iterates and m.family != "variational"]
+#: those whose compiled loop sums the terms of s in another order than one step alone does
+OTHERWISE, ROUNDINGS = ("contact-chin4", "rkn8", "rkn12"), 4 * np.finfo(float).eps
 NAMES = ("particle", "quadratic_damping", "forced_pulsating", "rigid_body_anisotropic")
 START = {"q": (1.0,), "p": (0.0,), "gamma": 0.1, "t_end": 2.0}
 
@@ -33,7 +35,8 @@ def test_a_run_has_the_bits_of_solve(scene, method):
     found = run(cb.scipy.Contact(method.name, scene), t0=getattr(scene, "t", 0.0))
     assert found.success
     assert len(found.t) == 17
-    np.testing.assert_array_equal(found.y[:, -1], last(scene, method.name, step=0.13))
+    roundings = ROUNDINGS if method.name in OTHERWISE else 0.0
+    np.testing.assert_allclose(found.y[:, -1], last(scene, method.name, step=0.13), rtol=roundings)
 
 
 def test_every_state_is_that_of_a_run_up_to_it():
