@@ -28,13 +28,13 @@ def run(name, n):
     scene = cb.SCENES[name].with_(n=n, t_end=0.4)
     return cb.prepare(scene, "contact-rkn6", step=0.05, engine="jax", save_at=[0.2, 0.4])
 runs = [run(name, 2**16) for name in {NAMES}]
-assert all("collective-permute" in each.program.as_text() for each in runs)
+assert all("collective-permute" in each.loop.xla.program.as_text() for each in runs)
 uneven = run("fput", 2**16 + 1)
-assert uneven.mesh is None and str(uneven().status) == "ok"
+assert uneven.loop.mesh is None and str(uneven().status) == "ok"
 mine = [slice({MEMBERS}), slice(50), slice(50, {MEMBERS})][1 + int(where[1]) if where else 0]
 out = cb.ensemble("central", "contact-rkn6", {{"q": (np.linspace(0.5, 1.5, {MEMBERS})[mine], 0.1)}}, step=0.25)
 ensemble = dict(final=out.scene.pack(out.final), statistics=[*out.statistics.values()], ok=out.endings["ok"])
-devices = [each.mesh.size for each in runs]
+devices = [each.loop.mesh.size for each in runs]
 np.savez(path, processes=jax.process_count(), devices=devices, y=[each().y for each in runs], **ensemble)
 """
 

@@ -110,19 +110,21 @@ def test_every_operation_is_compiled_for_many_states_side_by_side():
 
 
 # -- the engine ------------------------------------------------------------------------------------
-def stays(method, scene):
-    """Whether a step of 0.06 is fine enough: `herglotz1` falls into the centre of force."""
-    return method.refuses(scene) is None and (method.name, scene.name) != ("herglotz1", "kepler_drag")
-
-
-@pairs(FIXED, ALL_SCENES, stays)
+@pairs(FIXED, ALL_SCENES, lambda method, scene: method.refuses(scene) is None)
 @pytest.mark.quick(scene="particle")
 @pytest.mark.quick(method="contact-abc")
 def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
-    """As the step map is written, to round-off: uneven saved times, every field carried or none."""
+    """As the step map is written, to round-off: uneven saved times, every field carried or none.
+
+    Where a step of 0.06 is too long for a hard scene, both end alike.
+    """
     for carry in {scene.carry(()), scene.carry()}:
         options = {"step": 0.06, "save_at": [0.5, 0.75, 2.0], "carry": carry}
         run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("numba", "python"))
+        if not (end := plain()).ok:
+            assert scene.name in ("kepler_drag", "thermostat")
+            assert run().status is end.status
+            continue
         spans = list(zip(plain.h.tolist(), plain.n.tolist(), strict=True))
         written = plain.loop.as_written(plain.start, spans)
         written = np.array(written)[:, : len(plain.start)]
@@ -132,7 +134,8 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
             if method.iterates:
                 counts = counts._replace(evaluations=solution.counts.evaluations)
             assert (solution.status, solution.counts) == (Status.ok, counts)
-            round_off = 2e-14 if method.one_step else 2e-13  # large coefficients of both signs
+            # large coefficients of both signs; and next to the centre of force the motion makes more of it
+            round_off = 2e-14 if method.one_step and scene.name != "kepler_drag" else 2e-13
             np.testing.assert_allclose(solution.y, written, rtol=0, atol=round_off * np.abs(written).max())
 
 
