@@ -372,7 +372,7 @@ class Scene(System):
     name, about
         A key in tables and a word on the command line, and one line with the source.
     t_end
-        The time > 0 at which a run ends; it starts at 0.
+        How long a run is, > 0.  It starts at 0, and so ends at t_end; a driven scene starts at its t.
     s
         The action at the start.
     exact

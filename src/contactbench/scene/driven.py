@@ -78,7 +78,7 @@ class Driven(Mechanical):
     gradient
         ``dV(q, t, **parameters) -> n-tuple``; by default derived.
     t
-        The time at the start.
+        The time at the start; a run ends at t + t_end.
     gamma
         Damping, where it is constant.
     rate
