@@ -78,6 +78,8 @@ def fixed_point[K](
     start = k, nothing + 0.0, nothing + LARGEST, nothing + math.inf
     k, turns, gap, _ = repeat_while(going, turn, start, xp)
     small = (gap <= CONVERGED * size(leaves(part(k)))) | (gap * moves <= lost)
+    if patient:  # what still moves is not settled
+        small = small & (turns < MOST)
     return k, small & (gap < LARGEST), turns
 
 
