@@ -230,10 +230,23 @@ def test_stages_start_from_the_last_steps_polynomial():
 
 
 @pytest.mark.parametrize("engine", ["numba", "python"])
-def test_a_step_without_a_solution_fails_and_says_so(engine):
-    solution = cb.solve("kepler_drag", "contact-gauss4", step=0.125, save_at=[0.5], engine=engine)
+@pytest.mark.parametrize(
+    ("method", "scene", "step"),
+    [
+        ("contact-gauss4", "kepler_drag", 0.125),
+        ("gauss6", "overdamped", 0.5),
+        ("discrete-gradient", "stiff_spring", 0.05),
+    ],
+)
+def test_a_step_without_a_solution_fails_and_says_so(method, scene, step, engine):
+    solution = cb.solve(scene, method, step=step, save_at=[step * 4], engine=engine)
     assert solution.status is cb.Status.failed
-    assert "does not converge at t = 0, of a step of 0.125" in solution.message
+    assert f"does not converge at t = 0, of a step of {step}" in solution.message
+
+
+@pytest.mark.parametrize("method", ["contact-gauss4", "gauss4", "discrete-gradient"])
+def test_a_motion_that_escapes_diverges(method):
+    assert cb.solve("escape", method, step=0.0017).status is cb.Status.diverged
 
 
 @pytest.mark.parametrize("engine", ["numba", "python"])

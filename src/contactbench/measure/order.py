@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from contactbench.methods.contact_exact import ExactMethod
+from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Scene
@@ -109,7 +110,7 @@ DIGITS = 50
 
 
 #: methods whose steps can be taken one by one, on any kind of number
-type Stepping = FixedStep | ExactMethod
+type Stepping = FixedStep | Logarithmic | ExactMethod
 
 
 def march(

@@ -184,8 +184,6 @@ def collocation(stages: int) -> Step:
 class ContactGauss(Implicit):
     """Collocation on the symplectisation; a run starts from the slope at its beginning, one evaluation."""
 
-    unsolved = "its iteration does not converge"
-
     def refuses(self, scene: Scene) -> str | None:
         return unfit(self, scene, scene.canonical, "canonical coordinates (q, p, s)")
 

@@ -148,6 +148,11 @@ class Logarithmic(Method):
     def evaluations(self, tried: int, entered: int) -> int:
         return tried * (len(self.composition.stages) // 2) + 1
 
+    def advance(self, scene: Any, x: State, h: Arithmetic, n: int, xp: Any) -> State:
+        """Return the state a time n h later, by steps h of τ."""
+        nothing = [0 * h] * self.beside(len(Scene.pack(x)))
+        return self.march(scene, x, nothing, n * h, HUGE, [h], xp)[0]
+
     def march(
         self,
         scene: Mechanical,

@@ -167,6 +167,7 @@ class Implicit(FixedStep):
     each: int = field(kw_only=True)
     engines: tuple[str, ...] = ("numba", "python")
     iterates = True
+    unsolved = "its iteration does not converge"
 
     def refuses(self, scene: Scene) -> str | None:
         return unfit(self, scene, True, "")

@@ -59,7 +59,7 @@ POLAR = ContactSystem(
     q=(1.0, 0.0),
     p=(0.3, 0.8),
     t_end=20.0,
-    experiments=("convergence", "laws"),
+    experiments=("convergence", "laws", "stability"),
 )
 
 THERMOSTAT = ContactSystem(
@@ -72,7 +72,7 @@ THERMOSTAT = ContactSystem(
     p=(0.3,),
     s=0.5,
     t_end=5.0,
-    experiments=("convergence", "laws", "work_precision"),
+    experiments=("convergence", "laws", "work_precision", "stability"),
 )
 
 CONTACT_SYSTEMS = (DOUBLE_PENDULUM, POLAR, THERMOSTAT)

@@ -240,7 +240,7 @@ SPHERICAL_PENDULUM = Spheres(
     q=(0.6, 0.0, -0.8),
     p=(0.32, 0.9, 0.24),
     t_end=20.0,
-    experiments=("convergence", "laws", "decay_laws", "work_precision"),
+    experiments=("convergence", "laws", "decay_laws", "work_precision", "stability"),
 )
 
 #: of length one as decimals: 3-4-5 and 5-12-13 have powers that are

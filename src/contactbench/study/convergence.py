@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 import contactbench as cb
 from contactbench.measure.order import error_at, fit_order
 from contactbench.methods.base import Method
+from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.tables import CONVERGENCE
 from contactbench.scene import Scene
@@ -40,7 +41,7 @@ def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, flo
 
 
 def at_fifty_digits(
-    scene: Scene, method: FixedStep, counts: Sequence[int] = EXTENDED_STEPS
+    scene: Scene, method: FixedStep | Logarithmic, counts: Sequence[int] = EXTENDED_STEPS
 ) -> Iterator[tuple[Row, float, float]]:
     """Yield rows of runs on mpmath numbers: the error at t = 4, relative to the larger of the start and the truth."""
     truth = cb.reference(scene, [EXTENDED_TIME], scene.optional).y[0]
@@ -48,9 +49,10 @@ def at_fifty_digits(
     for n in counts:
         h = EXTENDED_TIME / n
         row = key(scene.name, method.name, "mpmath", "step", h)
-        row |= {"status": "ok", "message": "", "steps": n, "jacobians": 0}
-        evaluations = None if method.iterates else method.counts(scene, n)
-        row |= {"evaluations": evaluations, "evaluation_kind": method.kind_on(scene)}
+        row |= {"status": "ok", "message": "", "jacobians": 0}
+        row["evaluation_kind"] = method.kind_on(scene)
+        count = None if method.follows or method.iterates else method.counts(scene, n)
+        row |= {"steps": None if method.follows else n, "evaluations": count}
         try:
             error = float(error_at(method, scene, EXTENDED_TIME, n)) / size
         except OverflowError as why:  # beyond any scale
@@ -70,7 +72,9 @@ def points(measured: Sequence[tuple[Row, float, float]]) -> tuple[list[float], l
 )
 def convergence(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
-    extended = method.order > 4 and isinstance(method, FixedStep) and method.refuses(scene) is None
+    extended = (
+        method.order > 4 and isinstance(method, FixedStep | Logarithmic) and method.refuses(scene) is None
+    )
     measured = list(at_fifty_digits(scene, method) if extended else in_double_precision(scene, method))
     floor = EXTENDED_FLOOR if extended else FLOOR
     for n in FINER if extended else ():
