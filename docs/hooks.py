@@ -73,6 +73,7 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
             raise PluginError(f"api.md lacks {', '.join(sorted(missing))}")
 
     def draw(found: re.Match[str]) -> str:
-        return convert(unescape(found[2]), display="inline" if found[1] == "span" else "block")
+        formula = convert(unescape(found[2]), display="inline" if found[1] == "span" else "block")
+        return formula if found[1] == "span" else f'<div class="formula">{formula}</div>'
 
     return FORMULA.sub(draw, html)
