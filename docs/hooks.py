@@ -24,6 +24,8 @@ ROOT = Path(__file__).parent.parent
 #: pages whose code is run, block after block
 RUN = ("tutorial.md", "gallery.md", "api.md", "timing.md")
 BLOCK = re.compile(r"^```python\n(.*?)^```\n", re.S | re.M)
+#: q += … as one sign
+ASSIGNED = re.compile(r"<mo><mrow><mo>([^<]*)</mo></mrow></mo><mo>&#x0003D;</mo>")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.S)
 
 
@@ -74,6 +76,7 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
 
     def draw(found: re.Match[str]) -> str:
         formula = convert(unescape(found[2]), display="inline" if found[1] == "span" else "block")
+        formula = ASSIGNED.sub(r"<mo>\1=</mo>", formula)
         return formula if found[1] == "span" else f'<div class="formula">{formula}</div>'
 
     return FORMULA.sub(draw, html)
