@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TypeGuard
 
 import numpy as np
@@ -107,7 +108,15 @@ class Stability:
 
 
 def stability(method: FixedStep, gamma: float, omega: float) -> Stability:
-    """Return the borders of stability of the map that is one step of `method`, from its trace and determinant.
+    """Return the borders of stability of a method: those of ω = 1, in units of 1/ω."""
+    unit = borders(method, gamma / omega)
+    windows = tuple((start / omega, end / omega) for start, end in unit.windows)
+    return Stability(unit.limit / omega, windows, unit.last / omega)
+
+
+@cache
+def borders(method: FixedStep, gamma: float) -> Stability:
+    """Return the borders of stability of the map that is one step of `method`, from its trace and determinant; ω = 1.
 
     Both eigenvalues are in the unit disc where |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in which s passes ±1
     and returns may be narrower than any grid, but s turns around inside.  So the extrema of s and of det are located,
@@ -116,25 +125,33 @@ def stability(method: FixedStep, gamma: float, omega: float) -> Stability:
     """
 
     def invariants(h: np.ndarray) -> np.ndarray:
-        matrix = step_matrix(method, gamma, omega, h)
+        matrix = step_matrix(method, gamma, 1.0, h)
         with np.errstate(all="ignore"):
             trace = matrix[..., 0, 0] + matrix[..., 1, 1]
             det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
             # that of a conformal contact map is its factor, without cancellation
-            factor = method.conformal_factor(oscillator(gamma, omega), h, ELEMENTWISE)  # type: ignore[arg-type]
+            factor = method.conformal_factor(oscillator(gamma), h, ELEMENTWISE)  # type: ignore[arg-type]
             det = det if factor is None else factor
             return np.array([trace / (1 + det), det])
 
-    def unstable(h: np.ndarray) -> np.ndarray:
+    def bounded(values: np.ndarray) -> np.ndarray:
         with np.errstate(invalid="ignore"):
-            return ~(np.abs(invariants(h)) <= 1 + SLACK).all(axis=0)  # nan: overflow
+            found: np.ndarray = (np.abs(values) <= 1 + SLACK).all(axis=0)  # nan: overflow
+        return found
 
-    grid = np.geomspace(SHORTEST, LONGEST, SCANNED) / omega
+    def unstable(h: np.ndarray) -> np.ndarray:
+        return ~bounded(invariants(h))
+
+    grid = np.geomspace(SHORTEST, LONGEST, SCANNED)
     values = invariants(grid)
-    turns = [turning_points(lambda h: invariants(h)[0], grid, values[0])]
-    turns.append(turning_points(lambda h: invariants(h)[1], grid, values[1]))
-    steps = np.unique(np.concatenate([grid, *turns]))
-    beyond = unstable(steps)
+    extrema = np.concatenate(
+        [
+            turning_points(lambda h: invariants(h)[0], grid, values[0]),
+            turning_points(lambda h: invariants(h)[1], grid, values[1]),
+        ]
+    )
+    steps, first = np.unique(np.concatenate([grid, extrema]), return_index=True)
+    beyond = np.concatenate([~bounded(values), unstable(extrema)])[first]
     if beyond[0]:
         return Stability(0.0, (), 0.0)
     changes = np.flatnonzero(beyond[1:] != beyond[:-1])
@@ -148,12 +165,17 @@ def stability(method: FixedStep, gamma: float, omega: float) -> Stability:
 
 
 def turning_points(f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the extrema of f, one for each point of an increasing grid that both neighbours are above or below."""
+    """Return the extrema of f that may pass ±1, one for a point of an increasing grid between higher or lower ones.
+
+    An extremum is less than the larger of both differences beyond the point.
+    """
     with np.errstate(invalid="ignore"):
-        rises = np.sign(np.diff(values))
-        inner = np.flatnonzero(rises[1:] * rises[:-1] < 0) + 1
+        changes = np.diff(values)
+        rises = np.sign(changes)
+        beyond = np.abs(values[1:-1]) + np.maximum(np.abs(changes[1:]), np.abs(changes[:-1]))
+        inner = np.flatnonzero((rises[1:] * rises[:-1] < 0) & (beyond > 1 + SLACK)) + 1
     low, high, sense = grid[inner - 1], grid[inner + 1], rises[inner - 1]
-    for _ in range(ZOOMS):
+    for _ in range(ZOOMS if len(inner) else 0):
         inside = np.linspace(low, high, PARTS + 1)
         best = np.argmax(sense * f(inside), axis=0)
         columns = np.arange(len(low))
@@ -167,7 +189,7 @@ def bracket_changes(
 ) -> np.ndarray:
     """Return where a truth value first changes between low and high, to round-off."""
     columns = np.arange(len(low))
-    for _ in range(CLOSE):
+    for _ in range(CLOSE if len(low) else 0):
         inside = np.linspace(low, high, PARTS + 1)
         changed = truth(inside) != at_low
         changed[-1] = True

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.implicit import (
+    LOST,
     TYPICAL,
     Implicit,
     bare,
@@ -160,11 +161,11 @@ def collocation(stages: int) -> Step:
                 )
 
             first = (slope_at(scene, x, 1.0, known),) * stages
-            slopes, converged, turns = fixed_point(improved, first, xp, patient=True)
+            slopes, converged, turns = fixed_point(improved, first, xp, patient=True, moves=abs(h), lost=lost)
             return slopes, converged, stages * turns + (size + 2)
 
-        size = len(components(start))
-        slopes, converged, turns = fixed_point(update, slopes, xp, patient=True)
+        size, lost = len(components(start)), LOST * sum(map(abs, leaves(start)))
+        slopes, converged, turns = fixed_point(update, slopes, xp, patient=True, moves=abs(h), lost=lost)
         spent = stages * turns
         if stages * size <= ELIMINATED:
             slopes, converged, spent = otherwise((slopes, converged, spent), newton, xp)

@@ -29,8 +29,8 @@ MOST, CONVERGED = 200, 1e-10
 LARGEST = 1e300
 #: increments of doubles that are rounding, on the same scale
 ROUNDING = 2.0**-46
-#: an increment that changes no state, relative to it: at rest slopes are rounding
-LOST = 1e-15
+#: an increment that changes no state, relative to it: at rest slopes are rounding, which may go to and fro for ever
+LOST = 4e-15
 #: iterations of a typical step
 TYPICAL = 8
 
@@ -77,10 +77,10 @@ def fixed_point[K](
 
     start = k, nothing + 0.0, nothing + LARGEST, nothing + math.inf
     k, turns, gap, _ = repeat_while(going, turn, start, xp)
-    small = (gap <= CONVERGED * size(leaves(part(k)))) | (gap * moves <= lost)
+    small = gap <= CONVERGED * size(leaves(part(k)))
     if patient:  # what still moves is not settled
         small = small & (turns < MOST)
-    return k, small & (gap < LARGEST), turns
+    return k, (small | (gap * moves <= lost)) & (gap < LARGEST), turns
 
 
 # -- Newton's iteration --------------------------------------------------------------------------------
