@@ -237,7 +237,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     config = session.config
     if not config.begun:
         return
-    gc.freeze()  # thousands of prepared runs, which a collector would look through again and again below
+    gc.disable()  # it would look through thousands of prepared runs again and again below
     with full_disk():
         config.run.end()
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:  # all done, or none in this phase of the run

@@ -57,6 +57,7 @@ def all_contests(frames: Frames) -> dict[str, Contest]:
     return {kind.name: contest(frames["work_precision"], kind) for kind in KINDS}
 
 
+@lru_cache(2)
 def of_package(frames: Frames) -> pd.DataFrame:
     """Return the contests, in compiled time, of what this package runs with what the libraries run."""
     return contests(costs(contestants(frames["work_precision"]), COMPILED), of_this_package)

@@ -166,16 +166,18 @@ def _preference(row: Record) -> tuple[bool, float]:
 
 
 def _costs_on(rows: pd.DataFrame, kind: Kind, processes: float) -> Iterator[Record]:
-    reason, rows = cut_off(rows), rows[rows["status"] == "ok"]
+    every, rows = rows, rows[rows["status"] == "ok"]
     errors, spent = (_floats(rows[name]) for name in ("solution_error", kind.cost))
     front = envelope(errors, spent)
+    reached = interpolate(errors, spent, front, TARGETS)
+    reason = cut_off(every) if any(map(math.isnan, reached)) else ""
     ratios = [max(r, 1 / r) for r in _floats(rows[kind.halves])] if kind.timed else [1.0] * len(rows)
     halves = interpolate(errors, ratios, front, TARGETS)
     shares = [math.nan] * len(rows)
     if kind.timed and not kind.resolved and "fixed_s" in rows:
         shares = _floats(rows["fixed_s"] / rows["time_min_s"])
     loosest = max(errors, default=math.nan)
-    for target, cost, own in zip(TARGETS, interpolate(errors, spent, front, TARGETS), halves, strict=True):
+    for target, cost, own in zip(TARGETS, reached, halves, strict=True):
         reach = [(c, s) for e, c, s in zip(errors, spent, shares, strict=True) if e <= target and c == c]
         yield {
             "error": target,

@@ -25,6 +25,8 @@ POINTS = 9
 #: below this, relative to the solution, an error is round-off
 FLOOR = 1e-12
 EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
+#: for steps that iterate, some forty times to fifty digits
+ITERATED_TIME = 1.0
 #: and where these do not show an order yet
 FINER = (256, 512)
 
@@ -43,18 +45,19 @@ def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, flo
 def at_fifty_digits(
     scene: Scene, method: FixedStep | Logarithmic, counts: Sequence[int] = EXTENDED_STEPS
 ) -> Iterator[tuple[Row, float, float]]:
-    """Yield rows of runs on mpmath numbers: the error at t = 4, relative to the larger of the start and the truth."""
-    truth = cb.reference(scene, [EXTENDED_TIME], scene.optional).y[0]
+    """Yield rows of runs on mpmath numbers: the error at the end, relative to the larger of the start and the truth."""
+    end = ITERATED_TIME if method.iterates else EXTENDED_TIME
+    truth = cb.reference(scene, [end], scene.optional).y[0]
     size = max(math.hypot(*scene.pack(scene.initial(scene.optional))), math.hypot(*truth))
     for n in counts:
-        h = EXTENDED_TIME / n
+        h = end / n
         row = key(scene.name, method.name, "mpmath", "step", h)
         row |= {"status": "ok", "message": "", "jacobians": 0}
         row["evaluation_kind"] = method.kind_on(scene)
         count = None if method.follows or method.iterates else method.counts(scene, n)
         row |= {"steps": None if method.follows else n, "evaluations": count}
         try:
-            error = float(error_at(method, scene, EXTENDED_TIME, n)) / size
+            error = float(error_at(method, scene, end, n)) / size
         except OverflowError as why:  # beyond any scale
             row, error = row | {"status": "diverged", "message": str(why)}, math.nan
         yield row, h, error
