@@ -8,7 +8,7 @@ import contactbench as cb
 import planted_faults
 from contactbench.methods.contact import contact_method
 from contactbench.splitting.tables import COMPOSITIONS
-from contactbench.study.definitions import STEPPED, method_lines, row
+from contactbench.study.definitions import FOLLOWED, STEPPED, method_lines, row
 
 
 @pytest.mark.parametrize("scene", cb.SCENES.values(), ids=cb.SCENES)
@@ -44,5 +44,5 @@ def test_no_line_of_a_digest_is_an_address_in_memory(method):
     lines = method_lines(method)
     assert not [line for line in lines if " at 0x" in line]
     assert f"name={method.name!r}" in lines
-    stepped = tuple(f"{scene} [" for scene in STEPPED)
+    stepped = tuple(f"{scene} [" for scene in (*STEPPED, FOLLOWED))
     assert any(line.startswith(stepped) for line in lines) == hasattr(method, "advance")

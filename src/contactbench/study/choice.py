@@ -40,17 +40,23 @@ def small(scene: str, method: str, main: str = SMOKE, everywhere: Iterable[str] 
 
 #: what XLA compiles and what calls back into Python takes seconds on every scene
 DEAR = ("jax", "python")
-#: where it runs nevertheless, of the scenes that not every experiment runs
+#: the scenes on which callbacks and XLA are timed, and where else laws have them: CyRK has SciPy's tableaux compiled
+TIMED_DEAR, DEAR_SCENES = ("oscillator", "particle", "rigid_body"), ("central",)
+#: where some run nevertheless
 FORCED = ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
 DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[str]:
-    """Return which of some methods an experiment runs on a scene: all of them where every experiment runs it."""
+    """Return which of some methods an experiment runs on a scene: what is dear on a few, and on those of users."""
 
     def runs(method: str) -> bool:
-        dear = bool(scene.experiments) and METHODS[method].engines[0] in DEAR
-        return not dear or (experiment, scene.name, method) in DEAR_CELLS
+        dear = METHODS[method].engines[0] in DEAR and scene.name in OWN and method in OWN
+        return (
+            not dear
+            or scene.name in TIMED_DEAR + DEAR_SCENES
+            or (experiment, scene.name, method) in DEAR_CELLS
+        )
 
     return list(filter(runs, methods))
 
@@ -60,8 +66,6 @@ RIVALS = {"contact-yoshida6", "contact-rkn6a", "contact-rkn8b", "gauss4", "gauss
 RIVALS |= {"contact-gauss2", "contact-gauss4", "contact-gauss6"}
 RIVALS |= {"quinlan-tremaine8", "quinlan-tremaine12", "stormer12", "sprk-5", "sprk-10"}
 RIVALS |= {"rk8", "rk8-7", "rkn8", "rkn12", "rkn8-6", "rkn12-10"}
-#: the scenes on which callbacks and XLA are timed; elsewhere CyRK has the same tableaux compiled
-TIMED_DEAR = ("oscillator", "particle", "rigid_body")
 #: of the other scenes a method is timed on one in so many by the smoke profile
 SOME = 3
 

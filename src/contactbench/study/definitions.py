@@ -16,6 +16,7 @@ import numpy as np
 from contactbench.measure.order import DIGITS, march
 from contactbench.methods.base import METHODS, Method
 from contactbench.methods.contact_exact import ExactMethod
+from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.tables import DEFINITIONS
 from contactbench.scene import Scene
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 SHOWN = 30
 #: scenes a method's steps are looked at, and the step
 STEPPED, STEP = ("particle", "quadratic_damping", "rigid_body", "rigid_body_anisotropic"), "0.25"
+#: and one on which steps follow the motion
+FOLLOWED = "kepler"
 #: how far the points lie from the initial state at which a scene's functions are looked at
 OFFSETS = (0, 1, -2)
 #: what says nothing of what a scene or a method does
@@ -65,10 +68,10 @@ def scene_lines(scene: Scene) -> list[str]:
 
 def method_lines(method: Method) -> list[str]:
     lines = declarations(method)
-    if not isinstance(method, FixedStep | ExactMethod):
+    if not isinstance(method, FixedStep | Logarithmic | ExactMethod):
         return lines
     context = decimal_context(DIGITS)
-    for name in STEPPED:
+    for name in (FOLLOWED,) if method.follows else STEPPED:
         if method.refuses(SCENES[name]) is None:
             ends = (march(method, SCENES[name], STEP, n, context) for n in (1, 2))
             lines += [f"{name} {digits_of(end, context)}" for end in ends]
