@@ -26,7 +26,7 @@ from contactbench.results.cells import Cell
 from contactbench.study.experiment import Row, Timing
 
 #: cells of every engine that a second process times too
-SAMPLE = 20
+SAMPLE = 40
 #: the calls that a second process has prepared
 PREPARED: list[Call] = []
 
