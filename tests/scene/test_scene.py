@@ -201,3 +201,31 @@ def test_the_motion_is_followed_for_what_is_compared_and_not_for_long(monkeypatc
     begun = time.perf_counter()
     verify_along(bare.with_(gradient=slow))
     assert time.perf_counter() - begun < 10.0
+
+
+WELL = {"name": "well", "potential": lambda q: q[0] ** 2 / 2, "q": (1.0,), "p": (0.0,)}
+PUSHED = {"name": "pushed", "potential": lambda q, t: q[0] ** 2 / 2 + t * q[0], "q": (1.0,), "p": (0.0,)}
+
+
+def test_a_span_of_time_stands_for_the_start_and_the_duration():
+    assert cb.Mechanical(**WELL, t_span=(0, 20)).t_end == 20
+    pushed = cb.Driven(**PUSHED, t_span=(1, 60))
+    assert (pushed.t, pushed.t_end) == (1, 59)
+    again = pushed.with_(t_span=(2, 5))
+    assert (again.t, again.t_end) == (2, 3)
+    assert cb.Equations(name="e", rhs=lambda t, y: (-t * y[0],), y0=(1.0,), t_span=(1, 2)).t == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"t_span": (1, 20)}, "must begin at 0"),
+        ({"t_span": (0, -1)}, "must end later"),
+        ({"t_span": (0, math.inf)}, r"t_span\[1\] = inf"),
+        ({"t_span": 5}, "must be 2 numbers"),
+        ({"t_span": (0, 5), "t_end": 5.0}, "t_end, not both"),
+    ],
+)
+def test_a_span_that_is_none_is_refused(given, says):
+    with pytest.raises(cb.BadInput, match=says):
+        cb.Mechanical(**WELL, **given)

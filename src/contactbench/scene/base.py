@@ -8,7 +8,7 @@ import inspect
 import math
 import pickle
 import tomllib
-from abc import ABC, abstractmethod
+from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from contactbench.blame import is_ours, their_code
-from contactbench.checks import finite, function, items_of, positive, switch, text
+from contactbench.checks import finite, function, items_of, positive, switch, text, vector
 from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.notebook import html_table
 from contactbench.numbers.dual import leaves, rebuild
@@ -69,6 +69,35 @@ def reciprocal[X](value: X) -> X:
     return rebuild(value, [1 / number for number in leaves(value)])
 
 
+def with_duration(given: dict[str, Any], clocked: bool) -> dict[str, Any]:
+    """Return arguments with t and t_end for `t_span=(start, end)`; clocked : whether there is a t."""
+    if "t_span" not in given:
+        return given
+    span = given.pop("t_span")
+    if both := [name for name in ("t", "t_end") if name in given]:
+        raise BadInput(f"t_span = {excerpt(span)}: say it or {' and '.join(both)}, not both")
+    start, end = vector("t_span", span, 2)
+    if not end > start:
+        raise BadInput(f"t_span = {excerpt(span)}: must end later than it begins")
+    if start and not clocked:
+        raise BadInput(f"t_span = {excerpt(span)}: nothing here depends on the time: must begin at 0")
+    return given | {"t_end": end - start} | ({"t": start} if clocked else {})
+
+
+class Kind(ABCMeta):
+    """Kinds of scene, made with `t_span=(start, end)` as well."""
+
+    def __call__[Made](cls: Callable[..., Made], *values: Any, **given: Any) -> Made:
+        clocked = "t" in getattr(cls, "__dataclass_fields__", ())
+        return super().__call__(*values, **with_duration(given, clocked))  # type: ignore[misc, no-any-return]
+
+    @property
+    def __signature__(cls) -> inspect.Signature:
+        own = inspect.signature(cls.__init__)  # type: ignore[misc]
+        span = inspect.Parameter("t_span", inspect.Parameter.KEYWORD_ONLY, default=None)
+        return own.replace(parameters=[*[*own.parameters.values()][1:], span])
+
+
 class Cache[Made]:
     """Keep the latest `size` things made, by key; a thing whose key is None is made at every call."""
 
@@ -107,7 +136,7 @@ def instead() -> dict[str, str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class System(ABC):
+class System(metaclass=Kind):
     """Give solvers what they need: a state and its packing, numbers that can be replaced, a right-hand side.
 
     Attributes
@@ -372,7 +401,8 @@ class Scene(System):
     name, about
         A key in tables and a word on the command line, and one line with the source.
     t_end
-        How long a run is, > 0.  It starts at 0, and so ends at t_end; a driven scene starts at its t.
+        How long a run is, > 0.  It starts at 0, and so ends at t_end; a driven scene starts at its t.  In its place
+        (and that of t) `t_span=(start, end)` is taken.
     s
         The action at the start.
     exact
@@ -501,6 +531,7 @@ class Scene(System):
         Raises `BadInput` for an unknown parameter or a value that is not allowed.
         """
         allowed = [f.name for f in dataclasses.fields(self) if f.init]
+        changes = with_duration(changes, "t" in allowed)
         extra = dict(getattr(self, "parameters", {}))
         for name in changes:
             if name not in extra and name not in allowed:
