@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import re
 from contextlib import suppress
@@ -13,6 +14,18 @@ from contactbench.errors import BadInput, excerpt
 
 #: line breaks, other control characters, halves of characters
 CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f\\u2028\\u2029\\ud800-\\udfff]")
+
+
+#: packages that are imported by one name and installed by another, with what they need
+INSTALLED_AS = {"sksundae": "scikit-sundae", "diffrax": "diffrax optimistix"}
+
+
+def missing(package: str) -> str | None:
+    """Return that a package is not installed, and the command that does it; None where it is."""
+    if importlib.util.find_spec(package) is not None:
+        return None
+    name = INSTALLED_AS.get(package, package)
+    return f"{name.partition(' ')[0]} is not installed: pip install {name}"
 
 
 def refuse(name: str, value: object, wanted: str) -> NoReturn:

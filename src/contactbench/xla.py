@@ -13,12 +13,15 @@ import os
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from contactbench.checks import missing
 from contactbench.errors import BadInput
 
 
 @cache
 def configure() -> None:
-    """Import JAX and make its settings."""
+    """Import JAX and make its settings; raises `BadInput` where it is not installed."""
+    if lacks := missing("jax"):
+        raise BadInput(lacks)
     # read when JAX makes its first device
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
     import jax

@@ -162,7 +162,13 @@ def load_anew(monkeypatch):
     ("method", "place", "name", "value", "reason"),
     [
         ("cvode-bdf", compiled, "MAJOR", 99, "its C interface is known for version 99 only"),
-        ("cvode-bdf", importlib.util, "find_spec", lambda name: None, "sksundae is not installed"),
+        (
+            "cvode-bdf",
+            importlib.util,
+            "find_spec",
+            lambda name: None,
+            "scikit-sundae is not installed: pip install scikit-sundae",
+        ),
         ("cvode-bdf", Path, "glob", lambda self, pattern: [], "CVODE library is not in"),
         ("cyrk-dop853", CyRK, "__version__", "0.21.0", "CyRK 0.21.0 may have another C interface"),
     ],

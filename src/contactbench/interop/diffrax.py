@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from contactbench.checks import missing
 from contactbench.errors import BadInput, excerpt, unknown_name
 from contactbench.methods.contact import ContactMethod
 from contactbench.methods.prepared import METHODS
@@ -18,6 +19,8 @@ from contactbench.scene.flow import damped_time
 from contactbench.splitting.composition import Composition, Plan, Stage, arrange
 from contactbench.xla import configure
 
+if lacks := missing("diffrax"):
+    raise ImportError(lacks)
 configure()
 
 import diffrax  # noqa: E402

@@ -16,7 +16,6 @@ Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -26,6 +25,7 @@ from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
+from contactbench.checks import missing
 from contactbench.errors import BadInput
 from contactbench.methods.base import Adaptive
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
@@ -67,9 +67,7 @@ class Peer(Adaptive):
         if scene.by_sites and self.most and scene.motion > self.most:
             size = f"scene {scene.name!r} has {scene.motion} components, more than {self.most}"
             return f"{self.name} {self.reason}: {size}"
-        if self.package and importlib.util.find_spec(self.package) is None:
-            return f"{self.package} is not installed (pip install contactbench[bench])"
-        return None
+        return missing(self.package) if self.package else None
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:
         return self.costs.get(engine)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.checks import missing
 from contactbench.methods.base import CALLBACKS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.loops import StepLoop
@@ -67,9 +67,7 @@ class Stepper(Method):
     tolerance = "nothing: it takes a step"
 
     def refuses(self, scene: Scene) -> str | None:
-        if importlib.util.find_spec(self.package) is None:
-            return f"{self.package} is not installed (pip install contactbench[bench])"
-        return self.unfit(scene)
+        return missing(self.package) or self.unfit(scene)
 
     @abstractmethod
     def unfit(self, scene: Scene) -> str | None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.checks import missing
 from contactbench.peers.abi import kept, kept_c
 from contactbench.peers.abi.cvode import (
     NORMAL,
@@ -46,7 +47,7 @@ SIGNATURES = {
 
 place = importlib.util.find_spec("sundials4py")
 if place is None or place.origin is None:
-    raise ImportError("sundials4py is not installed")
+    raise ImportError(missing("sundials4py"))
 require_major(version("sundials4py"))
 library, function = bind(Path(place.origin), SIGNATURES, "q")
 

@@ -22,6 +22,7 @@ from numba import types
 from numba.core.base import BaseContext
 from numba.extending import intrinsic
 
+from contactbench.checks import missing
 from contactbench.peers.abi import LETTERS, external, join, kept, kept_c, split
 from contactbench.peers.compiled import (
     JACOBIAN_CALLS,
@@ -68,7 +69,7 @@ def library_file() -> Path:
     """Return where CVODE is: beside the package in a repaired wheel, or among the environment's libraries."""
     package = importlib.util.find_spec("sksundae")
     if package is None or package.origin is None:
-        raise ImportError("scikit-sundae is not installed")
+        raise ImportError(missing("sksundae"))
     folder = Path(package.origin).parent
     places = (folder.parent / "scikit_sundae.libs", folder / ".dylibs", Path(sys.prefix) / "lib")
     for place in places:

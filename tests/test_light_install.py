@@ -1,0 +1,103 @@
+"""What the plain install does without the packages of its extras, and what it says of them."""
+
+import re
+import subprocess
+import sys
+import textwrap
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import contactbench as cb
+from contactbench.checks import INSTALLED_AS
+
+PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+#: the names by which they are imported
+EXTRAS = (
+    "jax",
+    "jaxlib",
+    "diffrax",
+    "optimistix",
+    "equinox",
+    "sksundae",
+    "sundials4py",
+    "heyoka",
+    "CyRK",
+    "rebound",
+    "gmpy2",
+)
+
+
+def without_extras(code):
+    """What a program prints where none of the extras' packages can be imported."""
+    hidden = f"import sys\nsys.modules.update(dict.fromkeys({EXTRAS!r}))\nimport contactbench as cb\n"
+    program = [sys.executable, "-c", hidden + textwrap.dedent(code)]
+    run = subprocess.run(program, capture_output=True, text=True, timeout=300)
+    assert not run.returncode, run.stderr
+    return run.stdout
+
+
+def test_the_plain_install_solves_measures_advises_and_races():
+    printed = without_extras("""
+        solution = cb.solve("oscillator", "contact-rkn6", step=0.1)
+        print(solution.status, len(solution.laws()) > 5)
+        print(len(cb.advise("oscillator")))
+        well = cb.Mechanical(name="w", potential=lambda q: q[0] ** 4 / 4, q=(1.0,), p=(0.0,), gamma=0.2, t_end=5.0)
+        frame = cb.compare(well, ["contact-rkn6", "rk4", "scipy-dop853", "cvode-adams"], errors=[1e-3], budget=15)
+        print(*frame["status"])
+    """)
+    assert printed.splitlines()[:2] == ["ok True", "3"]
+    assert printed.splitlines()[2].split() == ["ok", "ok", "ok", "unsupported"]
+
+
+def test_what_is_missing_is_one_line_with_the_command():
+    printed = without_extras("""
+        for name, method in cb.METHODS.items():
+            setting = {"rtol": 1e-6} if method.adaptive else {} if method.control == "exact" else {"step": 0.1}
+            if getattr(method, "package", ""):
+                print(name, "|", cb.solve("kepler", name, **setting).message)
+        try:
+            cb.solve("oscillator", "contact-rkn6", step=0.1, engine="jax")
+        except cb.BadInput as error:
+            print("jax |", error)
+        try:
+            cb.diffrax
+        except ImportError as error:
+            print("cb.diffrax |", error)
+    """)
+    said = dict(line.split(" | ") for line in printed.splitlines())
+    for name in (
+        "cvode-adams",
+        "heyoka-taylor",
+        "cyrk-dop853",
+        "diffrax-tsit5",
+        "ias15",
+        "sprk-5",
+        "jax",
+        "cb.diffrax",
+    ):
+        assert re.fullmatch(r"[\w-]+ is not installed: pip install [\w -]+", said[name]), (name, said[name])
+
+
+@pytest.mark.parametrize("name", [*INSTALLED_AS.values(), "jax", "heyoka", "CyRK", "rebound", "sundials4py"])
+def test_the_command_names_packages_of_the_extras(name):
+    required = [
+        re.match(r"[\w-]+", each)[0] for group in PROJECT["optional-dependencies"].values() for each in group
+    ]
+    assert set(name.split()) <= set(required)
+
+
+def test_nothing_of_an_extra_is_required():
+    required = {re.match(r"[\w-]+", each)[0] for each in PROJECT["dependencies"]}
+    assert not required & {
+        "jax",
+        "diffrax",
+        "optimistix",
+        "scikit-sundae",
+        "heyoka",
+        "CyRK",
+        "rebound",
+        "sundials4py",
+    }
+    assert {method.package for method in cb.METHODS.values() if getattr(method, "package", "")} <= {*EXTRAS, "scipy"}
