@@ -22,6 +22,17 @@ def pytest_configure():
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+#: the marks of tests that only some systems can run
+SYSTEMS = {"posix": sys.platform != "win32", "linux": sys.platform == "linux"}
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip by name what this system cannot run."""
+    for mark, fits in SYSTEMS.items():
+        if item.get_closest_marker(mark) and not fits:
+            pytest.skip(f"needs {mark}, which {sys.platform} is not")
+
+
 @pytest.hookimpl(tryfirst=True)  # before pytest leaves out the slow ones
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark as slow the cases that a test's ``quick`` marks do not name, but for a user's method or scene."""

@@ -100,4 +100,7 @@ def test_nothing_of_an_extra_is_required():
         "rebound",
         "sundials4py",
     }
-    assert {method.package for method in cb.METHODS.values() if getattr(method, "package", "")} <= {*EXTRAS, "scipy"}
+    assert {method.package for method in cb.METHODS.values() if getattr(method, "package", "")} <= {
+        *EXTRAS,
+        "scipy",
+    }

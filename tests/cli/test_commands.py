@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import subprocess
 import sys
 from importlib import metadata
@@ -164,9 +163,12 @@ def test_an_output_that_cannot_be_written_is_refused_first(line, option, suffix,
     assert err.startswith(f"contactbench: {option} {path}: ")
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("option", ["--out", "--plot"])
 @pytest.mark.parametrize("before", [None, "kept"])
 def test_a_disk_that_is_full_leaves_the_file_as_it_was(option, before, tmp_path, capsys):
+    import resource
+
     path = tmp_path / ("x.svg" if option == "--plot" else "x.csv")
     if before:
         path.write_text(before)
@@ -181,6 +183,7 @@ def test_a_disk_that_is_full_leaves_the_file_as_it_was(option, before, tmp_path,
     assert [each.read_text() for each in tmp_path.iterdir()] == ([before] if before else [])
 
 
+@pytest.mark.posix
 def test_what_is_no_file_is_written_to_as_it_is(tmp_path):
     os.mkfifo(path := tmp_path / "pipe")
     reader = subprocess.Popen(["cat", path], stdout=subprocess.PIPE, text=True)

@@ -65,6 +65,7 @@ def test_a_thread_pool_gives_what_one_process_gives(alone):
         same(solved(executor=pool, chunk=CHUNK), alone)
 
 
+@pytest.mark.posix
 @pytest.mark.slow
 def test_a_process_pool_that_lost_a_worker_is_refused():
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -73,6 +74,7 @@ def test_a_process_pool_that_lost_a_worker_is_refused():
             solved(executor=executor, chunk=CHUNK)
 
 
+@pytest.mark.posix
 @pytest.mark.slow
 def test_a_worker_of_a_dask_cluster_dies_midway(alone):
     from distributed import Client, LocalCluster

@@ -71,6 +71,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.linux
 def test_a_worker_ends_with_the_process_that_asked_even_when_that_is_killed(tmp_path):
     (tmp_path / "asker.py").write_text(ASKER)
     asker = subprocess.Popen([sys.executable, str(tmp_path / "asker.py")], stdout=subprocess.PIPE, text=True)

@@ -99,6 +99,7 @@ def long_run(save_at):
     return run
 
 
+@pytest.mark.posix
 def test_a_long_run_hears_a_signal():
     """One interval of some 10¹² steps: a signal ends it within its turn, and nothing goes on behind."""
     before, run = threading.active_count(), long_run([1e9])

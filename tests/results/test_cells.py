@@ -122,6 +122,7 @@ def killed_while_merging(tmp_path_factory):
     return folder, dict(tuple(map(int, line.split())) for line in printed.splitlines())
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("steps", STEPS)
 def test_a_kill_while_merging_loses_and_doubles_nothing(killed_while_merging, steps):
     folder, codes = killed_while_merging
