@@ -1,6 +1,8 @@
 """A project of a user: its benchmark, its tables and its gate, in a repository that has no contactbench in it."""
 
 import os
+import re
+import shutil
 import subprocess
 import sys
 from time import perf_counter
@@ -13,26 +15,8 @@ from contactbench.cli import main
 from contactbench.gate import revisions
 from contactbench.plugins import VARIABLE
 
-MY = """
-import contactbench as cb
-
-cb.SCENES.add(
-    cb.Mechanical(
-        name="double-well",
-        potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
-        gamma=0.2,
-        q=(1.5,),
-        p=(0.0,),
-        t_end=20.0,
-    )
-)
-
-
-@cb.fixed_step("my-method", order=2, evaluations=2, about="the explicit midpoint rule")
-def midpoint(scene, x, h, xp):
-    half = cb.shifted(x, h / 2, scene.rhs(x))
-    return cb.shifted(x, h, scene.rhs(half))
-"""
+TEMPLATE = REPOSITORY / "docs" / "template"
+MY = (TEMPLATE / "my.py").read_text()
 HALF = "    half = cb.shifted(x, h / 2, scene.rhs(x))\n"
 #: seconds of each of a stranger's paths
 WITHIN = 300.0
@@ -49,7 +33,7 @@ def commit(repository, text=MY):
 @pytest.fixture
 def repository(tmp_path):
     made_up.git(tmp_path, "init", "-q", "-b", "main")
-    (tmp_path / ".gitignore").write_text("results/.cells\n__pycache__\n")
+    shutil.copy(TEMPLATE / ".gitignore", tmp_path)
     commit(tmp_path)
     return tmp_path
 
@@ -74,6 +58,27 @@ def test_a_base_has_its_own_copy_of_a_plug_in(tmp_path, monkeypatch):
     variables = revisions.environment(tree, root)
     assert variables[VARIABLE] == f"{tree / 'a' / 'my.py'}{os.pathsep}{elsewhere}"
     assert variables["PYTHONPATH"] == f"{tree / 'src'}{os.pathsep}/before"
+
+
+def test_the_template_has_what_the_document_shows():
+    shown = (REPOSITORY / "docs" / "project.md").read_text()
+    workflow = (TEMPLATE / ".github" / "workflows" / "gate.yml").read_text()
+    assert f"```yaml\n{workflow}```" in shown
+    commands = re.findall(r"^contactbench (\w+)", (TEMPLATE / "README.md").read_text(), re.M)
+    assert commands == ["check", "compare", "bench", "gate"]
+    assert {"convergence.csv", "laws.csv", "work_precision.csv", "environment.json"} <= set(
+        os.listdir(TEMPLATE / "results")
+    )
+
+
+@pytest.mark.slow
+def test_the_template_is_green(tmp_path):
+    made_up.git(tmp_path, "init", "-q", "-b", "main")
+    shutil.copytree(TEMPLATE, tmp_path, dirs_exist_ok=True)
+    commit(tmp_path)
+    commit(tmp_path)
+    gated = call(tmp_path, "gate", "--only", "accuracy")
+    assert gated.returncode == 0, gated.stdout + gated.stderr
 
 
 @pytest.mark.slow

@@ -116,7 +116,9 @@ def test_a_race_of_many_prints_ten_rows_in_a_hundred_columns_sorted_by_time():
     assert max(map(len, [*text.splitlines(), *every.splitlines()])) <= 100
     table = text.split("\n\n")[0].splitlines()
     assert [line.split()[0] for line in table[2:]] == names[: -race.ROWS - 1 : -1]
-    assert text.split("\n\n")[-1].count("Take ") == len(errors)
+    *_, taken, further = text.split("\n\n")
+    assert taken.count("Take ") == len(errors)
+    assert further.endswith("which.md")
     assert all(name in every for name in names)
     assert "evaluations" not in table[1]
 

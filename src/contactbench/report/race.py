@@ -6,6 +6,7 @@ import base64
 import math
 import textwrap
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,7 @@ from contactbench.report.numbers import DASH, count, duration, names, scientific
 from contactbench.report.page import page
 from contactbench.report.views import Cell, Mark, Show, View, frame_of, pick
 from contactbench.results.judgement import structural_laws
-from contactbench.results.tables import LAWS_TABLE
+from contactbench.results.tables import LAWS_TABLE, shipped_folder
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 ALIKE = ("tie", "undecided")
@@ -265,7 +266,7 @@ def html(frame: pd.DataFrame) -> str:
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
     advice = Text(items=tuple(frame.attrs["recommendation"]))
     parts: list[Part | None] = [advice, drawn, moving, *views(frame), laws_view(frame)]
-    parts.append(Text(items=tuple(notes(frame))))
+    parts.append(Text(items=(*notes(frame), *which_method())))
     contents, images = Contents(chapter, tuple(answers(frame)), tuple(shown(parts))), {}
     for each in filter(None, (drawn, moving)):
         picture = base64.b64encode(svg(each).encode()).decode()
@@ -274,7 +275,7 @@ def html(frame: pd.DataFrame) -> str:
 
 
 def text(frame: pd.DataFrame, every: bool = False) -> str:
-    """Return a race for the terminal, the recommendation last.
+    """Return a race for the terminal, at its end the recommendation, and where to read on.
 
     every : all rows, columns and notes; else of more than `ROWS` methods the best so many, and their times alone.
     """
@@ -295,7 +296,14 @@ def text(frame: pd.DataFrame, every: bool = False) -> str:
         said = [*said[:1], more]
     blocks = (missing, said, frame.attrs["recommendation"])
     first, last, end = ("\n".join(map(wrap, block)) for block in blocks)
-    return "\n\n".join(filter(None, [first, *found, last, end]))
+    return "\n\n".join(filter(None, [first, *found, last, end, *which_method()]))
+
+
+def which_method() -> Iterator[str]:
+    """Yield where a decision for other problems is, if that document is there."""
+    path = (shipped_folder() or Path()) / "which.md"
+    if path.exists():
+        yield f"For other problems, a decision in five questions: {path}"
 
 
 def wrap(line: str) -> str:
