@@ -258,3 +258,14 @@ def test_a_run_that_does_not_follow_the_motion_is_not_judged(step):
         assert (math.isfinite(found["bound"]), found["kept"]) == ((True, True) if follows else (False, None))
         assert found["claimed"]
         assert not found["undecided"]
+
+
+@pytest.mark.parametrize("constant", [0.0, -1000.0])
+def test_an_error_of_the_motion_does_not_depend_on_a_constant_in_the_potential(constant):
+    well = cb.Mechanical(
+        name="well", potential=lambda q: q[0] ** 4 / 4 + constant, gamma=0.01, q=(1.0,), p=(0.0,), t_end=20.0
+    )
+    with_action, without = (cb.solve(well, "rk4", step=0.5, save_at=[20.0], carry=c) for c in (("s",), ()))
+    error = cb.LAWS["solution_error"](without)
+    assert error > 1e-3
+    assert cb.LAWS["solution_error"](with_action) == pytest.approx(error, rel=1e-6)

@@ -330,3 +330,13 @@ def test_the_command_takes_a_file_and_a_name_and_prints_text_or_json(
     assert "advised-one: angular frequency about 1, damping 1e-05 of it" in said
     assert found["rows"][0]["method"] == "rk4"
     assert found["features"]["size"] == 1
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["double_pendulum", "thermostat", "heavy_top", "spherical_pendulum", "forced_oscillator", "planets"],
+)
+def test_there_is_advice_for_every_kind_of_scene(name):
+    advice = cb.advise(name)
+    assert len(advice) == 3
+    assert all(cb.METHODS[each].refuses(cb.SCENES[name]) is None for each in advice["method"])

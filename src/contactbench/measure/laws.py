@@ -67,15 +67,19 @@ def has_linear_damping(scene: Scene) -> bool:
 
 # -- comparisons with the truth --------------------------------------------------------------------
 def observables(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarray:
-    """Return packed states with the attitude as its nine matrix entries: what q and −q have in common."""
-    if scene.clock is not None:
-        return np.delete(y, scene.clock, axis=1)
-    if "R" not in carry:
-        return y
-    turned = scene.unpack(tuple(y.T), carry)
-    matrix = [entry for row in rotation_matrix(turned.R) for entry in row]
-    rest = [] if turned.s is None else [turned.s]
-    return np.array([*turned.M, *matrix, *rest]).T
+    """Return the motion in packed states, the attitude as its nine matrix entries: what q and −q have in common.
+
+    The time is no part of it, and s where nothing follows it: a constant in V would make it as large as one likes.
+    """
+    acts = "s" in scene.carry(())
+    if "R" in carry:
+        turned = scene.unpack(tuple(y.T), carry)
+        matrix = [entry for row in rotation_matrix(turned.R) for entry in row]
+        return np.array([*turned.M, *matrix, *([turned.s] if acts else [])]).T
+    beside = [] if scene.clock is None else [scene.clock]
+    if "s" in carry and not acts:
+        beside.append(scene.labels(carry).index("s"))
+    return np.delete(y, beside, axis=1)
 
 
 def truth(solution: Solution) -> Reference:
@@ -91,7 +95,7 @@ def truth(solution: Solution) -> Reference:
 
 
 def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
-    """Return ‖y − y*‖ at the saved times, and the size of the motion that it is relative to."""
+    """Return ‖y − y*‖ of the motion at the saved times, and the size of the motion that it is relative to."""
     scene, true, carry = solution.scene, truth(solution).y, solution.carry
     start = scene.pack(scene.initial(carry)) if solution.y0 is None else solution.y0
     gaps = observables(scene, solution.y, carry) - observables(scene, true, carry)

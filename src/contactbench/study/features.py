@@ -81,7 +81,7 @@ def features(scene: Scene) -> Features:
 
     def pull(t: float, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a place and the acceleration there, friction left out; of what has no coordinates state and slope."""
-        if not scene.canonical:
+        if not scene.separable:
             return y, slope(t, y)
         x: Any = scene.unpack(scene.with_clock(y.tolist(), start + t), carry)
         own: Any = scene
@@ -102,7 +102,7 @@ def features(scene: Scene) -> Features:
         damping = loss(slope, solver.t, solver.y, len(y0) // 2 if scene.canonical else len(y0))
     ways, changes, lengths = np.array(passed or [(0.0, 0.0, 0.0)]).T
     seen = (ways > SHORT * ways.max()) & np.isfinite(changes)
-    rates = (changes[seen] / ways[seen]) ** (0.5 if scene.canonical else 1.0)
+    rates = (changes[seen] / ways[seen]) ** (0.5 if scene.separable else 1.0)
     omega = float(np.average(rates, weights=lengths[seen])) if seen.any() else 0.0
     omega = max(omega, SLOWEST / scene.t_end)
     size = len(y0) // 2 if scene.canonical else len(y0)
