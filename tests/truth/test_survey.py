@@ -152,3 +152,11 @@ def test_extrapolation_takes_fast_motion_for_no_singularity(digits):
     for engine, setting in ((engines.extrapolation, digits), (engines.taylor, 140)):
         with pytest.raises(engines.OutOfTime):
             engine(scene, ["100000.0"], (), setting, deadline=engines.perf_counter() + 1.0)
+
+
+def test_a_wall_that_a_trial_step_goes_far_beyond_has_a_truth():
+    """There q⁴⁰ is no number any more: the step is too long, not the motion lost."""
+    wall = cb.Mechanical(
+        name="wall", potential=lambda q: q[0] ** 40 / 40, q=(0.1,), p=(1.5,), gamma=0.05, t_end=4.0
+    )
+    assert cb.reference(wall, [4.0]).digits >= 20

@@ -161,7 +161,10 @@ class Survey:
                 y, self.lost = given[bound], np.zeros_like(y)
 
     def motion(self, t: float, y: np.ndarray) -> np.ndarray:
-        slope = self.slope(t, y)
+        try:
+            slope = self.slope(t, y)
+        except OverflowError:  # a stage beyond all numbers: the step is too long
+            return np.full_like(y, np.inf)
         return np.where(np.abs(slope) < NONE * self.largest, 0.0, slope)
 
     def piece(self, ends: list[float], y: np.ndarray, bound: float, watch: Stopwatch) -> np.ndarray:
