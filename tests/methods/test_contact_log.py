@@ -237,3 +237,9 @@ def test_no_run_takes_more_steps_than_allowed():
         assert solution.status is cb.Status.budget
         assert "50" in solution.message
         assert np.isnan(solution.y[-1]).all()
+
+
+def test_a_derivative_that_costs_too_much_is_said_not_to_be_taken():
+    notes = cb.solve(KEPLER, "contact-log8", step=0.2).laws()["note"]
+    assert notes["contact_drift"].startswith("not taken: ")
+    assert notes["momentum_law"] == ""

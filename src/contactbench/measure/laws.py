@@ -404,6 +404,8 @@ def laws(solution: Solution) -> pd.DataFrame:
         if set(item.needs_on(solution.scene)) <= set(solution.carry):
             try:
                 found, note = item.measured(solution), "" if solution.ok else str(solution.status)
+                if solution.ok and item.differentiates and not solution.differential.taken:
+                    note = solution.differential.source
             except BadInput as error:  # no reference to compare with, or H(0) = 0
                 found, note = Measured(math.nan), str(error)
             rows[item.name] = (found.value, found.bound, note, item.definition)
