@@ -59,7 +59,7 @@ POLAR = ContactSystem(
     q=(1.0, 0.0),
     p=(0.3, 0.8),
     t_end=20.0,
-    experiments=("convergence", "laws", "stability"),
+    experiments=("convergence", "laws", "work_precision", "stability"),
 )
 
 THERMOSTAT = ContactSystem(
