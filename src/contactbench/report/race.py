@@ -24,6 +24,7 @@ from contactbench.results.judgement import structural_laws
 from contactbench.results.tables import LAWS_TABLE, shipped_folder
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
+FURTHER = "For other problems, a decision in five questions:"
 ALIKE = ("tie", "undecided")
 #: what a law is about, and what follows from what
 SYMBOLS = {"momentum_law": "J", "contact_drift": "η", "distribution_drift": "ker η", "pairing_drift": "pairs"}
@@ -266,7 +267,7 @@ def html(frame: pd.DataFrame) -> str:
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
     advice = Text(items=tuple(frame.attrs["recommendation"]))
     parts: list[Part | None] = [advice, drawn, moving, *views(frame), laws_view(frame)]
-    parts.append(Text(items=(*notes(frame), *which_method())))
+    parts.append(Text(items=(*notes(frame), f"{FURTHER} results/which.md.")))
     contents, images = Contents(chapter, tuple(answers(frame)), tuple(shown(parts))), {}
     for each in filter(None, (drawn, moving)):
         picture = base64.b64encode(svg(each).encode()).decode()
@@ -303,7 +304,7 @@ def which_method() -> Iterator[str]:
     """Yield where a decision for other problems is, if that document is there."""
     path = (shipped_folder() or Path()) / "which.md"
     if path.exists():
-        yield f"For other problems, a decision in five questions: {path}"
+        yield f"{FURTHER} {path}"
 
 
 def wrap(line: str) -> str:
