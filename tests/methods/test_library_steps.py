@@ -140,9 +140,7 @@ def test_whfast_sees_what_attracts():
 )
 def test_ias15_reaches_round_off(scene):
     """Of any equations of second order: the action acts back, forces pull on thirds of particles, masses differ."""
-    assert (
-        error(scene, "ias15", rtol=1e-13) < 4e-13
-    )  # measured, of the motion alone: 2.2e-13 on Kepler's orbit
+    assert error(scene, "ias15", rtol=1e-14) < 2e-13
 
 
 def test_ias15_passes_saved_times_and_stops_in_time():

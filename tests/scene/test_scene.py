@@ -209,6 +209,7 @@ PUSHED = {"name": "pushed", "potential": lambda q, t: q[0] ** 2 / 2 + t * q[0], 
 
 def test_a_span_of_time_stands_for_the_start_and_the_duration():
     assert cb.Mechanical(**WELL, t_span=(0, 20)).t_end == 20
+    assert cb.Mechanical(**WELL, t_span=None, t_end=20.0).t_end == 20
     pushed = cb.Driven(**PUSHED, t_span=(1, 60))
     assert (pushed.t, pushed.t_end) == (1, 59)
     again = pushed.with_(t_span=(2, 5))

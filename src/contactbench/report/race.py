@@ -6,7 +6,6 @@ import base64
 import math
 import textwrap
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -302,9 +301,8 @@ def text(frame: pd.DataFrame, every: bool = False) -> str:
 
 def which_method() -> Iterator[str]:
     """Yield where a decision for other problems is, if that document is there."""
-    path = (shipped_folder() or Path()) / "which.md"
-    if path.exists():
-        yield f"{FURTHER} {path}"
+    if folder := shipped_folder():
+        yield f"{FURTHER} {folder / 'which.md'}"
 
 
 def wrap(line: str) -> str:

@@ -71,9 +71,9 @@ def reciprocal[X](value: X) -> X:
 
 def with_duration(given: dict[str, Any], clocked: bool) -> dict[str, Any]:
     """Return arguments with t and t_end for `t_span=(start, end)`; clocked : whether there is a t."""
-    if "t_span" not in given:
+    span = given.pop("t_span", None)
+    if span is None:
         return given
-    span = given.pop("t_span")
     if both := [name for name in ("t", "t_end") if name in given]:
         raise BadInput(f"t_span = {excerpt(span)}: say it or {' and '.join(both)}, not both")
     start, end = vector("t_span", span, 2)
