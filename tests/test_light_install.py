@@ -80,6 +80,30 @@ def test_what_is_missing_is_one_line_with_the_command():
         assert re.fullmatch(r"[\w-]+ is not installed: pip install [\w -]+", said[name]), (name, said[name])
 
 
+def test_a_method_is_checked_and_timed_on_the_engines_that_are_there():
+    printed = without_extras("""
+        from contactbench import cli
+        from contactbench.study.choice import engines
+        from contactbench.study.experiment import PROFILES
+        from contactbench.testing import check_method
+        found = check_method(cb.METHODS["rk4"], scenes=[cb.SCENES["oscillator"]])
+        print("checked", sorted({each.engine for each in found}))
+        cli.main(["list", "methods"])
+        own = engines(cb.SCENES["particle"], PROFILES["smoke"])
+        print("timed", [engine for method, engine in own if method == "contact-rkn6"])
+        try:
+            check_method(cb.METHODS["rk4"], engines=["jax"])
+        except cb.BadInput as error:
+            print(error)
+    """)
+    assert "checked ['numba', 'python']" in printed
+    assert "heyoka is not installed: pip install heyoka" in printed
+    timed = re.search("timed .*", printed)[0]
+    assert "'numba'" in timed
+    assert "'jax'" not in timed
+    assert printed.endswith("engine jax: jax is not installed: pip install jax\n")
+
+
 @pytest.mark.parametrize("name", [*INSTALLED_AS.values(), "jax", "heyoka", "CyRK", "rebound", "sundials4py"])
 def test_the_command_names_packages_of_the_extras(name):
     required = [

@@ -45,7 +45,8 @@ def listing(arguments: argparse.Namespace) -> int:
     def method(item: Method) -> str:
         kind = {"fixed": "fixed step"}.get(item.stepping, item.stepping)
         order = [f"order {item.order}"] if item.order else ["variable order"] if item.adaptive else []
-        return f"{', '.join([*order, kind, '/'.join(item.engines)])}: {item.about}"
+        lacks = item.lacks(item.engines[0])
+        return f"{', '.join([*order, kind, '/'.join(item.engines)])}: {f'{lacks}; ' if lacks else ''}{item.about}"
 
     kinds = {
         "scenes": {name: scene.about for name, scene in cb.SCENES.items()},
@@ -230,4 +231,7 @@ def check(arguments: argparse.Namespace) -> int:
     except Violation as broken:
         print(f"contactbench: {broken}", file=sys.stderr)
         return 1
+    for engine in cb.METHODS[name].engines if name in cb.METHODS and not engines else ():
+        if lacks := cb.METHODS[name].lacks(engine):
+            print(f"left out: engine {engine}, {lacks}")
     return 0

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from contactbench.blame import blame
-from contactbench.checks import positive, text, whole
+from contactbench.checks import missing, positive, text, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_start
 from contactbench.methods.prescribed import SHORTEST_RUN, default_times, saved_times, steps_of, steps_until
@@ -39,6 +39,8 @@ SHORTEST = 1e-15
 ENGINES = dict.fromkeys(("numba", "jax", "llvm", "c", "c++"), "compiled")
 ENGINES |= dict.fromkeys(("python", "c+python"), "callbacks")
 CALLBACKS = tuple(engine for engine, kind in ENGINES.items() if kind == "callbacks")
+#: engine → a package that it needs and a plain installation does not have
+PACKAGES = {"jax": "jax"}
 
 DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
@@ -139,6 +141,11 @@ class Method(ABC):
     def refuses(self, scene: Scene) -> str | None:
         """Return why the scene is out of reach, or None."""
         return None
+
+    def lacks(self, engine: str) -> str | None:
+        """Return that a package is not installed without which an engine does not run, or None."""
+        package = self.package or PACKAGES.get(engine)
+        return missing(package) if package else None
 
     @abstractmethod
     def prepare(self, request: Request) -> Prepared:

@@ -80,6 +80,8 @@ def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
 
     def chosen(name: str, engine: str) -> bool:
         first, here = engine == METHODS[name].engines[0], scene.name == SMOKE
+        if not first and METHODS[name].lacks(engine):
+            return False
         brought = scene.name not in OWN or name not in OWN
         if scene.name not in TIMED_DEAR and not brought and (not first or engine in DEAR):
             return False

@@ -254,6 +254,8 @@ def engines_agree(case: MethodCase) -> None:
     mine = case.run(level, save_at=times)().y
     # the default, and for itself the last: JAX compiles for seconds
     for engine in (method.engines[0], *reversed(method.engines)):
+        if method.lacks(engine):
+            continue
         run = replace(case, engine=engine).run(level, save_at=times)
         if engine != case.engine and not isinstance(run, Refused):
             case.require_below(bound, f"off {engine}", case.gap(mine, run().y), case.engine)
@@ -326,10 +328,14 @@ METHOD_RULES: dict[int, Rule] = dict(enumerate((declares, refuses, *map(runs, RU
 def method_cases(
     method: Method, engines: Iterable[str] | None = None, scenes: Iterable[Scene] = CASES
 ) -> Iterator[MethodCase]:
-    scenes, chosen = tuple(scenes), tuple(method.engines if engines is None else engines)
+    lacking = {engine: lacks for engine in method.engines if (lacks := method.lacks(engine))}
+    installed = [engine for engine in method.engines if engine not in lacking] or method.engines
+    scenes, chosen = tuple(scenes), tuple(installed if engines is None else engines)
     if not (chosen and scenes and set(chosen) <= set(method.engines)):
         allowed = f"must be one or more, engines of {', '.join(method.engines)}"
         raise BadInput(f"engines = {excerpt(chosen)}, scenes = {excerpt(scenes)}: {allowed}")
+    for engine in lacking.keys() & set(chosen):
+        raise BadInput(f"engine {engine}: {lacking[engine]}")
     for engine in chosen:
         for scene in scenes:
             yield MethodCase(method, engine, scene, first=engine == chosen[0])
@@ -355,7 +361,7 @@ def check_method(
     method
         Itself, such as ``cb.METHODS["mine"]``.
     engines
-        By default all of the method.
+        By default all of the method whose packages are installed.
     scenes
         By default one of every kind.
 
