@@ -2,7 +2,8 @@
 
 The step is the same throughout a run, so that a contact method keeps everything it keeps.  Two pilots
 h and h/2 over the same saved times give the error of the finer one, gap/(2^p − 1) (Richardson); once
-two successive gaps fall as the order says, e(h) = C h^p is trusted to give the step.
+two successive gaps fall about as the order says, e(h) = C h^p is trusted to give the step.  Where the finer pilot
+is good enough it is the run.
 
 Saved times shorten steps, so that pilots of different steps may be one and the same run.  It is taken once: the run
 at the step chosen, too, may have been one of the pilots.
@@ -28,14 +29,18 @@ AIM = 0.4
 FIRST = 4
 #: of methods without an exact flow of damping, damping times the first step at most
 DAMPED = 8.0
-#: gaps larger than this are not asymptotic
-TRUSTED_GAP = 0.05
-#: how far the observed order may be from the method's
-LEEWAY = 0.5
+#: gaps larger than this are not asymptotic; nor are those that follow one as large as the motion
+TRUSTED_GAP, LOST = 0.05, 1.0
+#: the first pilot's step is at most about a period of the motion, as the start has it: longer ones all fly off alike
+PERIOD = 6.0
+#: right-hand sides that the period takes, and the distance between them, relative to the motion
+PROBES, BESIDE = 3, 1e-6
+#: the observed order from which on gaps are trusted to fall, as a part of the method's, and how far beyond it counts
+FALLING, LEEWAY = 0.6, 0.5
 #: a gap of this size is round-off
 ROUND_OFF = 1e-13
-#: the last pilot's step is at most this many times the chosen one
-REACH = 6.0
+#: the next pilot's step is at most so many times shorter; one foretold to be good enough may have such a larger error
+REACH, TWICE = 6.0, 2.0
 
 
 class Pilot(NamedTuple):
@@ -71,6 +76,8 @@ class ChosenStep(Prepared):
         # or a `ToleranceRun` of a method that follows the motion, which is asked the same
         self.run: FixedStepRun = self.method_.run_of(replace(self.request, step=self.first), self.loop)
         self.compile_s = self.run.compile_s
+        #: the step of a method that follows the motion is no time
+        self.probes = 0 if self.method_.follows else PROBES
         self.alone = Lock()  # one run to divide: calls from several threads take turns
         self.sensitivity_source = self.run.sensitivity_source
         #: what the parts of the motion are measured in
@@ -80,7 +87,7 @@ class ChosenStep(Prepared):
         with self.alone:
             step, pilots = self.choose(y0)
             self.run.divide(step)
-            evaluations = sum(pilot.evaluations for pilot in pilots)
+            evaluations = sum(pilot.evaluations for pilot in pilots) + self.probes
             known = [pilot.y[1:] for pilot in pilots if pilot.steps == self.run.needed]
             if known:
                 out = self.run.outcome(y0, known[0], self.run.totals)
@@ -102,9 +109,11 @@ class ChosenStep(Prepared):
         return self.run.log_factor(y0, y)
 
     def choose(self, y0: np.ndarray) -> tuple[float, list[Pilot]]:
+        """Return the step to take and the pilots: one of them has it, unless it takes more steps than allowed."""
         r, order = self.request, self.method_.order
         assert r.rtol is not None
-        target, step, gap, finer = AIM * r.rtol, self.first, math.inf, 2.0
+        enough, gap, finer = AIM * r.rtol, math.inf, 2.0
+        step = min(self.first, PERIOD * self.time_scale(y0)) if self.probes else self.first
         pilots: list[Pilot] = []
         while (steps := self.run.steps_at(y0, step)) <= r.max_steps:
             before = pilots[-1] if pilots else None
@@ -113,24 +122,49 @@ class ChosenStep(Prepared):
                 step /= 2
                 continue
             pilots.append(self.pilot(y0, step))
-            if before is not None:
-                # saved times shorten steps: a pilot may have less than twice as many as the one before
-                coarser, finer = finer, steps / before.steps
-                wider, gap = gap, self.distance(before, pilots[-1])
-                if gap < ROUND_OFF:  # exact, or as good as it gets; the run is one that was taken
-                    finest = pilots[-1]
-                    return next(p.asked for p in pilots if self.distance(p, finest) <= target), pilots
-                rate = math.log(wider / gap) / math.log(coarser) if math.isfinite(wider + gap) else 0.0
-                settled = gap < TRUSTED_GAP and rate > order - LEEWAY
-                # an order seen to be higher, as the next term of the error makes it, counts in part
-                error = gap / (finer ** min(max(rate, order), order + LEEWAY) - 1)
-                if settled and error <= target:
-                    return self.between(y0, pilots, error, target), pilots
-                ahead = (target / error) ** (1 / order)
-                if settled and rate < order + LEEWAY and ahead > 1 / REACH:
-                    return pilots[-1].size * ahead, pilots
             step /= 2
+            if before is None:
+                continue
+            # saved times shorten steps: a pilot may have less than twice as many as the one before
+            coarser, finer = finer, steps / before.steps
+            wider, gap = gap, self.distance(before, pilots[-1]) / (1 - finer**-order)
+            trusted = wider < LOST or wider == math.inf
+            if gap < ROUND_OFF and trusted:  # exact, or as good as it gets
+                finest = pilots[-1]
+                return next(p.asked for p in pilots if self.distance(p, finest) <= enough), pilots
+            falls = trusted and 0 < gap < TRUSTED_GAP and wider < math.inf
+            rate = math.log(wider / gap) / math.log(coarser) if falls else 0.0
+            if rate > FALLING * order:
+                # errors do not fall evenly yet: an order seen to be lower, or higher, counts in part
+                seen = min(max(rate, (rate + order) / 2), order + LEEWAY)
+                error = gap / finer**seen
+                if error <= enough:
+                    return pilots[-1].asked, pilots
+                enough = AIM * r.rtol
+                ahead = (enough / error) ** (1 / min(seen, order))
+                if rate < order + LEEWAY:
+                    step = pilots[-1].size * max(ahead, 1 / REACH)
+                    # what was to have the error aimed at may have twice as much
+                    enough *= TWICE if ahead > 1 / REACH else 1.0
         return step, pilots  # will end as `budget`
+
+    def time_scale(self, y0: np.ndarray) -> float:
+        """Return 1/ω of the motion at the start: ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still."""
+        scene, carry, motion = self.request.scene, self.request.carry, self._motion
+
+        def slope(y: np.ndarray) -> np.ndarray:
+            rates: np.ndarray = np.array(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry))), float)
+            return rates
+
+        def bent(w: np.ndarray) -> np.ndarray:
+            size = float(np.linalg.norm(w[:motion]))
+            near = BESIDE * (np.linalg.norm(y0[:motion]) or 1.0) / (size or 1.0)
+            return (slope(y0 + near * w) - first) / near
+
+        with np.errstate(all="ignore"):
+            first = slope(y0)
+            fast, slow = (float(np.linalg.norm(w[:motion])) for w in (bent(bent(first)), first))
+        return math.sqrt(slow / fast) if 0 < fast < math.inf and slow > 0 else math.inf
 
     def pilot(self, y0: np.ndarray, step: float) -> Pilot:
         run = self.run
@@ -138,27 +172,6 @@ class ChosenStep(Prepared):
         y, counts = run.take(y0)
         steps, saved = counts.steps or 1, np.vstack([y0, y[run.saved]])
         return Pilot(steps, run.size_at(step, steps), step, counts.evaluations or 0, saved)
-
-    def between(self, y0: np.ndarray, pilots: list[Pilot], error: float, target: float) -> float:
-        """The step between two pilots at which the error, measured against the finest, is the target.
-
-        It becomes a pilot too.  Where steps are so long that errors do not fall evenly its own may be beyond the
-        tolerance, and the finer of the two pilots is taken.
-        """
-        finest = finer = pilots[-1]
-        for pilot in reversed(pilots[:-1]):
-            larger = self.distance(pilot, finest)
-            if not larger <= target:
-                if not math.isfinite(larger):
-                    break
-                shorter = math.log(target / error) / math.log(larger / error)
-                step = float(max(finer.asked, finer.size * (pilot.size / finer.size) ** shorter))
-                if self.run.steps_at(y0, step) == finer.steps:
-                    return step
-                pilots.append(self.pilot(y0, step))
-                return step if self.distance(pilots[-1], finest) <= target / AIM else finer.asked
-            finer, error = pilot, max(larger, error)
-        return finer.asked
 
     def distance(self, coarse: Pilot, fine: Pilot) -> float:
         """Return max ‖coarse − fine‖ / max ‖fine‖ of (q, p) or M, the start included; infinite unless finite."""

@@ -29,6 +29,8 @@ from contactbench.study.search import Question, Search, step_at
 from contactbench.study.settings import ENDS, times
 from contactbench.study.timetable import last_cores
 from contactbench.truth import Reference
+from contactbench.truth.engines import NEVER
+from contactbench.truth.reference import by_two_solvers
 
 MAIN, RINGS, PERIOD, ERROR = "fput", ("fput", "linear_ring"), 16, 1e-6
 #: lengths of rings, by the profile from which on they are run
@@ -84,8 +86,10 @@ def sized(name: str, n: int) -> Many:
 
 @cache
 def truth(name: str) -> Reference:
+    """Return what errors of 10⁻⁶ are told by: where there is no closed form by two solvers, not to fifty digits."""
     short = sized(name, PERIOD)
-    return cb.reference(short, times(short, ENDS), ())
+    saved = times(short, ENDS)
+    return by_two_solvers(short, saved, (), NEVER) if short.exact is None else cb.reference(short, saved, ())
 
 
 @cache
