@@ -159,7 +159,8 @@ class ChosenStep(Prepared):
         def bent(w: np.ndarray) -> np.ndarray:
             size = float(np.linalg.norm(w[:motion]))
             near = BESIDE * (np.linalg.norm(y0[:motion]) or 1.0) / (size or 1.0)
-            return (slope(y0 + near * w) - first) / near
+            change: np.ndarray = slope(y0 + near * w) - first
+            return change / near
 
         with np.errstate(all="ignore"):
             first = slope(y0)
