@@ -222,6 +222,26 @@ def test_steps_that_saved_times_shorten_are_not_taken_for_halved_ones(method, rt
     assert np.linalg.norm(y - z, axis=1).max() <= rtol * np.linalg.norm(z, axis=1).max()
 
 
+@pytest.mark.parametrize("gamma", [0.0, 0.1, 1000.0])
+@pytest.mark.parametrize(("q", "p"), [((1.0,), (0.0,)), ((0.0,), (0.3,)), ((-0.4,), (2.0,))])
+def test_the_period_that_bounds_pilots_is_that_of_the_undamped_motion(gamma, q, p):
+    """Whatever the phase and the units: damping is exact at any step, and what it leaves may be slow."""
+    for mass, stiffness in ((1.0, 1.0), (1e6, 4e6), (1e-3, 0.1)):
+        scene = cb.Mechanical(
+            name="spring",
+            potential=lambda q, k: k * q[0] ** 2 / 2,
+            parameters={"k": stiffness},
+            mass=mass,
+            gamma=gamma,
+            q=q,
+            p=p,
+            t_end=50.0,
+        )
+        run = cb.prepare(scene, "contact-rkn8", rtol=1e-3, carry=())
+        assert isinstance(run, ChosenStep)
+        assert run.time_scale(run.start) == pytest.approx(np.sqrt(mass / stiffness), rel=1e-3)
+
+
 # -- one step as a function of its own -------------------------------------------------------------
 STEP = 0.1
 

@@ -149,12 +149,19 @@ class ChosenStep(Prepared):
         return step, pilots  # will end as `budget`
 
     def time_scale(self, y0: np.ndarray) -> float:
-        """Return 1/ω of the motion at the start: ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still."""
+        """Return 1/ω of the motion at the start: ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still.
+
+        A constant damping is no part of f: what it leaves is slow, and contact steps may be longer than it takes.
+        """
         scene, carry, motion = self.request.scene, self.request.carry, self._motion
+        momenta = motion // 2 if hasattr(scene.unpack(scene.entries(y0), carry), "q") else 0
+        damped, rate = np.zeros(len(y0)), scene.conformal_rate
+        damped[momenta:motion] = rate if isinstance(rate, float) else 0.0
 
         def slope(y: np.ndarray) -> np.ndarray:
-            rates: np.ndarray = np.array(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry))), float)
-            return rates
+            f: np.ndarray = np.array(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry))), float)
+            f += damped * y
+            return f
 
         def bent(w: np.ndarray) -> np.ndarray:
             size = float(np.linalg.norm(w[:motion]))
