@@ -5,8 +5,8 @@ h and h/2 over the same saved times give the error of the finer one, gap/(2^p âˆ
 two successive gaps fall about as the order says, e(h) = C h^p is trusted to give the step.  Where the finer pilot
 is good enough it is the run.
 
-Saved times shorten steps, so that pilots of different steps may be one and the same run.  It is taken once: the run
-at the step chosen, too, may have been one of the pilots.
+Saved times shorten steps, so that pilots of different steps may be one and the same run.  It is taken once, and the
+run at the step chosen is one of the pilots.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class ChosenStep(Prepared):
             known = [pilot.y[1:] for pilot in pilots if pilot.steps == self.run.needed]
             if known:
                 out = self.run.outcome(y0, known[0], self.run.totals)
-            else:
+            else:  # it takes too many steps
                 out = self.run.integrate(y0)
                 evaluations += out.counts.evaluations or 0
             message = out.message

@@ -25,7 +25,6 @@ from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from contactbench.checks import missing
 from contactbench.errors import BadInput
 from contactbench.methods.base import Adaptive
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
@@ -67,7 +66,7 @@ class Peer(Adaptive):
         if scene.by_sites and self.most and scene.motion > self.most:
             size = f"scene {scene.name!r} has {scene.motion} components, more than {self.most}"
             return f"{self.name} {self.reason}: {size}"
-        return missing(self.package) if self.package else None
+        return self.lacks(self.engines[0])
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:
         return self.costs.get(engine)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.checks import missing
 from contactbench.methods.base import CALLBACKS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.loops import StepLoop
@@ -67,7 +66,7 @@ class Stepper(Method):
     tolerance = "nothing: it takes a step"
 
     def refuses(self, scene: Scene) -> str | None:
-        return missing(self.package) or self.unfit(scene)
+        return self.lacks(self.engines[0]) or self.unfit(scene)
 
     @abstractmethod
     def unfit(self, scene: Scene) -> str | None:
