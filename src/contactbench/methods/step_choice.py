@@ -133,6 +133,8 @@ class ChosenStep(Prepared):
                 finest = pilots[-1]
                 return next(p.asked for p in pilots if self.distance(p, finest) <= enough), pilots
             falls = trusted and 0 < gap < TRUSTED_GAP and wider < math.inf
+            if falls and gap <= min(enough, wider / 2):  # at any order: those to come are no more together
+                return pilots[-1].asked, pilots
             rate = math.log(wider / gap) / math.log(coarser) if falls else 0.0
             if rate > FALLING * order:
                 # errors do not fall evenly yet: an order seen to be lower, or higher, counts in part
