@@ -9,7 +9,7 @@ import contactbench as cb
 from cases import mine
 from contactbench.methods.prepared import METHODS
 from contactbench.numbers.control import XlaNumbers
-from contactbench.scene.general_damping import decay, survival
+from contactbench.scene.general_damping import decayed
 from contactbench.testing import check_scene
 from contactbench.xla import jax, jnp
 
@@ -258,7 +258,7 @@ def test_the_tangent_of_a_damping_of_ones_own_is_right_where_it_vanishes():
     damping = {"damping": lambda s: 0.3 * s + 0.4 * s * s, "damping_slope": lambda s: 0.3 + 0.8 * s}
     scene = mine(POTENTIALS["quartic"], 0.5, 0.8, kind=cb.GeneralDamping, **damping)
     xp, h = XlaNumbers(), 0.5
-    slope = jax.grad(lambda s: survival(scene, s, decay(scene, s, h, xp), h, xp))(0.0)
+    slope = jax.grad(lambda s: xp.exp(decayed(scene, s, h, xp)[1]))(0.0)
     assert math.isclose(slope, math.exp(-0.3 * h) * 0.8 * math.expm1(-0.3 * h) / 0.3, rel_tol=1e-12)
 
 

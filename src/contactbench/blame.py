@@ -18,7 +18,19 @@ from contactbench.limits import VARIABLE, Overrun, limit, within
 #: characters of another's message that are repeated
 REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
-FUNCTIONS: tuple[str, ...] = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
+FUNCTIONS: tuple[str, ...] = (
+    "exp",
+    "expm1",
+    "log",
+    "log1p",
+    "sqrt",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+)
 FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
 #: and those of several
 SEVERAL = ("atan2", "hypot", "where")

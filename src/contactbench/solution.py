@@ -164,7 +164,7 @@ class Solution:
     run
         The `Prepared` that made it, which can be differentiated.
     truth
-        The `Reference` at its times, where it is known already; else the laws compute it.
+        The `Reference` at its times, where it is known already, or why there is none; else the laws compute it.
     """
 
     scene: Scene
@@ -183,7 +183,7 @@ class Solution:
     value: float = 0.0
     step_chosen: float = float("nan")
     step: float = float("nan")
-    truth: Reference | None = None
+    truth: Reference | BadInput | None = None
 
     @staticmethod
     def of(ending: dict[str, object], y: np.ndarray, y0: np.ndarray) -> Solution:
@@ -301,6 +301,11 @@ class Solution:
     def log_factor(self) -> np.ndarray | None:
         """Log of the product of the conformal factors of the contact maps applied, (k,); None: no such maps."""
         return None if self.run is None else self.run.log_factor(self.y0, self.y)
+
+    @property
+    def composed(self) -> bool:
+        """Whether the run is a composition of contact maps, of whatever factors."""
+        return self.run is not None and self.run.composed(self.y0)
 
     @property
     def sensitivity(self) -> np.ndarray:

@@ -260,6 +260,7 @@ FUNCTIONS = {
     "angle": lambda q: cb.math.atan2(q[1], q[0]),
     "hyperbolic": lambda q: cb.math.tanh(q[0]) * cb.math.sinh(q[1]) + cb.math.cosh(q[0]),
     "area": lambda q: cb.math.asinh(q[1]) + cb.math.acosh(2 + q[0]) + cb.math.atanh(q[1] / 4),
+    "differences": lambda q: cb.math.expm1(q[0] - q[1]) * q[1] + cb.math.log1p(q[0] * q[1]),
     "powers": lambda q: q[0] ** 2.3 + q[1] ** -1.5 + q[0] ** q[1] + 2.0 ** q[0],
     "absolute": lambda q: abs(q[0] - q[1]) ** 3 + np.hypot(q[0], q[1]),
     "NumPy": lambda q: np.sin(q[0]) + np.float64(2) * np.exp(q[1]) + np.maximum(q[0], q[1]) ** 2,

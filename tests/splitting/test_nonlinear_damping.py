@@ -13,7 +13,7 @@ from cases import in_mp, mine
 from contactbench.measure import order as precision
 from contactbench.measure.laws import decay_rate
 from contactbench.methods.contact import ContactMethod
-from contactbench.scene.general_damping import decay
+from contactbench.scene.general_damping import decayed
 from contactbench.splitting import composition
 from contactbench.splitting.composition import FORWARD
 from contactbench.splitting.tables import COMPOSITIONS
@@ -140,11 +140,26 @@ def test_quadrature_is_the_closed_form(s, h):
     with mp.workdps(50):
         exact, _ = in_mp(QUADRATURE, QUADRATURE.initial(("s",)))
         true = cubic_flow(mp.mpf(s), mp.mpf(h), mp)
-        assert abs(decay(exact, mp.mpf(s), mp.mpf(h), mp) - true) < mp.mpf(10) ** -45
+        assert abs(decayed(exact, mp.mpf(s), mp.mpf(h), mp)[0] - true) < mp.mpf(10) ** -45
     tolerance = 1e-15 * abs(s) if abs(s) < 1 else 1e-11
-    assert decay(QUADRATURE, s, h, math) == pytest.approx(float(true), rel=0, abs=tolerance)
-    together = decay(QUADRATURE, np.array([s, s]), h, np)
+    assert decayed(QUADRATURE, s, h, math)[0] == pytest.approx(float(true), rel=0, abs=tolerance)
+    together = decayed(QUADRATURE, np.array([s, s]), h, np)[0]
     np.testing.assert_allclose(together, float(true), rtol=0, atol=tolerance)
+
+
+GONE = {"damping": lambda s: cb.math.exp(s) - 1, "damping_slope": cb.math.exp}
+FLOWS = [None, lambda s, h, xp: -xp.log(1 + (xp.exp(-s) - 1) * xp.exp(-h))]
+
+
+@pytest.mark.parametrize("flow", FLOWS, ids=["quadrature", "closed form"])
+def test_round_off_near_a_zero_of_the_damping_does_not_reach_the_factor(flow):
+    """Γ = e^s − 1 has none of its digits right where s is 1e-17; the factor there is e^{−h} all the same."""
+    scene = cb.GeneralDamping(**AT_REST | {"p": (0.8,)}, s=0.5, **GONE, damping_flow=flow)
+    for s in (0.0, 1e-17, 1e-9, -1e-12):
+        assert decayed(scene, s, 0.2, math)[1] == pytest.approx(-0.2 - s * (1 - math.exp(-0.2)), abs=1e-15)
+    solution = cb.solve(scene.with_(t_end=40.0), "contact-abc", step=0.1)
+    assert cb.LAWS["distribution_drift"](solution) < 1e-13
+    assert cb.LAWS["own_factor_drift"](solution) < 1e-13
 
 
 @pytest.mark.parametrize("engine", ["numba", "jax", "python"])

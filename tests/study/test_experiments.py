@@ -247,7 +247,7 @@ def test_fixed_steps_pass_through_the_earlier_ends(method):
     """The error there, of runs of their own and of one that passes through; a processed method has more of it."""
     scene = cb.SCENES["central"]
     ends = [scene.t_end * k / ENDS for k in range(1, ENDS)]
-    options = {"step": steps(scene, cb.METHODS[method].order)[2], "engine": "python", "carry": ()}
+    options = {"step": steps(scene, cb.METHODS[method])[2], "engine": "python", "carry": ()}
     own = error([cb.solve(scene, method, save_at=[t], **options) for t in ends])
     passing = error([cb.solve(scene, method, save_at=ends, **options)])
     same = passing == pytest.approx(own, rel=1e-6, abs=1e-14)

@@ -10,7 +10,7 @@ import contactbench as cb
 from contactbench.measure.clock import Race, Visit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.report import race
-from contactbench.solution import Status
+from contactbench.solution import Counts, Status
 from contactbench.study.compare import frame_of
 from contactbench.study.recommendation import recommendation
 from contactbench.study.schedule import Schedule, waits
@@ -66,6 +66,14 @@ def test_a_rival_that_was_not_begun_is_named_and_a_slow_one_that_was_reached_by_
     assert found.endswith("; whether faster with cyrk-vern8 is undecided: no time was left (--budget).")
     (found,) = recommendation(raced([None] * 7))
     assert found == "Nothing to take for 10⁻⁶: the most accurate is rkn12, step 0.1, with 3.0e-04."
+    race = Schedule(cb.SCENES["oscillator"], ["rk8", "rkn12"], (1e-6,), 60.0)
+    for each, evaluations in zip(race.searches, (2200, 1800), strict=True):
+        counts = Counts(evaluations=evaluations)
+        each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", 1e-6, error=3e-7, counts=counts))
+    (found,) = recommendation(frame_of(race))
+    assert found.startswith(
+        "Take rkn12, step 0.1: 1800 evaluations for 10⁻⁶, the fewest; no time was left for the "
+    )
     (found,) = recommendation(raced([3.1], errors=(1e-40,), names=["rkn12"]))
     assert found.startswith("Nothing to take for 10⁻⁴⁰: the reference is known to ")
 

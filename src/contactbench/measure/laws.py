@@ -83,10 +83,19 @@ def observables(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarr
 
 
 def truth(solution: Solution) -> Reference:
-    """Return the true states at the saved times of a run."""
-    if solution.truth is not None:
-        known: Reference = solution.truth
-        return known
+    """Return the true states at the saved times of a run, which keeps them, or why there are none."""
+    if solution.truth is None:
+        try:
+            solution.truth = sought(solution)
+        except BadInput as why:
+            solution.truth = why
+    if isinstance(solution.truth, BadInput):
+        raise solution.truth
+    known: Reference = solution.truth
+    return known
+
+
+def sought(solution: Solution) -> Reference:
     scene = solution.scene
     own = scene.pack(scene.initial(solution.carry))
     if solution.y0 is not None and not np.array_equal(own, solution.y0):
@@ -210,7 +219,7 @@ def is_contact_map(solution: Solution) -> bool:
 
 def is_composed(solution: Solution) -> bool:
     """Whether the run is a composition of contact maps, of whatever factors."""
-    return solution.log_factor() is not None
+    return solution.composed
 
 
 @law(
@@ -420,14 +429,20 @@ WITH_ERROR_BAR = ("contact_drift", "distribution_drift", "pairing_drift")
 CLAMPED = ("contact_drift", "pairing_drift", "hamiltonian_law", "momentum_law")
 
 
-def row(solution: Solution, without: str = "") -> dict[str, object]:
-    """Return every law the scene has, and whether it is kept, as columns; without : why no derivative is taken."""
+def row(
+    solution: Solution, without: str = "", leave_out: Callable[[str], bool] = lambda name: False
+) -> dict[str, object]:
+    """Return every law the scene has, and whether it is kept, as columns; without : why no derivative is taken.
+
+    leave_out : whether a law, by its name, is not measured; "solution_error" always is: a wreck keeps nothing.
+    """
     if not solution.ok:
         return {}
     scene = solution.scene
     found = {}
     for item in laws_of(scene):
-        if not (without and item.differentiates):
+        unwanted = item.name != "solution_error" and leave_out(item.name)
+        if not (unwanted or (without and item.differentiates)):
             with suppress(Undefined):
                 found[item.name] = item.measured(solution)
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}

@@ -48,6 +48,9 @@ class ExactRun(Prepared):
         rate: float = self.request.scene.conformal_rate
         return -rate * self.request.save_at
 
+    def composed(self, y0: np.ndarray) -> bool:
+        return True
+
     def integrate(self, y0: np.ndarray) -> Outcome:
         needed = len(self.later)
         if needed > self.request.max_steps:

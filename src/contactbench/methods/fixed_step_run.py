@@ -220,6 +220,10 @@ class FixedStepRun(Prepared):
             return None
         return np.append([0.0] if self.saves_start else [], np.cumsum(known)[self.saved])
 
+    def composed(self, y0: np.ndarray) -> bool:
+        start = self.request.scene.unpack(y0.tolist(), self.request.carry)
+        return self.method_.log_factor(self.request.scene, start, float(self.h[0]), 1) is not None
+
     def modified_hamiltonian(self, x: AnyState) -> Numeric:
         """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
         if np.ptp(self.h) > EQUAL * self.h[0]:

@@ -365,6 +365,10 @@ class Prepared(ABC):
         """Log of the product of the conformal factors up to each saved time, (k,); None without contact maps."""
         return None
 
+    def composed(self, y0: np.ndarray) -> bool:
+        """Return whether a run is a composition of contact maps: whether it has a `log_factor`."""
+        return False
+
     def modified_hamiltonian(self, x: AnyState) -> Numeric:
         """H̃ at x (see `splitting.modified`), None where the run is not known to be the flow of one."""
         return None

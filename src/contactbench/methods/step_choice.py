@@ -108,6 +108,9 @@ class ChosenStep(Prepared):
         self.run.divide(self.choose(y0)[0])
         return self.run.log_factor(y0, y)
 
+    def composed(self, y0: np.ndarray) -> bool:
+        return self.run.composed(y0)
+
     def choose(self, y0: np.ndarray) -> tuple[float, list[Pilot]]:
         """Return the step to take and the pilots: one of them has it, unless it takes more steps than allowed."""
         r, order = self.request, self.method_.order

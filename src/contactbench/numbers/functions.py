@@ -20,10 +20,14 @@ import numpy as np
 
 from contactbench.numbers.protocol import Arithmetic, ChoosingNamespace, Condition, Number
 
-__all__ = ["acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "hypot"]
-__all__ += ["log", "pi", "sin", "sinh", "sqrt", "tan", "tanh", "where"]
+__all__ = ["acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "expm1"]
+__all__ += ["hypot", "log", "log1p", "pi", "sin", "sinh", "sqrt", "tan", "tanh", "where"]
 
 pi = math.pi
+
+
+#: where logarithms are −∞
+POLES = {"log": 0, "log1p": -1}
 
 
 def namespace(x: object) -> Any:
@@ -54,7 +58,7 @@ def call(name: str, own: Callable[..., Arithmetic], *numbers: Arithmetic) -> Ari
     if isinstance(first, np.ndarray) and first.dtype == object:  # of mpmath numbers
         own = np.frompyfunc(own, len(numbers), 1)
     else:
-        own = getattr(namespace(first), name)
+        own = getattr(namespace(first), name, None) or INSTEAD[name]
     return own(*numbers)
 
 
@@ -67,7 +71,7 @@ def function(name: str) -> Callable[[Arithmetic], Arithmetic]:
             try:
                 return plain(x)
             except ValueError:
-                return -math.inf if name == "log" and x == 0 else math.nan
+                return -math.inf if POLES.get(name) == x else math.nan
             except OverflowError:
                 return math.copysign(math.inf, x) if name == "sinh" else math.inf
         return call(name, apply, x)
@@ -78,11 +82,15 @@ def function(name: str) -> Callable[[Arithmetic], Arithmetic]:
 
 
 # one by one, so that a type checker knows them
-exp, log, sqrt = map(function, ("exp", "log", "sqrt"))
+exp, expm1, log, log1p, sqrt = map(function, ("exp", "expm1", "log", "log1p", "sqrt"))
 sin, cos, tan = map(function, ("sin", "cos", "tan"))
 asin, acos, atan = map(function, ("asin", "acos", "atan"))
 sinh, cosh, tanh = map(function, ("sinh", "cosh", "tanh"))
 asinh, acosh, atanh = map(function, ("asinh", "acosh", "atanh"))
+
+
+#: of heyoka, which has no functions of that name
+INSTEAD: dict[str, Callable[..., Arithmetic]] = {"expm1": lambda x: exp(x) - 1, "log1p": lambda x: log(1 + x)}
 
 
 def where(condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:

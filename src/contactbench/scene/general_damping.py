@@ -5,14 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
 from contactbench.checks import function, require_number
 from contactbench.errors import BadInput
 from contactbench.numbers.control import choose, iterate, settle
-from contactbench.numbers.protocol import Arithmetic, Namespace, has_digits, has_where
+from contactbench.numbers.dual import Dual, DualNumbers, slope, value
+from contactbench.numbers.protocol import (
+    Arithmetic,
+    ChoosingNamespace,
+    ExactNamespace,
+    Namespace,
+    has_digits,
+    has_where,
+)
 from contactbench.scene.algebra import State
 from contactbench.scene.base import Check, optional
 from contactbench.scene.flow import Flow, damped_time, plain
@@ -21,87 +29,117 @@ from contactbench.scene.mechanical import Mechanical
 # With r = Γ' about half-way and the time τ in which linear damping of that rate would do the same,
 # s = s₀ − Γ(s₀) φ_r(τ), φ_r(τ) = (1 − e^{−rτ})/r, the separated equation ∫ ds/Γ = −h of s' = −Γ(s) becomes
 #
-#     ∫₀^{τ(h)} k(τ) dτ = h,   k(τ) = e^{−rτ} Γ(s₀)/Γ(s(τ)),
+#     ∫₀^{τ(h)} k(τ) dτ = h,   k(τ) = e^{−rτ} Γ(s₀)/Γ(s(τ)) = 1/(1 − e^{rτ} ∫₀^τ (Γ' − r) e^{−rτ'} dτ'),
 #
-# whose integrand is positive, 1 where Γ is linear, and regular at the zeros of Γ.  Gauss's rule and Newton's method
-# from τ = h; the slope of the integral is k.  On doubles the rule has `NODES` nodes in each half of the step: enough
-# for round-off where Γ'h is below one (measured in the tests).
+# the latter from dΓ(s(τ))/dτ = −Γ'(s(τ)) Γ(s₀) e^{−rτ}.  It divides by no Γ: near a zero, where round-off is most of
+# Γ, k and its derivatives are as good as elsewhere.  Gauss's rule, the integrals up to its nodes those of the
+# polynomial through them, and Newton's method from τ = h; the slope of the integral is k.  On doubles the rule has
+# `NODES` nodes in each half of the step: enough for round-off where Γ'h is below one (measured in the tests).  Along
+# the way ∫Γ' dt = rh + ∫(Γ' − r) k dτ.
 NODES, ITERATIONS, PANELS = 16, 6, 2
 
 
 @cache
-def rule() -> tuple[list[float], list[float]]:
+def rule() -> tuple[list[float], list[float], list[list[float]]]:
+    """Return Gauss's nodes and weights on [0, 1], and the weights of the integrals from 0 to each node."""
     x, w = np.polynomial.legendre.leggauss(NODES)
-    return ((1 + x) / 2).tolist(), (w / 2).tolist()
+    degrees = np.arange(NODES)
+    values = np.polynomial.legendre.legvander(x, NODES)
+    # ∫_{−1}^x P_n = (P_{n+1} − P_{n−1})/(2n + 1), and x + 1 of P_0
+    below = np.column_stack([-np.ones(NODES), values[:, : NODES - 1]])
+    integrals = (values[:, 1:] - below) / (2 * degrees + 1)
+    coefficients = (
+        (degrees + 0.5)[:, None] * values[:, :NODES].T * w
+    )  # of the polynomial, by its values at the nodes
+    return ((1 + x) / 2).tolist(), (w / 2).tolist(), (integrals @ coefficients / 2).tolist()
 
 
-def decay(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    """Return s(h) from s at 0; not finite where s reaches infinity before."""
+def decayed(
+    scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace
+) -> tuple[Arithmetic, Arithmetic]:
+    """Return s(h) from s at 0, and log ∂s(h)/∂s, that of the factor on p and on η; not finite beyond s = ∞.
+
+    The factor is Γ(s(h))/Γ(s), too, which is lost in round-off near the zeros of Γ.
+    """
     if scene.damping_flow is not None:
-        return scene.damping_flow(s, h, xp)
+        span = Dual(h, 0.0) if isinstance(h, Dual) else h
+        after = scene.damping_flow(Dual(s, 1.0), span, DualNumbers(cast(ChoosingNamespace, xp)))
+        resting = scene.dissipation(s) == 0  # where a closed form need not have a derivative
+        ratio = choose(resting, 1.0, slope(after), xp)
+        return value(after), choose(resting, at_rest(scene, s, h, xp), xp.log(ratio), xp)
+    log = 0.0 * s
     for _ in range(PANELS):
-        s = by_quadrature(scene, s, h / PANELS, xp)
-    return s
+        s, more = by_quadrature(scene, s, h / PANELS, xp)
+        log = log + more
+    return s, log
 
 
-def by_quadrature(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
+def by_quadrature(
+    scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace
+) -> tuple[Arithmetic, Arithmetic]:
     start = scene.dissipation(s)
     r = scene.dissipation_rate(s - start * damped_time(scene.dissipation_rate(s), h / 2, xp))
-    resting = start == 0
 
     def at(tau: Arithmetic) -> Arithmetic:
         return s - start * damped_time(r, tau, xp)
 
-    def pace(tau: Arithmetic) -> Arithmetic:
-        there = scene.dissipation(at(tau))
-        gone = there == 0
-        ratio = choose(resting, 1.0, start, xp) / choose(gone, 1.0, there, xp)
-        return choose(resting, 1.0, choose(gone, 1.0, xp.exp(-r * tau) * ratio, xp), xp)
+    def sampled(tau: Arithmetic) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
+        """Return the integrals from 0 to tau of k and of k (Γ' − r), and k there."""
+        nodes, weights, upto = rule()
+        beside = [scene.dissipation_rate(at(tau * x)) - r for x in nodes]
+        grown = [xp.exp(r * (tau * x)) for x in nodes]
+        shrunk = [a / b for a, b in zip(beside, grown, strict=True)]
 
-    def elapsed(tau: Arithmetic) -> Arithmetic:
-        if has_digits(xp):
-            return xp.quad(pace, [0, tau])
-        return tau * sum(w * pace(tau * x) for x, w in zip(*rule(), strict=True))
+        def pace(growth: Arithmetic, row: list[float]) -> Arithmetic:
+            return 1 / (1 - growth * tau * sum(a * b for a, b in zip(row, shrunk, strict=True)))
+
+        paces = [pace(growth, row) for growth, row in zip(grown, upto, strict=True)]
+        weighted = [w * k for w, k in zip(weights, paces, strict=True)]
+        extra = sum(a * b for a, b in zip(weighted, beside, strict=True))
+        return tau * sum(weighted), tau * extra, pace(xp.exp(r * tau), weights)
+
+    def integrated(tau: Arithmetic, xp: ExactNamespace) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
+        """Return the same with all the digits that the numbers have."""
+        pace = lambda t: xp.exp(-r * t) * start / scene.dissipation(at(t)) if start else 1  # noqa: E731
+        beside = lambda t: pace(t) * (scene.dissipation_rate(at(t)) - r)  # noqa: E731
+        return xp.quad(pace, [0, tau]), xp.quad(beside, [0, tau]), pace(tau)
+
+    def integrals(tau: Arithmetic) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
+        return integrated(tau, xp) if has_digits(xp) else sampled(tau)
 
     def nearer(tau: Arithmetic) -> Arithmetic:
-        return tau - (elapsed(tau) - h) / pace(tau)
+        whole, _, pace = integrals(tau)
+        return tau - (whole - h) / pace
 
     if has_where(xp):
         # a loop keeps the kind of number it begins with
-        return at(iterate(nearer, h + 0 * s, ITERATIONS, xp))
-    before, tau = 0 * h, h
-    for _ in range(ITERATIONS if not has_digits(xp) else 2 * ITERATIONS):
-        before, tau = tau, nearer(tau)
-        if tau == before:
-            break
-    return at(tau)
+        tau = iterate(nearer, h + 0 * s, ITERATIONS, xp)
+    else:
+        before, tau = 0 * h, h
+        for _ in range(ITERATIONS if not has_digits(xp) else 2 * ITERATIONS):
+            before, tau = tau, nearer(tau)
+            if tau == before:
+                break
+    return at(tau), -r * h - integrals(tau)[1]
 
 
-def survival(
-    scene: GeneralDamping, s: Arithmetic, after: Arithmetic, h: Arithmetic, xp: Namespace
-) -> Arithmetic:
-    """Return ∂s(h)/∂s = Γ(s(h))/Γ(s), the factor on p and on η; e^{−Γ'h} at the zeros of Γ.
-
-    There Γ' is taken where s is on average, whose derivative is that of ∫Γ'(s).
-    """
-    start = scene.dissipation(s)
-    resting = start == 0
-    ratio = scene.dissipation(after) / choose(resting, 1.0, start, xp)
+def at_rest(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
+    """Return −Γ'h, and its derivative by s: Γ' is taken where s is on average, whose derivative is that of ∫Γ'(s)."""
     z = scene.dissipation_rate(s) * h
     still = z == 0
     moved = choose(still, 1, z + xp.expm1(-z), xp) / choose(still, 2, z, xp) / choose(still, 1, z, xp)
-    return choose(resting, xp.exp(-scene.dissipation_rate(s - start * h * moved) * h), ratio, xp)
+    return -scene.dissipation_rate(s - scene.dissipation(s) * h * moved) * h
 
 
 def damp_generally(scene: GeneralDamping, x: State, h: Arithmetic, xp: Namespace) -> State:
     """C for any Γ(s): s follows s' = −Γ(s), and p the derivative of s(h), both solving p' = −Γ'(s) p."""
-    s = decay(scene, x.s, h, xp)
-    factor = survival(scene, x.s, s, h, xp)
+    s, log = decayed(scene, x.s, h, xp)
+    factor = xp.exp(log)
     return settle(State(x.q, tuple(factor * p for p in x.p), s), xp)
 
 
 def general_log_factor(scene: GeneralDamping, x: State, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    return xp.log(survival(scene, x.s, decay(scene, x.s, h, xp), h, xp))
+    return decayed(scene, x.s, h, xp)[1]
 
 
 @dataclass(frozen=True, kw_only=True)

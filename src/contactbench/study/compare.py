@@ -24,7 +24,7 @@ from contactbench.solution import Solution
 from contactbench.study.advice import advise
 from contactbench.study.experiment import Row
 from contactbench.study.recommendation import recommendation
-from contactbench.study.schedule import Schedule
+from contactbench.study.schedule import Schedule, unraced
 from contactbench.study.search import Attempt, Search
 from contactbench.study.settings import ENDS, carry_of, times
 from contactbench.truth import Reference
@@ -35,8 +35,6 @@ BUDGET = 60.0
 ONCE = 2.0
 #: methods at most that a reason names
 NAMED = 3
-#: measures of a run that are no laws, or that another one covers
-LEFT_OUT = ("solution_error", "energy_law_relative", "energy_increases", "own_factor_drift")
 #: types of the columns beside the laws
 COLUMNS = dict.fromkeys(("scene", "method", "family", "engine", "kind"), "str")
 COLUMNS |= {"error_asked": "float64", "setting": "str"}
@@ -181,8 +179,7 @@ def motion(solution: Solution | None) -> Runs:
 
 def laws_in(scene: Scene) -> dict[str, str]:
     """Return the laws that have a column, each with its label."""
-    laws = (law for law in laws_of(scene) if law.name not in LEFT_OUT and not law.name.endswith("_frozen"))
-    return {law.name: law.label or law.name for law in laws}
+    return {law.name: law.label or law.name for law in laws_of(scene) if not unraced(law.name)}
 
 
 def runs_of(search: Search) -> Iterator[Row]:

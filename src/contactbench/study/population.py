@@ -49,6 +49,7 @@ RACED = (
         "contact-bm6",
         "contact-strang",
         "contact-exact",
+        "contact-log8",
         "rk4",
         "quinlan-tremaine12",
         "stormer12",
@@ -337,7 +338,7 @@ def hard_rows(problem: Problem) -> Recorded:
     for name, method in raced().items():
         if method.refuses(problem.scene):
             continue
-        steps = method.control == "step" and not method.one_step
+        steps = method.control == "step" and not (method.one_step or method.follows)
         control = "exact" if method.exact else "step" if steps else "rtol"
         value = 2 * math.pi / known.omega / HARD_STEPS if steps else TOLERANCE
         with np.errstate(all="ignore"):

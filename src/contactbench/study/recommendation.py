@@ -8,7 +8,7 @@ import pandas as pd
 
 from contactbench.measure.statistics import WIDEST, Verdict
 from contactbench.methods.base import METHODS
-from contactbench.report.numbers import duration, exact_power, names, times
+from contactbench.report.numbers import count, duration, exact_power, names, times
 from contactbench.report.race import kept_and_unknown
 from contactbench.results.contest import CONTACT, CUT
 from contactbench.study.schedule import waits
@@ -29,7 +29,7 @@ def recommendation(frame: pd.DataFrame) -> Iterator[str]:
         yield (
             f"{best(ranked, goal, rows, frame)}."
             if len(ranked)
-            else f"Nothing to take for {goal}: {lack(rows)}."
+            else f"{untimed(rows, goal) or f'Nothing to take for {goal}: {lack(rows)}'}."
         )
 
 
@@ -72,6 +72,17 @@ def doubts(first: pd.Series, others: pd.DataFrame, rows: pd.DataFrame, frame: pd
     untried = rivals[rivals["status"].isin([*CUT, "interrupted", "ok"]) & ~waiting.astype(bool)]
     if len(untried):
         yield f"whether faster with {names(list(untried['method']), SOME)} is undecided: no time was left (--budget)"
+
+
+def untimed(rows: pd.DataFrame, goal: str) -> str:
+    """Return what reaches an error where no time was left for the clock: of the fewest evaluations, where counted."""
+    reach = rows[rows["status"] == "ok"].sort_values("evaluations", kind="stable")
+    if reach.empty:
+        return ""
+    first = reach.iloc[0]
+    setting, evaluations = str(first["setting"]).replace("=", " ", 1), first["evaluations"]
+    cost = f"{count(int(evaluations))} evaluations" if evaluations > 0 else "evaluations not counted"
+    return f"Take {first['method']}, {setting}: {cost} for {goal}, the fewest; no time was left for the clock (--budget)"
 
 
 def lack(rows: pd.DataFrame) -> str:

@@ -30,7 +30,7 @@ from contactbench.truth import OutOfTime, Reference, confirmed, reference
 #: by when, in parts of the budget, the reference (half of it is for high precision, the rest for two solvers), its
 #: check, the search and the laws are over
 REFERENCE, CHECK, SEARCH, LAWS = 0.4, 0.25, 0.65, 0.8
-#: how much longer the rounds may take that every run is to have
+#: how much longer the rounds may take that every run is to have, and what is timed although all time is over
 LATE = 0.05
 #: seconds for the reference at least, which it takes to compile it on a loaded machine: without one there is no race
 LEAST_REFERENCE = 5.0
@@ -57,6 +57,8 @@ RUN_SHARE = 0.006
 COMPILATIONS, RUNS = 2.0, 100.0
 #: seconds that compiling a derivative takes at least, where the method itself was found compiled
 CACHED = 0.2
+#: measures of a run that are no laws, or that another one covers
+LEFT_OUT = ("solution_error", "energy_law_relative", "energy_increases", "own_factor_drift")
 #: components from which on compiling it takes longer, as their cube
 MANY = 20
 
@@ -241,7 +243,7 @@ class Schedule:
             return {}
         late = "" if self.slower * differentiation_time(search, attempt) <= left else "no time was left"
         try:
-            return laws_row(replace(solution, truth=truth), late)
+            return laws_row(replace(solution, truth=truth), late, unraced)
         except UserError:  # a function of floats, and laws are taken of arrays
             return {}
 
@@ -267,7 +269,7 @@ class Schedule:
             runs[each.kind] |= {id(attempt): attempt for attempt in found if attempt}
         least = sum(FEWEST_CALLS * attempt.seconds for attempt in runs["callbacks"].values())
         for kind in KINDS:
-            left = self.left(1.0)
+            left = max(self.left(1.0), LATE * self.budget)
             given = max(left - (least if kind == "compiled" else 0.0), left / 2, 0.0)
             attempts = sorted(runs[kind].values(), key=lambda attempt: attempt.seconds)
             spent = accumulate(FEWEST_CALLS * attempt.seconds for attempt in attempts)
@@ -277,7 +279,9 @@ class Schedule:
             )
             until = perf_counter() + given
             try:
-                race.go(0.0 if self.interrupted else FIELD * given, self.left(1 + LATE))
+                race.go(
+                    0.0 if self.interrupted else FIELD * given, max(self.left(1 + LATE), LATE * self.budget)
+                )
                 if not self.interrupted:
                     self.settle(race, [id(attempt) for attempt in timed], until)
             finally:
@@ -309,6 +313,11 @@ class Schedule:
                 if apart > SETTLED and ties(least(second), least(first), apart):
                     found |= {ranked[0], other}
         return sorted(i for i in found if len(race.visits[i]) < MOST_OF_LEADERS)
+
+
+def unraced(law: str) -> bool:
+    """Return whether a race does not measure a law, of this name."""
+    return law in LEFT_OUT or law.endswith("_frozen")
 
 
 def waits(method: Method, errors: Sequence[float]) -> bool:

@@ -214,7 +214,7 @@ class Search:
         if method.exact:  # nothing to be set
             yield self.attempt(0.0)
             return
-        for value in tolerances(method) if adaptive else steps(scene, method.order or 1):
+        for value in tolerances(method) if adaptive else steps(scene, method):
             if adaptive and value < CERTAIN and self.stagnates():
                 return
             first = not self.attempts

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Method
+from contactbench.methods.multistep import Multistep
 from contactbench.methods.prescribed import geometric_steps
 from contactbench.scene import Scene
 from contactbench.solution import GROWING, keywords
@@ -33,16 +34,17 @@ def halving_steps(scene: Scene, count: int) -> list[float]:
     return [scene.t_end / (n * 2**k) for k in range(count)]
 
 
-def steps(scene: Scene, order: int) -> list[float]:
+def steps(scene: Scene, method: Method) -> list[float]:
     """Return about ten steps t_end/n, n a multiple of 5: halving from 0.8 or 4, from order 6 on by about √2 from 3.2.
 
-    That is from errors of 10⁻² or 10⁻³ on; high orders go not as far down, because finer steps meet round-off.
+    That is from errors of 10⁻² or 10⁻³ on; high orders go not as far down, because finer steps meet round-off.  Steps
+    of one evaluation are an eighth of theirs.
     """
-    if order < 6:
+    if (method.order or 1) < 6:
         fine = halving_steps(scene, 9)
         longer = "body" in scene.kind or scene.slows_after is not None
         return [fine[0] * 5, fine[0] * 2.5, *fine] if longer else fine
-    coarse = halving_steps(scene, 1)[0] * 4
+    coarse = halving_steps(scene, 1)[0] * (0.5 if isinstance(method, Multistep) else 4)
     counts = [ENDS * max(1, round(scene.t_end / coarse / ENDS * 2 ** (k / 2))) for k in range(11)]
     return [scene.t_end / n for n in dict.fromkeys(counts)]
 

@@ -35,6 +35,7 @@ STEPS = {
     "contact-rkn8": (*HIGH, *MIDDLE[1:]),
     "rkn8": MIDDLE,
     "rkn12": (*HIGH, *MIDDLE[1:4]),
+    "quinlan-tremaine8": (0.16, 0.14, 0.12, 0.1, 0.08, 0.06),
     "rk4": (0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025),
 }
 #: tolerances from the loosest that a method holds, as powers of ten

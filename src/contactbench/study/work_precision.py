@@ -49,7 +49,7 @@ def ladder(profile: Profile) -> list[Cell]:
         for name, engine in engines(scene, profile):
             method = cb.METHODS[name]
             if method.refuses(scene) is not None:  # one row says why
-                values = (tolerances(method) if method.adaptive else steps(scene, method.order or 1))[:1]
+                values = (tolerances(method) if method.adaptive else steps(scene, method))[:1]
             elif method.control == EXACT:
                 values = [0.0]
             elif method.adaptive:
@@ -60,7 +60,7 @@ def ladder(profile: Profile) -> list[Cell]:
                 elif scene.name == SMOKE:  # a step control that stops short shows at the tightest
                     values.append(rungs[-1])
             else:
-                values = profile.choose(steps(scene, method.order))
+                values = profile.choose(steps(scene, method))
             rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
             if by_pilots(scene, method, engine) and (not profile.brief or scene.name == SMOKE):
                 rows += [(scene.name, name, engine, "rtol", rtol) for rtol in profile.choose(PILOTED)]

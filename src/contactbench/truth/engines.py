@@ -74,7 +74,7 @@ def place(value: Arithmetic, digits: int) -> int:
 
 #: functions whose work grows with the size of their argument, and the binary logarithm of the largest they take:
 #: mpmath would look for the digits of an exponent that no memory holds, and end the process
-GROWING, LARGEST = ("exp", "sinh", "cosh", "tanh", "sin", "cos", "tan"), 1000
+GROWING, LARGEST = ("exp", "expm1", "sinh", "cosh", "tanh", "sin", "cos", "tan"), 1000
 
 
 def decimal_context(digits: int) -> MPContext:
