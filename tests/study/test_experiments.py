@@ -247,7 +247,8 @@ def test_fixed_steps_pass_through_the_earlier_ends(method):
     """The error there, of runs of their own and of one that passes through; a processed method has more of it."""
     scene = cb.SCENES["central"]
     ends = [scene.t_end * k / ENDS for k in range(1, ENDS)]
-    options = {"step": steps(scene, cb.METHODS[method])[2], "engine": "python", "carry": ()}
+    rung = 2 if cb.METHODS[method].one_step else 4  # those with a history begin with steps too long for them
+    options = {"step": steps(scene, cb.METHODS[method])[rung], "engine": "python", "carry": ()}
     own = error([cb.solve(scene, method, save_at=[t], **options) for t in ends])
     passing = error([cb.solve(scene, method, save_at=ends, **options)])
     same = passing == pytest.approx(own, rel=1e-6, abs=1e-14)

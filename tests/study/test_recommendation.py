@@ -72,7 +72,7 @@ def test_a_rival_that_was_not_begun_is_named_and_a_slow_one_that_was_reached_by_
         each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", 1e-6, error=3e-7, counts=counts))
     (found,) = recommendation(frame_of(race))
     assert found.startswith(
-        "Take rkn12, step 0.1: 1800 evaluations for 10⁻⁶, the fewest; no time was left for the "
+        "Take rkn12, step 0.1: 1800 evaluations for 10⁻⁶, the fewest; no time was left to time it"
     )
     (found,) = recommendation(raced([3.1], errors=(1e-40,), names=["rkn12"]))
     assert found.startswith("Nothing to take for 10⁻⁴⁰: the reference is known to ")

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from contactbench.methods.base import Method
+    from contactbench.scene import Scene
     from contactbench.solution import Solution
 
 #: what a plot can be saved as
@@ -62,18 +63,32 @@ def listing(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def scene_of(arguments: argparse.Namespace) -> Scene:
+    """Return the scene of a name, or of FILE:NAME from a file, with the changes asked for."""
+    from contactbench.plugins import load_file
+    from contactbench.scenes import SCENES
+
+    path, _, name = arguments.scene.rpartition(":")
+    if path:
+        load_file(Path(path))
+    scene: Scene = SCENES[name].with_(**assignments(arguments.set))
+    return scene
+
+
 def solve(arguments: argparse.Namespace) -> int:
     writable("--plot", arguments.plot, PICTURES)
     writable("--out", arguments.out)
     import contactbench as cb
 
-    scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
+    scene = scene_of(arguments)
     if arguments.t_end is not None:
         scene = scene.with_(t_end=arguments.t_end)
     options = {name: getattr(arguments, name) for name in ("step", "rtol", "engine", "max_steps")}
     options = {name: value for name, value in options.items() if value is not None}
     if "step" in options:
         options["step"] = steps(options["step"], scene.t_end)
+    if arguments.carry is not None:
+        options["carry"] = tuple(filter(None, arguments.carry.split(",")))
     if not (arguments.laws or arguments.plot or arguments.out):  # only the end matters
         options["save_at"] = [scene.t_end]
     solution = cb.solve(scene, arguments.method, **options)
@@ -144,7 +159,7 @@ def compare(arguments: argparse.Namespace) -> int:
     import contactbench as cb
     from contactbench.report import race
 
-    scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
+    scene = scene_of(arguments)
     methods, budget = arguments.method + arguments.more or None, duration(arguments.budget)
     frame = cb.compare(scene, methods, numbers(arguments.error), budget, progress=not arguments.quiet)
     if arguments.csv:
@@ -166,15 +181,10 @@ def compare(arguments: argparse.Namespace) -> int:
 
 
 def advise(arguments: argparse.Namespace) -> int:
-    import contactbench as cb
-    from contactbench.plugins import load_file
     from contactbench.report.advice import text
     from contactbench.study.advice import advise
 
-    path, _, name = arguments.scene.rpartition(":")
-    if path:
-        load_file(Path(path))
-    scene = cb.SCENES[name].with_(**assignments(arguments.set))
+    scene = scene_of(arguments)
     frame = advise(scene, arguments.error, arguments.cost)
     if arguments.json:
         rows = json.loads(frame.to_json(orient="records", double_precision=15))

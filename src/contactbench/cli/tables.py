@@ -69,7 +69,8 @@ def bench(arguments: argparse.Namespace) -> int:
     failed = runner.work(run, arguments.k or "", arguments.resume)
     if not arguments.untimed:
         write.report(results, {"methods": cb.METHODS, "scenes": cb.SCENES})
-        print(ending(results))
+        if not arguments.quiet:
+            print(ending(results))
     return 1 if failed else 0
 
 

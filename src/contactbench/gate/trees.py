@@ -121,7 +121,7 @@ def changed_tables(messages: str, option: Iterable[str], results: Path) -> set[s
 
 def run_benchmark(root: Path, results: Path) -> Findings:
     """Run the smoke profile, of all cells of ours or of what is theirs; red if one fails."""
-    command = [sys.executable, "-P", "-m", "contactbench", "bench", "--profile", "smoke"]
+    command = [sys.executable, "-P", "-m", "contactbench", "bench", "--quiet", "--profile", "smoke"]
     command += ["--results", str(results), *["--all"] * revisions.ours(root)]
     # what it prints is no part of the gate's own output
     status = subprocess.run(command, env=revisions.environment(root), cwd=root, stdout=sys.stderr).returncode

@@ -185,7 +185,8 @@ class CannotRecord(TypeError):
 
 def _refuse(question: str) -> Callable[..., Any]:
     def refuse(self: object, *_: object) -> NoReturn:
-        raise CannotRecord(f"{question} a number that is known only when the program runs")
+        why = "a number that is known only when the program runs (cb.math.where chooses)"
+        raise CannotRecord(f"{question} {why}")
 
     return refuse
 

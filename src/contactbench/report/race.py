@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Iterator
 
@@ -29,7 +30,10 @@ ALIKE = ("tie", "undecided")
 SYMBOLS = {"momentum_law": "J", "contact_drift": "η", "distribution_drift": "ker η", "pairing_drift": "pairs"}
 IMPLIED = {"η": ("ker η", "pairs")}
 #: what stands behind the title of a table
-LEGENDS = {"race_settings": "for each time above", "short": "time at each error, what is kept at round-off"}
+LEGENDS = {
+    "race_settings": "for each time above",
+    "short": "time at each error; kept at round-off: J, η, pairs of singular values",
+}
 LEGENDS[""] = f"{LEGENDS['short']}, then evaluations"
 #: components of a motion that are drawn
 MOVING = 3
@@ -133,8 +137,15 @@ def kept_laws(rows: pd.DataFrame) -> str:
     if not has_laws(rows).any():
         return "not measured"
     kept, unknown = kept_and_unknown(rows)
-    missing = f"not measured: {', '.join(unknown)}" if unknown else ""
-    return "; ".join(filter(None, [", ".join(kept), missing])) or "none"
+    hidden = {label for text in rows["laws_undecided"] for label in text.split(", ") if label}
+    unclear = symbols(law for law in laws_of(rows) if law_label(law) in hidden)
+    parts = [", ".join(kept)]
+    parts += [
+        f"{', '.join(some)} {why}"
+        for some, why in ((unclear, "undecided"), (unknown, "not measured"))
+        if some
+    ]
+    return "; ".join(filter(None, parts)) or "none"
 
 
 def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
@@ -284,7 +295,7 @@ def text(frame: pd.DataFrame, every: bool = False) -> str:
     for each in views(frame):
         if short and each.name == "race_settings":
             continue
-        shown = each.rows[: ROWS if short else None]
+        shown = best_rows(each, said_of(frame)) if short else each.rows
         hidden += len(each.rows) - len(shown)
         columns = [i for i, head in enumerate(each.columns) if not (short and "evaluations" in head.group)]
         lines = [[each.columns[i].label for i in columns], *([row[i].text for i in columns] for row in shown)]
@@ -294,9 +305,37 @@ def text(frame: pd.DataFrame, every: bool = False) -> str:
     if short:
         more = f"{hidden} more rows, evaluations, settings, and why a method got no further: --all."
         said = [*said[:1], more]
-    blocks = (missing, said, frame.attrs["recommendation"])
+    blocks = (missing, said, [*frame.attrs["recommendation"], *how_to_run(frame)])
     first, last, end = ("\n".join(map(wrap, block)) for block in blocks)
     return "\n\n".join(filter(None, [first, *found, last, end, *which_method()]))
+
+
+def said_of(frame: pd.DataFrame) -> set[str]:
+    """Return the methods that the recommendation names."""
+    words = {word for line in frame.attrs["recommendation"] for word in re.findall(r"[\w-]+", line)}
+    return words & set(frame["method"])
+
+
+def best_rows(view: View, named: set[str]) -> list[tuple[Cell, ...]]:
+    """Return so many rows in their order: those of named methods, and of the others the first."""
+    others = max(0, ROWS - sum(row[0].text in named for row in view.rows))
+    first = [row[0].text for row in view.rows if row[0].text not in named][:others]
+    return [row for row in view.rows if row[0].text in named | set(first)]
+
+
+def how_to_run(frame: pd.DataFrame) -> Iterator[str]:
+    """Yield what an error is of, and the run at the smallest that something is recommended for."""
+    carry, timed = ",".join(frame.attrs["carry"]), frame[frame["time_s"].notna()]
+    what = f"the motion{f' and {carry}' if carry else ''} at the ends of five runs, the last to t_end"
+    first = timed[timed["kind"] == timed["kind"].max()].sort_values(["error_asked", "time_s"], kind="stable")[
+        :1
+    ]
+    run = ""
+    for row in first.itertuples():
+        control, _, value = str(row.setting).partition("=")
+        if value and control in ("step", "rtol"):
+            run = f": contactbench solve {row.scene} {row.method} --{control} {value} --carry '{carry}'"
+    yield f"Errors are those of {what}{run}"
 
 
 def which_method() -> Iterator[str]:

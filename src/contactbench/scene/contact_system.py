@@ -413,6 +413,7 @@ def on_metric(
         fits = False
     if not fits:
         wanted = f"must be {len(q)} rows of {len(q)} numbers, symmetric and positive definite"
+        wanted = "must be one row of one number, as in ((m,),), positive" if len(q) == 1 else wanted
         raise BadInput(f"mass: is {excerpt(rows)} at q = {excerpt(q)}: {wanted}")
     own = {"gamma": finite("gamma", gamma)} | ({"kappa": finite("kappa", kappa)} if kappa else {})
     if switch("rotation_invariant", rotation_invariant):

@@ -33,13 +33,15 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 BUDGET = 60.0
 #: a run made once may take so many times as long as its least round
 ONCE = 2.0
+#: seconds from which on a run is more than the call from Python
+SLOW = 1e-3
 #: methods at most that a reason names
 NAMED = 3
 #: types of the columns beside the laws
 COLUMNS = dict.fromkeys(("scene", "method", "family", "engine", "kind"), "str")
 COLUMNS |= {"error_asked": "float64", "setting": "str"}
-COLUMNS |= dict.fromkeys(("error_reached", "time_s", "evaluations", "ratio", "margin"), "float64")
-COLUMNS |= dict.fromkeys(("verdict", "laws_kept", "status", "reason"), "str")
+COLUMNS |= dict.fromkeys(("error_reached", "time_s", "evaluations", "ratio", "margin", "at_least"), "float64")
+COLUMNS |= dict.fromkeys(("verdict", "laws_kept", "laws_undecided", "status", "reason"), "str")
 
 
 def compare(
@@ -80,14 +82,15 @@ def compare(
     pandas.DataFrame
         One row for each method and error, columns: scene, method, family, engine, kind, error_asked, setting,
         error_reached, time_s (the least round), evaluations (of the right-hand side, or what equals one), ratio (to
-        the least time of its kind at that error), margin (the ratio up to which the two cannot be told apart), verdict
-        (win; tie; undecided where the margin is too wide to judge, or a rival was cut off that might be sooner done;
-        loss), laws_kept, a column for each law, status, reason (why a method got no further, was not timed, or
-        is undecided).
+        the least time of its kind at that error), margin (the ratio up to which the two cannot be told apart),
+        at_least (seconds that it takes anyway where it was cut off or not timed), verdict (win; tie; undecided where
+        the margin is too wide to judge, or a rival was cut off that might be sooner done; loss), laws_kept,
+        laws_undecided (their round-off may hide a drift), a column for each law, status, reason (why a method got
+        no further, was not timed, or is undecided).
         ``attrs``: "recommendation" (what to take, a sentence for each error),
         "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
         claimed), "runs" (every setting tried), "motion" (states and energies of a run of the smallest error),
-        "of_floats" (functions that cannot be recorded), "unbegun" (methods
+        "carry" (which of s and R the runs carry), "of_floats" (functions that cannot be recorded), "unbegun" (methods
         that no time was left for), "unrefined" (those without a last search for a coarser setting), "interrupted",
         "seconds".
 
@@ -162,6 +165,7 @@ def frame_of(race: Schedule) -> pd.DataFrame:
         "of_floats": scene.functions_of_floats,
         "unbegun": race.unbegun,
         "unrefined": race.unrefined,
+        "carry": list(carry_of(scene)),
         "interrupted": race.interrupted,
         "motion": motion(race.motion),
     }
@@ -197,19 +201,36 @@ def row(race: Schedule, search: Search, error: float) -> Row:
         reason = "" if clock else "too slow for the time that was left"
         known = attempt.columns(race.floor) | {"status": "ok", "reason": reason}
     cut = known["status"] in (*CUT, "interrupted") or (attempt is not None and not clock)
-    last = attempt or search.finest
-    unlikely = last is None and search in race.last
-    # one that was not begun takes as long as the soonest run of its engine: a library's call alone
-    begun = (a.seconds for one in race.searches if one.engine == search.engine for a in one.attempts)
-    soonest_run = last.seconds if last else min(begun, default=0.0)
-    at_least = soonest_run / ONCE if cut and not unlikely else math.nan
+    unlikely = not search.attempts and search in race.last
+    at_least = least_time(race, search, error) if cut and not unlikely else math.nan
     row = {"scene": race.question.scene.name, "method": search.method.name, "family": search.method.family}
     row |= {"engine": search.engine, "kind": search.kind, "error_asked": error, **known}
     row |= {"time_s": clock.get("time_min_s", math.nan), "at_least": at_least}
     labels = laws_in(race.question.scene)
     row |= {name: laws.get(name, math.nan) for name in (*labels, "map_growth")}
-    row["laws_kept"] = ", ".join(label for law, label in labels.items() if laws.get(f"{law}_kept"))
+    for known_as in ("kept", "undecided"):
+        found = (label for law, label in labels.items() if laws.get(f"{law}_{known_as}"))
+        row[f"laws_{known_as}"] = ", ".join(found)
     return row | {"time_halves_ratio": clock.get("time_halves_ratio", math.nan)}
+
+
+def least_time(race: Schedule, search: Search, error: float) -> float:
+    """Return what a method takes at least to reach an error: as much as to a larger one, or where it did not get there.
+
+    Of one that was not begun it is the least time on its engine.
+    """
+    timed = {
+        each: [clock["time_min_s"] for a in each.attempts if (clock := race.times.get(id(a)))]
+        for each in race.searches
+    }
+    if not search.attempts:
+        return (
+            min((t for each in timed if each.engine == search.engine for t in timed[each]), default=0.0)
+            / ONCE
+        )
+    untimed = soonest(race, search, error)
+    slow = (a.seconds / ONCE for a in search.attempts if a is untimed or not a.reaches(error))
+    return float(max(*timed[search], *(seconds for seconds in slow if seconds > SLOW), 0.0, 0.0))
 
 
 def soonest(race: Schedule, search: Search, error: float) -> Attempt | None:

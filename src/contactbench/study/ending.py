@@ -24,7 +24,13 @@ def ending(results: Path) -> str:
 
 
 def answers(results: Path) -> Iterator[str]:
-    for answer in headline.answers(write.tables(results)):
+    frames = write.tables(results)
+    met = {
+        name: {n for f in frames.values() if name in f for n in f[name].dropna()}
+        for name in ("method", "scene")
+    }
+    yield f"Of {len(met['method'])} methods on {len(met['scene'])} scenes:"
+    for answer in headline.answers(frames):
         yield textwrap.fill(answer.question.translate(PLAIN), WIDTH)
         found = f"{answer.answer}: {answer.count}".translate(PLAIN)
         yield textwrap.fill(

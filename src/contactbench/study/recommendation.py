@@ -10,8 +10,7 @@ from contactbench.measure.statistics import WIDEST, Verdict
 from contactbench.methods.base import METHODS
 from contactbench.report.numbers import count, duration, exact_power, names, times
 from contactbench.report.race import kept_and_unknown
-from contactbench.results.contest import CONTACT, CUT
-from contactbench.study.schedule import waits
+from contactbench.results.contest import CONTACT
 
 #: solvers of other libraries that are named beside the fastest
 PEERS = 2
@@ -66,10 +65,7 @@ def doubts(first: pd.Series, others: pd.DataFrame, rows: pd.DataFrame, frame: pd
         margin = wide["margin"].max()
         spread = f"times vary by {times(margin)} on this machine, no more than ×{WIDEST:g} decides"
         yield f"whether faster with {names(list(wide['method']), SOME)} is undecided: {spread}"
-    rivals = rows[rows["time_s"].isna() & (rows["kind"] == first["kind"])]
-    errors = [float(error) for error in frame["error_asked"].unique()]
-    waiting = rivals["method"].map(lambda name: waits(METHODS[name], errors)) & rivals["error_reached"].isna()
-    untried = rivals[rivals["status"].isin([*CUT, "interrupted", "ok"]) & ~waiting.astype(bool)]
+    untried = rows[(rows["at_least"] <= first["time_s"]) & (rows["kind"] == first["kind"])]
     if len(untried):
         yield f"whether faster with {names(list(untried['method']), SOME)} is undecided: no time was left (--budget)"
 
@@ -82,7 +78,7 @@ def untimed(rows: pd.DataFrame, goal: str) -> str:
     first = reach.iloc[0]
     setting, evaluations = str(first["setting"]).replace("=", " ", 1), first["evaluations"]
     cost = f"{count(int(evaluations))} evaluations" if evaluations > 0 else "evaluations not counted"
-    return f"Take {first['method']}, {setting}: {cost} for {goal}, the fewest; no time was left for the clock (--budget)"
+    return f"Take {first['method']}, {setting}: {cost} for {goal}, the fewest; no time was left to time it (--budget)"
 
 
 def lack(rows: pd.DataFrame) -> str:

@@ -99,6 +99,8 @@ STILL_BETTER = 0.7
 CERTAIN = 1e-12
 #: an error about as large as the motion: longer steps are not tried
 COARSE = 0.3
+#: down to which tolerance a method is tried whose runs at looser ones take too long
+WAKES = 1e-4
 #: how much coarser a tolerance is at least whose error is compared: most of a decade
 APART = 5.0
 #: what a compiler or a library that is not there raises
@@ -198,7 +200,7 @@ class Search:
                     self.why = ("unsupported", attempt.message)
                     self.attempts.clear()
                     return
-                if attempt.status is Status.budget:
+                if attempt.status is Status.budget and not self.may_wake(attempt):
                     most = f"more than a run may take here, {self.question.longest:.2g} s"
                     self.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
                     break
@@ -208,6 +210,11 @@ class Search:
             self.why = ("failed", str(error))
         except BROKEN as error:
             self.why = ("failed", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
+
+    def may_wake(self, stalled: Attempt) -> bool:
+        """Return whether a tighter tolerance may be done although the loosest ones crawl, as some step controls do."""
+        none_yet = not any(a.ok for a in self.attempts)
+        return self.method.adaptive and none_yet and stalled.value > WAKES
 
     def coarse_to_fine(self) -> Iterator[Attempt]:
         scene, method, adaptive = self.question.scene, self.method, self.method.adaptive
