@@ -25,10 +25,8 @@ def ending(results: Path) -> str:
 
 def answers(results: Path) -> Iterator[str]:
     frames = write.tables(results)
-    met = {
-        name: {n for f in frames.values() if name in f for n in f[name].dropna()}
-        for name in ("method", "scene")
-    }
+    ours = [frame for table, frame in frames.items() if not table.startswith("population")]
+    met = {name: {n for f in ours if name in f for n in f[name].dropna()} for name in ("method", "scene")}
     yield f"Of {len(met['method'])} methods on {len(met['scene'])} scenes:"
     for answer in headline.answers(frames):
         yield textwrap.fill(answer.question.translate(PLAIN), WIDTH)
