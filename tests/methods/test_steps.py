@@ -3,6 +3,7 @@
 import numba
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import contactbench as cb
 from cases import mine, pairs
@@ -308,6 +309,38 @@ def test_a_pilot_that_is_not_finite_is_followed_by_finer_ones(monkeypatch):
     assert run.ok
     assert run.step < steps[2]
     assert cb.LAWS["solution_error"](run) < 1e-6
+
+
+UNBOUND = {"q": (1.0,), "p": (1.0,), "gamma": 0.1, "t_end": 20.0}
+ENDING = [
+    cb.Mechanical(name="fed", potential=lambda q: q[0] ** 4 / 4, kappa=-0.5, s=1.0, **UNBOUND),
+    cb.Mechanical(name="escape", potential=lambda q: q[0] ** 2 / 2 - q[0] ** 4 / 4, **UNBOUND),
+]
+
+
+@pytest.mark.parametrize("scene", ENDING, ids=lambda scene: scene.name)
+def test_a_motion_that_leaves_any_scale_ends_then_and_is_right_before(scene):
+    """The times are DOP853's, which ends where its steps vanish."""
+    late = solve_ivp(
+        lambda t, y: [*scene.pack(scene.rhs(scene.unpack(y, ("s",))))],
+        (0, 20.0),
+        [1.0, 1.0, scene.s or 0.0],
+        method="DOP853",
+        rtol=1e-10,
+    )
+    times = [0.3, 0.9 * late.t[-1], 20.0]
+    run = cb.solve(scene, "contact-rkn6", rtol=1e-8, save_at=times, max_steps=10**5)
+    assert run.status is cb.Status.diverged
+    assert run.end_time == pytest.approx(late.t[-1], rel=1e-3)
+    true = cb.solve(scene, "rk8-7", rtol=1e-12, save_at=times[:2])
+    np.testing.assert_allclose(run.y[:2], true.y, rtol=1e-6)
+
+
+def test_a_wall_into_which_pilots_fly_is_no_end():
+    wall = cb.Mechanical(
+        name="wall", potential=lambda q: cb.math.exp(80 * (q[0] - 1)), **UNBOUND | {"q": (0.0,), "p": (3.0,)}
+    )
+    assert cb.solve(wall, "contact-rkn6", rtol=1e-6, save_at=[20.0]).ok
 
 
 @pytest.mark.filterwarnings("error")

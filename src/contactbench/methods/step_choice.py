@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from contactbench.methods.base import METHODS, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.loops import StepLoop
 from contactbench.methods.prepared import Outcome, Prepared
@@ -39,6 +40,8 @@ PROBES, BESIDE = 3, 1e-6
 FALLING, LEEWAY = 0.6, 0.5
 #: a gap of this size is round-off
 ROUND_OFF = 1e-13
+#: pilots in a row that leave any scale, after which a method with step control is asked whether the motion does
+BLOWN, WITNESS, WITNESS_RTOL = 3, "rk8-7", 1e-8
 #: the next pilot's step is at most so many times shorter; one foretold to be good enough may have such a larger error
 REACH, TWICE = 6.0, 2.0
 
@@ -76,6 +79,8 @@ class ChosenStep(Prepared):
         # or a `ToleranceRun` of a method that follows the motion, which is asked the same
         self.run: FixedStepRun = self.method_.run_of(replace(self.request, step=self.first), self.loop)
         self.compile_s = self.run.compile_s
+        #: how a motion ends that leaves any scale
+        self.end: Outcome | None = None
         #: the step of a method that follows the motion is no time
         self.probes = 0 if self.method_.follows else PROBES
         self.alone = Lock()  # one run to divide: calls from several threads take turns
@@ -97,6 +102,8 @@ class ChosenStep(Prepared):
             message = out.message
             if out.status is Status.budget:
                 message = f"{message} (step {step:.3g} for rtol = {self.request.rtol:g})"
+            if self.end is not None and out.status is Status.diverged:
+                message, out = self.end.message, replace(out, end_time=self.end.end_time)
             counts = out.counts._replace(evaluations=evaluations)
             return replace(out, counts=counts, message=message, steps=self.run.steps_taken)
 
@@ -125,6 +132,10 @@ class ChosenStep(Prepared):
                 step /= 2
                 continue
             pilots.append(self.pilot(y0, step))
+            self.end = self.end_of(y0, pilots)
+            if self.end is not None:
+                step, others = self.until(self.end.end_time, y0, step)
+                return step, pilots + others
             step /= 2
             if before is None:
                 continue
@@ -152,6 +163,28 @@ class ChosenStep(Prepared):
                     # what was to have the error aimed at may have twice as much
                     enough *= TWICE if ahead > 1 / REACH else 1.0
         return step, pilots  # will end as `budget`
+
+    def end_of(self, y0: np.ndarray, pilots: list[Pilot]) -> Outcome | None:
+        """Return how a motion ends that leaves any scale itself, as a solver with step control has it, asked once.
+
+        Pilots say too little: into a steep wall they all fly off, at the same time.
+        """
+        bad = [not np.isfinite(pilot.y[-1]).all() for pilot in pilots[-BLOWN - 1 :]]
+        r, witness = self.request, METHODS[WITNESS]
+        if sum(bad) != BLOWN or not all(bad[-BLOWN:]) or witness.refuses(r.scene) is not None:
+            return None
+        run = prepare(r.scene, witness, rtol=WITNESS_RTOL, save_at=[r.save_at[-1]], carry=r.carry)
+        out = run.integrate(y0)
+        return out if out.status is Status.diverged else None
+
+    def until(self, end: float, y0: np.ndarray, step: float) -> tuple[float, list[Pilot]]:
+        """Return the step for what is saved before a motion ends, if anything is, and the pilots of that."""
+        before = self.request.save_at[self.request.save_at < end]
+        if not len(before) or not before[-1] > 0:
+            return step, []
+        run = self.method_.prepare(replace(self.request, save_at=before))
+        found, pilots = run.choose(y0)
+        return min(found, step), [pilot._replace(steps=0) for pilot in pilots]
 
     def time_scale(self, y0: np.ndarray) -> float:
         """Return 1/ω of the motion at the start: ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still.
