@@ -144,7 +144,7 @@ def summary(solution: Solution) -> dict[str, object]:
         out = {
             "state": dict(zip(solution.labels, y, strict=True)),
             "H0": float(scene.energy(state)) if scene.has_energy else None,
-            "H": float(scene.hamiltonian_at(state)) if scene.is_contact else None,
+            "H": float(scene.hamiltonian_at(state)) if scene.is_contact and state.s is not None else None,
             "J": None if momentum is None else list(map(float, momentum)),
         }
     run = {name: getattr(solution, name) for name in ("method", "engine", "setting", "status", "message")}
@@ -176,7 +176,10 @@ def compare(arguments: argparse.Namespace) -> int:
         rows = json.loads(frame.to_json(orient="records", double_precision=15))
         print_json({**known, "rows": rows}, arguments)
     else:
-        print(race.text(frame, arguments.all))
+        options = [f"--plugin {file}" for file in arguments.plugin] + [
+            f"--set {each}" for each in arguments.set
+        ]
+        print(race.text(frame, arguments.all, " ".join([arguments.scene, *options])))
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
 
 

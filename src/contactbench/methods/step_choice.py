@@ -42,6 +42,8 @@ FALLING, LEEWAY = 0.6, 0.5
 ROUND_OFF = 1e-13
 #: pilots in a row that leave any scale, after which a method with step control is asked whether the motion does
 BLOWN, WITNESS, WITNESS_RTOL = 3, "rk8-7", 1e-8
+#: and after which one is asked where they end; and the part of that time up to which two end at the same
+FAILED, SAME_END = 6, 1e-3
 #: the next pilot's step is at most so many times shorter; one foretold to be good enough may have such a larger error
 REACH, TWICE = 6.0, 2.0
 
@@ -136,12 +138,17 @@ class ChosenStep(Prepared):
             if self.end is not None:
                 step, others = self.until(self.end.end_time, y0, step)
                 return step, pilots + others
+            if self.fails(y0, pilots):
+                return step, pilots
             step /= 2
             if before is None:
                 continue
             # saved times shorten steps: a pilot may have less than twice as many as the one before
             coarser, finer = finer, steps / before.steps
-            wider, gap = gap, self.distance(before, pilots[-1]) / (1 - finer**-order)
+            wider, gap = gap, self.distance(before, pilots[-1])
+            if not math.isfinite(gap):  # nor are its steps, fewer maybe, those of a whole run
+                continue
+            gap /= 1 - finer**-order
             trusted = wider < LOST or wider == math.inf
             if gap < ROUND_OFF and trusted:  # exact, or as good as it gets
                 finest = pilots[-1]
@@ -176,6 +183,17 @@ class ChosenStep(Prepared):
         run = prepare(r.scene, witness, rtol=WITNESS_RTOL, save_at=[r.save_at[-1]], carry=r.carry)
         out = run.integrate(y0)
         return out if out.status is Status.diverged else None
+
+    def fails(self, y0: np.ndarray, pilots: list[Pilot]) -> bool:
+        """Return whether a method cannot go on from where the motion is: many pilots end there, the last two alike."""
+        if len(pilots) < FAILED or any(np.isfinite(pilot.y[-1]).all() for pilot in pilots[-FAILED:]):
+            return False
+        ended = []
+        for pilot in pilots[-2:]:
+            self.run.divide(pilot.asked)
+            ended.append(self.run.integrate(y0))
+        before, now = (out.end_time for out in ended)
+        return all(out.status is Status.failed for out in ended) and abs(before - now) <= SAME_END * now
 
     def until(self, end: float, y0: np.ndarray, step: float) -> tuple[float, list[Pilot]]:
         """Return the step for what is saved before a motion ends, if anything is, and the pilots of that."""

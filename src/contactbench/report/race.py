@@ -285,10 +285,11 @@ def html(frame: pd.DataFrame) -> str:
     return page([contents], images=images)
 
 
-def text(frame: pd.DataFrame, every: bool = False) -> str:
+def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
     """Return a race for the terminal, at its end the recommendation, and where to read on.
 
     every : all rows, columns and notes; else of more than `ROWS` methods the best so many, and their times alone.
+    scene : how a command names it, if not by its name.
     """
     short = not every and frame["method"].nunique() > ROWS
     missing, found, hidden = list(unbegun(frame)), [], 0
@@ -305,7 +306,7 @@ def text(frame: pd.DataFrame, every: bool = False) -> str:
     if short:
         more = f"{hidden} more rows, evaluations, settings, and why a method got no further: --all."
         said = [*said[:1], more]
-    blocks = (missing, said, [*frame.attrs["recommendation"], *how_to_run(frame)])
+    blocks = (missing, said, [*frame.attrs["recommendation"], *how_to_run(frame, scene)])
     first, last, end = ("\n".join(map(wrap, block)) for block in blocks)
     return "\n\n".join(filter(None, [first, *found, last, end, *which_method()]))
 
@@ -323,7 +324,7 @@ def best_rows(view: View, named: set[str]) -> list[tuple[Cell, ...]]:
     return [row for row in view.rows if row[0].text in named | set(first)]
 
 
-def how_to_run(frame: pd.DataFrame) -> Iterator[str]:
+def how_to_run(frame: pd.DataFrame, scene: str) -> Iterator[str]:
     """Yield what an error is of, and the run at the smallest that something is recommended for."""
     carry, timed = ",".join(frame.attrs["carry"]), frame[frame["time_s"].notna()]
     what = f"the motion{f' and {carry}' if carry else ''} at the ends of five runs, the last to t_end"
@@ -334,7 +335,9 @@ def how_to_run(frame: pd.DataFrame) -> Iterator[str]:
     for row in first.itertuples():
         control, _, value = str(row.setting).partition("=")
         if value and control in ("step", "rtol"):
-            run = f": contactbench solve {row.scene} {row.method} --{control} {value} --carry '{carry}'"
+            name, _, options = (scene or str(row.scene)).partition(" ")
+            given = f"{row.method} --{control} {value} --carry '{carry}' {options}".rstrip()
+            run = f": contactbench solve {name} {given}"
     yield f"Errors are those of {what}{run}"
 
 

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from contactbench.checks import finite
+from contactbench.checks import finite, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import METHODS
 from contactbench.results.advice import COSTS, distances, ranked, regrets, threshold
@@ -67,6 +67,7 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     costs = {name.removesuffix("_s"): name for name in COSTS}
     if cost not in costs:
         raise BadInput(f"cost = {excerpt(cost)}: must be one of {', '.join(costs)}")
+    whole("methods", methods, len(METHODS))
     if not 0 < finite("error", error) < 1:
         raise BadInput(
             f"error = {excerpt(error)}: must be between 0 and 1, relative to the size of the motion"

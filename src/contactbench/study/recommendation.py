@@ -10,7 +10,7 @@ from contactbench.measure.statistics import WIDEST, Verdict
 from contactbench.methods.base import METHODS
 from contactbench.report.numbers import count, duration, exact_power, names, times
 from contactbench.report.race import kept_and_unknown
-from contactbench.results.contest import CONTACT
+from contactbench.results.contest import CONTACT, CUT
 
 #: solvers of other libraries that are named beside the fastest
 PEERS = 2
@@ -36,7 +36,9 @@ def best(ranked: pd.DataFrame, goal: str, rows: pd.DataFrame, frame: pd.DataFram
     """Return the fastest with what it keeps, and the best contact method and the best of other libraries beside it."""
 
     def keeps(row: pd.Series) -> str:
-        kept, _ = kept_and_unknown(frame[frame["method"] == row["method"]])
+        kept, unknown = kept_and_unknown(frame[frame["method"] == row["method"]])
+        if unknown and not kept and row["family"] == CONTACT:
+            return f", {names(unknown)} not measured"
         return f", keeps {names(kept)}" if kept else ""
 
     first, others = ranked.iloc[0], ranked.iloc[1:]
@@ -44,7 +46,8 @@ def best(ranked: pd.DataFrame, goal: str, rows: pd.DataFrame, frame: pd.DataFram
     setting = str(first["setting"]).replace("=", " ", 1)
     parts = [f"Take {first['method']}, {setting}: {duration(first['time_s'])} for {goal}{python}"]
     parts[0] += keeps(first)
-    alike = others[others["verdict"] == Verdict.tie]
+    within = (others["ratio"] <= others["margin"]) & (others["margin"] <= WIDEST)
+    alike = others[(others["verdict"] == Verdict.tie) | ((others["verdict"] == Verdict.undecided) & within)]
     if len(alike):
         parts.append(f"{names(list(alike['method']), SOME)} equal within ×{alike['margin'].max():.2f}")
     packages = others["method"].map(lambda name: METHODS[name].package)
@@ -86,7 +89,10 @@ def lack(rows: pd.DataFrame) -> str:
         return str(rows.loc[rows["status"] == "unresolved", "reason"].iloc[0])
     reached = rows[rows["error_reached"].notna()].sort_values("error_reached", kind="stable")
     if reached.empty:
-        return "no method ran to the end"
+        cut = rows["status"].isin(CUT).any()
+        return "no time was left (--budget)" if cut else "no method ran to the end"
+    cut = rows.loc[rows["status"].isin(CUT), "method"].nunique()
+    more = f"; {cut} method{'s' * (cut > 1)} cut off for want of time (--budget)" if cut else ""
     last = reached.iloc[0]
     setting = str(last["setting"]).replace("=", " ", 1)
-    return f"the most accurate is {last['method']}, {setting}, with {last['error_reached']:.1e}"
+    return f"the most accurate is {last['method']}, {setting}, with {last['error_reached']:.1e}{more}"
