@@ -271,7 +271,7 @@ def test_one_setting_is_shown_at_both_lengths_and_a_bound_as_one():
         "5.0e-03 to 2.0e-02",
     ]
     assert shown["contact-b"][0] == "≤ 800 µs"
-    assert "rk4, the best that keeps no structure, ×3.00 that" in structure.figure(rows).title
+    assert "rk4, the best that is no contact method, ×3.00 that" in structure.figure(rows).title
 
 
 # -- derivatives -----------------------------------------------------------------------------------

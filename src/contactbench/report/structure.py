@@ -26,7 +26,7 @@ COSTS = {
     "run_s": ("takes the least time", "", duration),
     "evaluations_per_time": ("needs the fewest evaluations", " per unit of time", "{:.2g}".format),
 }
-#: the family of methods that keep no structure
+#: the family of methods that keep no contact structure
 ESTABLISHED = "established"
 
 
