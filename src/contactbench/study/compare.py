@@ -30,7 +30,7 @@ from contactbench.study.settings import ENDS, carry_of, times
 from contactbench.truth import Reference
 
 ERRORS = (1e-3, 1e-6, 1e-9)
-BUDGET = 60.0
+BUDGET = 50.0
 #: a run made once may take so many times as long as its least round
 ONCE = 2.0
 #: seconds from which on a run is more than the call from Python
