@@ -15,7 +15,7 @@ from contactbench.report import population as report
 from contactbench.report.advice import text
 from contactbench.results import advice as tables
 from contactbench.results.tables import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
-from contactbench.study import advice, population
+from contactbench.study import advice, population, trial
 from contactbench.study.experiment import PROFILES
 from contactbench.study.features import features, force_cost
 from contactbench.study.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, REPLICATE, SEED, draw
@@ -229,7 +229,9 @@ def planted():
                 "cost": 20.0,
             }
             problems.append(
-                name | known | {"size": 1, "kind": "mechanical", "structure": f"f{k % 4}", "hard": ""}
+                name
+                | known
+                | {"size": 1, "kind": "mechanical", "structure": f"f{k % 4}", "hard": "", "short": False}
             )
             for method, family in (
                 ("rk4", "established"),
@@ -254,6 +256,7 @@ def test_advice_names_what_was_best_on_problems_like_it(monkeypatch, gamma, best
     rows, problems = planted()
     own = problems.set_index(["seed", "scene"])
     monkeypatch.setattr(advice, "known", lambda: (rows, own, tables.threshold(problems)))
+    monkeypatch.setattr(trial, "SHORT", 0.0)  # nothing is tried
     scene = cb.SCENES["oscillator"].with_(gamma=gamma, t_end=2 * math.pi * 12)
     found = cb.advise(scene, error=2e-6)
     first = found.iloc[0]
@@ -268,6 +271,42 @@ def test_advice_names_what_was_best_on_problems_like_it(monkeypatch, gamma, best
     assert cb.advise(scene.with_(t_end=6e6), error=1e-6).attrs["far"]
 
 
+@pytest.mark.parametrize("name", ["particle", "rigid_body", "spherical_pendulum", "quadratic_damping"])
+def test_what_advice_has_tried_reaches_the_error_at_the_cost_it_says(name):
+    scene, error = cb.SCENES[name], 3e-7
+    found = cb.advise(scene, error=error, cost="evaluations", methods=5)
+    own = found[found["tried"] & (found["setting"] != "exact")]
+    assert len(own) >= 2
+    assert own["evaluations"].is_monotonic_increasing
+    assert (found["expected"].iloc[0], found.attrs["far"]) == (1.0, False)
+    ends = [scene.t_end / 2, scene.t_end]
+    for row in own.itertuples():
+        value = row.value if row.setting == "rtol" else scene.t_end / (2 * round(scene.t_end / row.value / 2))
+        run = cb.solve(scene, row.method, save_at=ends, **{row.setting: value})
+        truth = cb.reference(scene, ends).y
+        size = max(np.linalg.norm(truth, axis=1).max(), np.linalg.norm(scene.pack(scene.initial(()))))
+        assert np.linalg.norm(run.y[:, : truth.shape[1]] - truth, axis=1).max() < 4 * error * size
+        assert run.counts.rhs_equivalents == pytest.approx(row.evaluations, rel=0.3)
+
+
+def test_what_a_method_takes_on_the_problem_itself_outweighs_what_it_took_on_others():
+    score, weights = np.array([0.0, 0.5, 1.0, 2.0]), np.array([1.0, 3.0])
+    rates = np.log([[1.0, 1.0, 2.0, math.nan], [1.0, 1.0, 2.0, 1.0]])
+    spent = np.array([100.0, 40.0, math.nan, math.inf])
+    found = tables.with_tried(score, spent, rates, weights)
+    assert np.exp(found[:2]) == pytest.approx([100, 40])
+    assert found[3] == math.inf  # it did not reach the error
+    shift = np.median([math.log(100), math.log(40) - 0.5])
+    assert found[2] == pytest.approx(1.0 + shift + tables.UNTRIED)
+    assert tables.with_tried(score, np.full(4, math.nan), rates, weights) is score
+
+
+def test_no_method_is_tried_on_a_long_motion():
+    scene = cb.SCENES["particle"]
+    assert cb.advise(scene)["tried"].all()
+    assert not cb.advise(scene.with_(t_end=1e5))["tried"].any()
+
+
 def test_advice_is_judged_without_the_family_that_it_is_asked_for():
     rows, problems = planted()
     problems["structure"] = np.where(problems["damping"] < 0.1, "weak", "strong")
@@ -277,6 +316,8 @@ def test_advice_is_judged_without_the_family_that_it_is_asked_for():
     assert (own["of_three"] == 1.0).all()
     other = tables.judged(rows, problems, 1e-6, "evaluations", 1, 2)
     assert (other["regret"] == 1.0).all()
+    tried = tables.judged(rows, problems.assign(short=True), 1e-6, "time_s", 1, 1)
+    assert (tried["regret"] == 1.0).all()  # tried, it is known for what it is
 
 
 @pytest.mark.parametrize(
@@ -328,7 +369,8 @@ def test_the_command_takes_a_file_and_a_name_and_prints_text_or_json(
     finally:
         cb.SCENES.pop("advised-one", None)
     assert "advised-one: angular frequency about 1, damping 1e-05 of it" in said
-    assert found["rows"][0]["method"] == "rk4"
+    assert "Tried on this very motion, in Python: " in said
+    assert found["rows"][0]["method"] == "contact-rkn8"  # whatever the planted rows say
     assert found["features"]["size"] == 1
 
 

@@ -31,7 +31,7 @@ SHORTEST, LONGEST, SCANNED = 1e-3, 1e3, 5600
 #: intervals of bounded orbits shorter than this part of the step are of no use to anybody
 ISLAND = 0.01
 #: brackets shrink to so many parts in one look; an extremum takes so many looks, a border more
-PARTS, ZOOMS, CLOSE = 8, 11, 17
+PARTS, ZOOMS, CLOSE = 64, 5, 9
 
 
 class Elementwise(Numbers):

@@ -25,10 +25,14 @@ def lines(frame: pd.DataFrame) -> Iterator[str]:
         yield "It is far from every problem of the population: this is a guess; `contactbench compare` measures."
     yield f"Most like it: {', '.join(said['nearest'])}"
     yield f"For an error of {power(said['error'])}, by {said['cost']}:"
-    yield f"  {'method':20} {'begin with':>16} {'evaluations':>12} {'best':>6}  regret: median, 90 %"
+    yield f"  {'method':20} {'begin with':>16} {'evaluations':>12} {'cost':>6}  {'best':>6}  regret: median, 90 %"
     for row in frame.itertuples():
         begin = "" if row.setting == "exact" else f"{row.setting} {scientific(row.value)}"
         yield (
-            f"  {row.method:20} {begin:>16} {count(row.evaluations):>12} {row.best:>6.0%}  "
-            f"{times(row.regret)}, {times(row.regret_90)}"
+            f"  {row.method:20} {begin:>16} {count(row.evaluations):>12} {times(row.expected):>6}  "
+            f"{row.best:>6.0%}  {times(row.regret)}, {times(row.regret_90)}"
         )
+    if any(frame["tried"]):
+        names = ", ".join(frame.loc[frame["tried"], "method"])
+        yield f"Tried on this very motion, in Python: {names}."
+    yield "Best and regret, the cost over the least, are those on the twelve problems most like it."

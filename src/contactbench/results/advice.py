@@ -1,13 +1,14 @@
 """Advice from the population: what the methods cost on the problems that are most like one.
 
 Problems are alike by damping, span, spread of the time scales, cost of the force, number of coordinates and kind of
-scene, as a pilot finds them.  Advice is judged on problems it has not seen (`judged`).
+scene, as a pilot finds them, and by which methods can run them.  Where a motion is so short that methods are tried on
+it in Python, the evaluations that each takes there count, and the others say how long an evaluation takes.  Advice is
+judged on problems it has not seen (`judged`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ import pandas as pd
 #: costs that are compared: evaluations, and compiled time
 COSTS = ("evaluations", "time_s")
 #: problems that are asked, and a distance within which they count alike
-NEIGHBOURS, ALIKE = 12, 0.3
+NEIGHBOURS, ALIKE = 12, 0.1
 #: a regret is no larger: what does not reach an error costs so many times the least
 WORST = 30.0
 #: damping over frequency below which it does not matter how weak it is, and a force that costs less than a step
@@ -23,9 +24,13 @@ WORST = 30.0
 LEAST = {"damping": 1e-7, "cost": 30.0}
 #: a problem is far from all that is known where the nearest is farther than for so many problems of the population
 KNOWN = 0.95
-#: how much each feature counts, by the decade; and another kind of scene
+#: how much each feature counts, by the decade; another kind of scene; and that other methods can run it
 WEIGHTS = {"damping": 0.5, "span": 0.6, "spread": 2.0, "cost": 1.0, "size": 0.7}
-OTHER_KIND = 2.0
+OTHER_KIND, OTHER_METHODS = 2.0, 0.5
+#: methods tried on a short motion, the best by the problems like it; what is not tried is thought dearer by so much
+TRIED, UNTRIED = 10, 0.2
+#: what is not tried: it has no steps in Python, or takes long there
+COMPILED = ("gauss6", "cvode-adams", "cyrk-dop853", "cyrk-vern8", "cyrk-lsoda", "heyoka-taylor")
 
 
 def places(problems: pd.DataFrame) -> np.ndarray:
@@ -51,29 +56,56 @@ def regrets(rows: pd.DataFrame, error: float, cost: str) -> pd.DataFrame:
     return found.mask(found.isna() & ran.loc[found.index], WORST)
 
 
-def neighbours(far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return which problems are asked, the nearest first, and how much each counts."""
+def rates(rows: pd.DataFrame, error: float, cost: str, like: pd.DataFrame) -> np.ndarray:
+    """Return the logarithm of the cost of an evaluation by problem and method, as `regrets` has them, else nan."""
+    own = rows[rows["error"] == error].set_index(["seed", "scene", "method"])
+    each = own[cost].astype(float) / own["evaluations"].astype(float)
+    each = each.where((own["status"] == "ok") & (own["evaluations"] > 0)).unstack("method")
+    found: np.ndarray = np.log(each.reindex(index=like.index, columns=like.columns).to_numpy())
+    return found
+
+
+def neighbours(known: np.ndarray, far: np.ndarray, runs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which problems are asked, the nearest first, and how much each counts.
+
+    known : regrets, (n, m).  far : distances, (n,).  runs : whether each method can run the problem it is about, (m,).
+    """
+    others = np.minimum((np.isnan(known) == runs).sum(axis=1) / 2, 2.0)
+    far = np.hypot(far, OTHER_METHODS * others)
     near = np.argsort(far, kind="stable")[:NEIGHBOURS]
     return near, 1 / (far[near] ** 2 + ALIKE**2)
 
 
-def scores(known: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def scores(known: np.ndarray, weights: np.ndarray, runs: np.ndarray) -> np.ndarray:
     """Return the mean logarithm of the regrets (n, m) of each method; inf of one that ran on few of the problems."""
     present = ~np.isnan(known) * weights[:, None]
     total = np.maximum(present.sum(axis=0), 1e-300)
     mean = np.nansum(np.log(known) * present, axis=0) / total
-    return np.where(np.isnan(known).mean(axis=0) < 0.5, mean, math.inf)
+    return np.where(runs & (np.isnan(known).mean(axis=0) < 0.5), mean, math.inf)
 
 
-def ranked(known: pd.DataFrame, far: np.ndarray, allowed: Collection[str]) -> pd.DataFrame:
-    """Return the methods, best first, by their regrets on the neighbours: how often best, and quantiles."""
-    near, weights = neighbours(far)
-    own = known.iloc[near]
-    score = pd.Series(scores(own.to_numpy(), weights), own.columns)
-    order = score[np.isfinite(score) & score.index.isin(list(allowed))].sort_values(kind="stable").index
-    own = own[order]
-    share = own.le(1.0).mul(weights, axis=0).sum() / weights.sum()
-    return pd.DataFrame({"best": share, "regret": own.median(), "regret_90": own.quantile(0.9)})
+def to_try(score: np.ndarray, methods: pd.Index) -> np.ndarray:
+    """Return which methods are tried on a short motion, best first, as places."""
+    order = np.argsort(score, kind="stable")
+    found: np.ndarray = order[np.isfinite(score[order]) & ~methods[order].isin(COMPILED)][:TRIED]
+    return found
+
+
+def with_tried(score: np.ndarray, spent: np.ndarray, each: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return scores by what methods took on the problem itself, and what an evaluation costs on those like it.
+
+    spent : evaluations, (m,); inf of what did not reach the error, nan of what was not tried.  each : `rates` of the
+    problems that are asked, (n, m).  What is not tried is put beside the others by its score.
+    """
+    present = ~np.isnan(each) * weights[:, None]
+    total = present.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own = np.log(spent) + np.nansum(each * present, axis=0) / total
+    both = np.isfinite(own) & np.isfinite(score)
+    if not both.any():
+        return score
+    found: np.ndarray = np.where(np.isnan(own), score + np.median((own - score)[both]) + UNTRIED, own)
+    return found
 
 
 def threshold(problems: pd.DataFrame) -> float:
@@ -93,14 +125,20 @@ def judged(
     """
     table = regrets(rows, error, cost)
     own = problems.set_index(["seed", "scene"]).loc[table.index]
-    values, methods = table.to_numpy(), table.columns
+    values, methods, each = table.to_numpy(), table.columns, rates(rows, error, cost, table)
+    least = regrets(rows, error, "evaluations").loc[table.index, methods].to_numpy()
     seeds, families = own.index.get_level_values("seed"), own["structure"].to_numpy()
     far = distances(own, own)
     found = []
     for i in np.flatnonzero(seeds == asked):
         others = np.flatnonzero((seeds == known) & ((families != families[i]) | (known != asked)))
-        near, weights = neighbours(far[i, others])
-        score = np.where(np.isnan(values[i]), math.inf, scores(values[others[near]], weights))
+        runs = ~np.isnan(values[i])
+        near, weights = neighbours(values[others], far[i, others], runs)
+        score = scores(values[others[near]], weights, runs)
+        if own["short"].iloc[i]:
+            spent, places = np.full(len(methods), math.nan), to_try(score, methods)
+            spent[places] = np.where(least[i, places] < WORST, least[i, places], math.inf)
+            score = with_tried(score, spent, each[others[near]], weights)
         first = np.argsort(score, kind="stable")[:3]
         taken = values[i, first]
         found.append((families[i], methods[first[0]], taken[0], np.nanmin(taken)))

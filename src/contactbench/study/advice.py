@@ -1,24 +1,42 @@
-"""Which method for a scene, at once: a short pilot, and what the problems of the population like it say."""
+"""Which method for a scene, at once: a short pilot, what methods take in Python, what the population says."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
+from time import process_time
 
 import numpy as np
 import pandas as pd
 
+from contactbench.blame import their_code
 from contactbench.checks import finite, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import METHODS
-from contactbench.results.advice import COSTS, distances, ranked, regrets, threshold
+from contactbench.results.advice import (
+    COSTS,
+    distances,
+    neighbours,
+    rates,
+    regrets,
+    scores,
+    threshold,
+    to_try,
+    with_tried,
+)
 from contactbench.results.tables import results
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
-from contactbench.study.features import features
+from contactbench.study.experiment import Row
+from contactbench.study.features import Features, features
+from contactbench.study.search import Question
+from contactbench.study.trial import CLEAR, SHORT, Trial, short_truth
 
 #: methods that are named
 NAMED = 3
-COLUMNS = ["method", "setting", "value", "evaluations", "best", "regret", "regret_90"]
+COLUMNS = ["method", "setting", "value", "evaluations", "expected", "tried", "best", "regret", "regret_90"]
+#: seconds after which no other method is tried, and how many times the least a run may cost there
+SECONDS, GIVEN_UP = 1.5, 8.0
 
 
 @lru_cache(1)
@@ -48,10 +66,12 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     -------
     pandas.DataFrame
         A row for each method, the best first: method, setting ("step" or "rtol"), value to begin with, evaluations
-        expected, best (how often it was the best of the problems like this one), regret (median of its cost over the
-        least there) and regret_90 (its 90 % quantile).  ``attrs``: "features" (what the pilot found), "nearest"
-        (problems of the population like it), "distance" of the nearest, "far" (whether it is unlike all of them),
-        "error", "cost".
+        to expect, expected (its cost over that of the first), tried (whether value and evaluations were found on
+        this very motion, which then is short, or are those of problems like it); best (how often it was the best of
+        the problems like this one), regret (median of its cost over the least there) and regret_90 (its 90 %
+        quantile).  ``attrs``: "features" (what the pilot found), "nearest" (problems of the population like it),
+        "distance" of the nearest, "far" (whether it is unlike all of them and nothing could be tried), "error",
+        "cost".
 
     Raises
     ------
@@ -79,33 +99,60 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     table = regrets(rows, taken, costs[cost])
     own = problems.loc[table.index]
     gaps = distances(pd.DataFrame([found.row()]), own)[0]
-    allowed = [name for name in table if METHODS[name].refuses(scene) is None]
-    order = ranked(table, gaps, allowed).head(methods)
-    near = [own.index[i] for i in np.argsort(gaps, kind="stable")]
+    values, each = table.to_numpy(), rates(rows, taken, costs[cost], table)
+    runs = np.array([METHODS[name].refuses(scene) is None for name in table])
+    near, weights = neighbours(values, gaps, runs)
+    score = scores(values[near], weights, runs)
+    trials = tried(scene, found, table.columns[to_try(score, table.columns)], error)
+    spent = [trials[name]["evaluations"] if name in trials else np.nan for name in table]
+    score = with_tried(score, np.array(spent), each[near], weights)
+    rows = rows[(rows["error"] == taken) & (rows["status"] == "ok")].set_index(["seed", "scene"])
     lines = []
-    for name, one in order.iterrows():
-        there = rows[(rows["error"] == taken) & (rows["method"] == name) & (rows["status"] == "ok")]
-        there = there.set_index(["seed", "scene"])
-        there = there.loc[[key for key in near if key in there.index][: NAMED * 2]].join(
-            own[["omega", "span"]]
-        )
-        control = METHODS[name].control
-        scale = there["omega"] / found.omega if control == "step" else 1.0
-        each = there["evaluations"] / there["span"] * found.span
-        lines.append(
-            (name, control, gmean(there["value"] * scale), gmean(each), *one[["best", "regret", "regret_90"]])
-        )
+    for place in np.argsort(score, kind="stable")[: min(methods, int(np.isfinite(score).sum()))]:
+        name, there = table.columns[place], table.iloc[near, place]
+        begin = trials.get(name) or beginning(rows[rows["method"] == name], own.iloc[near], found)
+        best = float((there.le(1.0) * weights).sum() / weights.sum())
+        expected = float(np.exp(score[place] - np.min(score)))
+        begun = (name, METHODS[name].control, begin["value"], begin["evaluations"], expected, name in trials)
+        lines.append((*begun, best, there.median(), there.quantile(0.9)))
     frame = pd.DataFrame(lines, columns=COLUMNS)
     frame.attrs = {
         "scene": scene.name,
         "error": taken,
         "cost": cost,
         "features": found.row(),
-        "nearest": [f"{name} of seed {seed}" for seed, name in near[:NAMED]],
+        "nearest": [f"{name} of seed {seed}" for seed, name in own.index[near[:NAMED]]],
         "distance": float(gaps.min()),
-        "far": bool(gaps.min() > far),
+        "far": bool(gaps.min() > far) and not trials,
     }
     return frame
+
+
+def tried(scene: Scene, known: Features, methods: Iterable[str], error: float) -> dict[str, Row]:
+    """Try methods in Python on a motion that is short; return the setting and the evaluations that each takes."""
+    found: dict[str, Row] = {}
+    with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
+        truth = short_truth(scene, known)
+        if truth is None or error < CLEAR * 10.0**-truth.digits:
+            return found
+        question, least = Question(scene, truth, (error,), np.inf), dict[float, float]()
+        until = process_time() + SECONDS
+        for name in methods:
+            trial = Trial(question, METHODS[name], known, SHORT, "python")
+            trial.search((error,), least, GIVEN_UP)
+            (row,) = trial.rows((error,), {})
+            found[name] = {"value": np.nan, "evaluations": np.inf} | row
+            if process_time() > until:
+                break
+    return found
+
+
+def beginning(rows: pd.DataFrame, near: pd.DataFrame, found: Features) -> Row:
+    """Return the setting to begin with and the evaluations to expect, from problems that are alike, nearest first."""
+    there = near.join(rows[["control", "value", "evaluations"]], how="inner").head(2 * NAMED)
+    scale = (there["omega"] / found.omega).where(there["control"] == "step", 1.0)
+    evaluations = there["evaluations"] / there["span"] * found.span
+    return {"value": gmean(there["value"] * scale), "evaluations": gmean(evaluations)}
 
 
 def gmean(values: pd.Series) -> float:
