@@ -290,15 +290,35 @@ def test_what_advice_has_tried_reaches_the_error_at_the_cost_it_says(name):
 
 
 def test_what_a_method_takes_on_the_problem_itself_outweighs_what_it_took_on_others():
-    score, weights = np.array([0.0, 0.5, 1.0, 2.0]), np.array([1.0, 3.0])
-    rates = np.log([[1.0, 1.0, 2.0, math.nan], [1.0, 1.0, 2.0, 1.0]])
-    spent = np.array([100.0, 40.0, math.nan, math.inf])
-    found = tables.with_tried(score, spent, rates, weights)
-    assert np.exp(found[:2]) == pytest.approx([100, 40])
-    assert found[3] == math.inf  # it did not reach the error
+    score, each = np.array([0.0, 0.5, 1.0, math.inf, 2.0]), np.log([1.0, 1.0, 2.0, 3.0, 1.0])
+    spent = np.array([100.0, 40.0, math.nan, 10.0, math.inf])
+    found = tables.with_tried(score, spent, each)
+    assert np.exp(found[[0, 1, 3]]) == pytest.approx([100, 40, 30])
+    assert found[4] == math.inf  # it did not reach the error
     shift = np.median([math.log(100), math.log(40) - 0.5])
     assert found[2] == pytest.approx(1.0 + shift + tables.UNTRIED)
-    assert tables.with_tried(score, np.full(4, math.nan), rates, weights) is score
+    assert tables.with_tried(score, np.full(5, math.nan), each) is score
+
+
+def test_an_evaluation_costs_what_it_cost_on_problems_alike_or_as_much_more_than_others_as_elsewhere():
+    rates = np.log([[1.0, 4.0, math.nan], [1.0, 2.0, math.nan], [3.0, 3.0, 24.0]])
+    found = tables.an_evaluation(rates, np.array([0]), np.array([1.0]))
+    assert np.exp(found) == pytest.approx(
+        [1.0, 4.0, 2 * 24 / 6]
+    )  # 24 over the mean of its problem, from the mean 2
+    assert tables.an_evaluation(np.zeros((2, 2)), np.array([1]), np.array([1.0])) == pytest.approx([0, 0])
+
+
+def test_the_best_are_tried_first_and_then_what_fewest_of_the_problems_can_run(monkeypatch):
+    monkeypatch.setattr(tables, "FIRST", 2)
+    score = np.array([1.0, 0.5, math.inf, 0.2, math.inf, 3.0])
+    runs = np.array([True, True, True, True, False, True])
+    known = np.array(
+        [[1.0, 2.0, math.nan, 1.0, 1.0, 1.0], [1.0, 2.0, 1.0, 1.0, 1.0, math.nan], [1.0] * 2 + [math.nan] * 4]
+    )
+    methods = pd.Index(["rk4", "rk8", "contact-log8", "cvode-adams", "rkn8", "rk8-7"])
+    found = methods[tables.to_try(score, methods, runs, known)].tolist()
+    assert found == ["rk8", "rk4", "rk8-7", "contact-log8"]
 
 
 def test_no_method_is_tried_on_a_long_motion():

@@ -27,10 +27,19 @@ KNOWN = 0.95
 #: how much each feature counts, by the decade; another kind of scene; and that other methods can run it
 WEIGHTS = {"damping": 0.5, "span": 0.6, "spread": 2.0, "cost": 1.0, "size": 0.7}
 OTHER_KIND, OTHER_METHODS = 2.0, 0.5
-#: methods tried on a short motion, the best by the problems like it; what is not tried is thought dearer by so much
-TRIED, UNTRIED = 10, 0.2
+#: methods tried first on a short motion; and what is not tried is thought dearer by so much
+FIRST, UNTRIED = 4, 0.2
 #: what is not tried: it has no steps in Python, or takes long there
-COMPILED = ("gauss6", "cvode-adams", "cyrk-dop853", "cyrk-vern8", "cyrk-lsoda", "heyoka-taylor")
+NOT_TRIED = (
+    "quinlan-tremaine12",
+    "stormer12",
+    "gauss6",
+    "cvode-adams",
+    "cyrk-dop853",
+    "cyrk-vern8",
+    "cyrk-lsoda",
+    "heyoka-taylor",
+)
 
 
 def places(problems: pd.DataFrame) -> np.ndarray:
@@ -84,23 +93,45 @@ def scores(known: np.ndarray, weights: np.ndarray, runs: np.ndarray) -> np.ndarr
     return np.where(runs & (np.isnan(known).mean(axis=0) < 0.5), mean, math.inf)
 
 
-def to_try(score: np.ndarray, methods: pd.Index) -> np.ndarray:
-    """Return which methods are tried on a short motion, best first, as places."""
-    order = np.argsort(score, kind="stable")
-    found: np.ndarray = order[np.isfinite(score[order]) & ~methods[order].isin(COMPILED)][:TRIED]
+def to_try(score: np.ndarray, methods: pd.Index, runs: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return which methods are tried on a short motion, as places, should time be up: a few that are best first.
+
+    Then follow those that the fewest of the known problems can run, regrets (n, m): they are made for some.
+    """
+    able = np.flatnonzero(runs & ~methods.isin(NOT_TRIED))
+    best = able[np.argsort(score[able], kind="stable")]
+    few = np.argsort((~np.isnan(known)).sum(axis=0)[best[FIRST:]], kind="stable")
+    found: np.ndarray = np.concatenate([best[:FIRST], best[FIRST:][few]])
     return found
 
 
-def with_tried(score: np.ndarray, spent: np.ndarray, each: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def an_evaluation(each: np.ndarray, near: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the logarithm of what an evaluation costs each method, (m,), from the problems that are asked.
+
+    each : `rates`, (n, m).  Of a method that ran on none of them it follows from all others.
+    """
+    known = ~np.isnan(each)
+
+    def mean(values: np.ndarray, weights: np.ndarray, axis: int) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            found: np.ndarray = np.nansum(values * weights, axis=axis) / weights.sum(axis=axis)
+        return found
+
+    level = mean(each, known, 1)
+    beside = each - level[:, None]
+    here = mean(beside[near], known[near] * weights[:, None], 0)
+    found: np.ndarray = np.where(np.isnan(here), mean(beside, known, 0), here)
+    return found + float(np.average(level[near], weights=weights))
+
+
+def with_tried(score: np.ndarray, spent: np.ndarray, each: np.ndarray) -> np.ndarray:
     """Return scores by what methods took on the problem itself, and what an evaluation costs on those like it.
 
-    spent : evaluations, (m,); inf of what did not reach the error, nan of what was not tried.  each : `rates` of the
-    problems that are asked, (n, m).  What is not tried is put beside the others by its score.
+    spent : evaluations, (m,); inf of what did not reach the error, nan of what was not tried.  each : as
+    `an_evaluation` returns it.  What is not tried is put beside the others by its score.
     """
-    present = ~np.isnan(each) * weights[:, None]
-    total = present.sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        own = np.log(spent) + np.nansum(each * present, axis=0) / total
+    with np.errstate(divide="ignore"):
+        own = np.log(spent) + each
     both = np.isfinite(own) & np.isfinite(score)
     if not both.any():
         return score
@@ -136,9 +167,9 @@ def judged(
         near, weights = neighbours(values[others], far[i, others], runs)
         score = scores(values[others[near]], weights, runs)
         if own["short"].iloc[i]:
-            spent, places = np.full(len(methods), math.nan), to_try(score, methods)
+            spent, places = np.full(len(methods), math.nan), to_try(score, methods, runs, values[others])
             spent[places] = np.where(least[i, places] < WORST, least[i, places], math.inf)
-            score = with_tried(score, spent, each[others[near]], weights)
+            score = with_tried(score, spent, an_evaluation(each[others], near, weights))
         first = np.argsort(score, kind="stable")[:3]
         taken = values[i, first]
         found.append((families[i], methods[first[0]], taken[0], np.nanmin(taken)))

@@ -15,6 +15,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import METHODS
 from contactbench.results.advice import (
     COSTS,
+    an_evaluation,
     distances,
     neighbours,
     rates,
@@ -30,13 +31,13 @@ from contactbench.scene.base import scene_of
 from contactbench.study.experiment import Row
 from contactbench.study.features import Features, features
 from contactbench.study.search import Question
-from contactbench.study.trial import CLEAR, SHORT, Trial, short_truth
+from contactbench.study.trial import Trial, most_in_python, short_truth
 
 #: methods that are named
 NAMED = 3
 COLUMNS = ["method", "setting", "value", "evaluations", "expected", "tried", "best", "regret", "regret_90"]
 #: seconds after which no other method is tried, and how many times the least a run may cost there
-SECONDS, GIVEN_UP = 1.5, 8.0
+SECONDS, GIVEN_UP = 1.7, 4.0
 
 
 @lru_cache(1)
@@ -103,9 +104,9 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     runs = np.array([METHODS[name].refuses(scene) is None for name in table])
     near, weights = neighbours(values, gaps, runs)
     score = scores(values[near], weights, runs)
-    trials = tried(scene, found, table.columns[to_try(score, table.columns)], error)
+    trials = tried(scene, found, table.columns[to_try(score, table.columns, runs, values)], error)
     spent = [trials[name]["evaluations"] if name in trials else np.nan for name in table]
-    score = with_tried(score, np.array(spent), each[near], weights)
+    score = with_tried(score, np.array(spent), an_evaluation(each, near, weights))
     rows = rows[(rows["error"] == taken) & (rows["status"] == "ok")].set_index(["seed", "scene"])
     lines = []
     for place in np.argsort(score, kind="stable")[: min(methods, int(np.isfinite(score).sum()))]:
@@ -133,12 +134,13 @@ def tried(scene: Scene, known: Features, methods: Iterable[str], error: float) -
     found: dict[str, Row] = {}
     with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
         truth = short_truth(scene, known)
-        if truth is None or error < CLEAR * 10.0**-truth.digits:
+        # its digits are those of the looser of two runs: it is itself about ten times nearer
+        if truth is None or error < 10.0**-truth.digits:
             return found
         question, least = Question(scene, truth, (error,), np.inf), dict[float, float]()
         until = process_time() + SECONDS
         for name in methods:
-            trial = Trial(question, METHODS[name], known, SHORT, "python")
+            trial = Trial(question, METHODS[name], known, most_in_python(known), "python")
             trial.search((error,), least, GIVEN_UP)
             (row,) = trial.rows((error,), {})
             found[name] = {"value": np.nan, "evaluations": np.inf} | row

@@ -44,14 +44,20 @@ LEAP = 24.0
 FIRST_STEP, FIRST_TOLERANCE = 0.25, 1e-4
 #: truth: an error is asked for that is so many times what two solvers differ by
 CLEAR = 10.0
-#: a motion is short where a run to these tolerances takes no more, in additions
-SHORT, TOLERANCES = 3e6, (1e-12, 1e-13)
+#: a motion is short where a run to these tolerances takes no more in Python, in additions there; and what an evaluation
+#: takes beside its own
+SHORT, IN_PYTHON, TOLERANCES = 6e6, 80.0, (1e-12, 1e-13)
+
+
+def most_in_python(known: Features) -> float:
+    """Return the evaluations of a run in Python at most."""
+    return SHORT / (known.cost + IN_PYTHON)
 
 
 def short_truth(scene: Scene, known: Features) -> Reference | None:
     """Return the states at `ENDS` on which runs in Python agree; None of a motion that takes them too long, or ends."""
     method, carry = METHODS["rk8-7"], carry_of(scene)
-    most = max(1, int(SHORT / (known.cost + BESIDE) / TYPICAL))
+    most = max(1, int(most_in_python(known) / TYPICAL))
     ends = [part * scene.t_end for part in ENDS]
     found: list[Solution] = []
     for rtol in TOLERANCES:
@@ -94,13 +100,13 @@ class Tried:
 class Trial:
     """One method on one problem: the settings tried.
 
-    work : what a run may take, in additions.  engine : None for the method's first.
+    most : evaluations of a run.  engine : None for the method's first.
     """
 
     question: Question
     method: Method
     known: Features
-    work: float = LONGEST
+    most: float = math.inf
     engine: str | None = None
     #: evaluations that a run may make
     limit: float = math.inf
@@ -109,12 +115,12 @@ class Trial:
     def attempt(self, value: float, control: str = "") -> Tried:
         scene, carry = self.question.scene, carry_of(self.question.scene)
         beside = OWN_WORK if self.stages == VARIABLE else BESIDE
-        most = max(100, int(min(self.limit, self.work / (self.known.cost + beside)) / self.stages))
+        most = min(self.most, self.limit, LONGEST / (self.known.cost + beside))
         runs = []
         for part in ENDS:
             end = part * scene.t_end
             given = keywords(control or self.method.control, value)
-            given |= {"max_steps": most, "engine": self.engine}
+            given |= {"max_steps": max(100, int(most / self.stages)), "engine": self.engine}
             runs.append(prepare(scene, self.method, save_at=[end], carry=carry, **given))
         solutions: list[Solution] = []
         seconds = math.inf
