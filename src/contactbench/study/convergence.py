@@ -26,9 +26,9 @@ POINTS = 9
 FLOOR = 1e-12
 EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
 #: for steps that iterate, some forty times to fifty digits
-ITERATED_TIME = 1.0
+ITERATED_TIME, ITERATED_STEPS = 1.0, EXTENDED_STEPS[:-1]
 #: and where these do not show an order yet
-FINER = (256, 512)
+FINER = (128, 256, 512)
 
 
 def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, float, float]]:
@@ -43,7 +43,7 @@ def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, flo
 
 
 def at_fifty_digits(
-    scene: Scene, method: FixedStep | Logarithmic, counts: Sequence[int] = EXTENDED_STEPS
+    scene: Scene, method: FixedStep | Logarithmic, counts: Sequence[int]
 ) -> Iterator[tuple[Row, float, float]]:
     """Yield rows of runs on mpmath numbers: the error at the end, relative to the larger of the start and the truth."""
     end = ITERATED_TIME if method.iterates else EXTENDED_TIME
@@ -78,9 +78,12 @@ def convergence(cell: Cell, profile: Profile) -> Recorded:
     extended = (
         method.order > 4 and isinstance(method, FixedStep | Logarithmic) and method.refuses(scene) is None
     )
-    measured = list(at_fifty_digits(scene, method) if extended else in_double_precision(scene, method))
+    counts = ITERATED_STEPS if method.iterates else EXTENDED_STEPS
+    measured = list(
+        at_fifty_digits(scene, method, counts) if extended else in_double_precision(scene, method)
+    )
     floor = EXTENDED_FLOOR if extended else FLOOR
-    for n in FINER if extended else ():
+    for n in (n for n in FINER if extended and n not in counts):
         if math.isfinite(fit_order(*points(measured), floor).order):
             break
         measured += at_fifty_digits(scene, method, [n])
