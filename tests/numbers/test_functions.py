@@ -137,3 +137,13 @@ def test_arithmetic_from_both_sides_and_of_numpy_s_scalars():
 def test_its_value_cannot_be_asked_for(ask):
     with pytest.raises(CannotRecord, match="known only when the program runs"):
         ask(Series(heyoka.expression("x")))
+
+
+def test_a_function_that_it_has_not_is_refused_with_what_it_has():
+    with pytest.raises(AttributeError, match=r"cb\.math has no 'cbrt': it has acos, .*, where"):
+        _ = cb.math.cbrt
+
+
+def test_a_potential_that_takes_its_tuple_for_a_number_is_told_what_it_is_given():
+    with pytest.raises(cb.BadInput, match=r"q is a tuple of numbers, q\[0\] the first"):
+        cb.Mechanical(name="x", potential=lambda q: q**2 / 2, q=(1.0,), p=(0.0,), t_end=1.0)

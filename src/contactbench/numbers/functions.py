@@ -118,3 +118,7 @@ def function_of_two(name: str, about: str) -> Callable[[Arithmetic, Arithmetic],
 
 hypot = function_of_two("hypot", "hypot(x, y): √(x² + y²).")
 atan2 = function_of_two("atan2", "atan2(y, x): the angle of (x, y), in (−π, π].")
+
+
+def __getattr__(name: str) -> object:
+    raise AttributeError(f"cb.math has no {name!r}: it has {', '.join(sorted(__all__))}")

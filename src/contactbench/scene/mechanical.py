@@ -444,7 +444,8 @@ class Mechanical(Canonical):
                 scene = scene._replaced(gradient=derived_gradient(potential))
             except CannotRecord as why:
                 missing = "its gradient is missing, and the potential cannot be differentiated"
-                raise BadInput(f"scene {self.name!r}: {missing}: {why}") from why
+                hint = "; q is a tuple of numbers, q[0] the first" if "'tuple'" in str(why) else ""
+                raise BadInput(f"scene {self.name!r}: {missing}: {why}{hint}") from why
         if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
             return scene
         if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
