@@ -69,6 +69,9 @@ def test_the_loop_sees_a_start_without_a_slope_and_energy_that_rises():
     rising = cb.solve(spring, "contact-strang", step=2.05, save_at=[8.2])
     assert rising.status == "diverged"
     assert "H0 rose" in rising.message
+    of_floats = spring.with_(potential=lambda q: float(q[0]) ** 2 / 2, gradient=lambda q: (float(q[0]),))
+    same = cb.solve(of_floats, "contact-strang", step=2.05, save_at=[8.2])
+    assert (same.status, same.message) == (rising.status, rising.message)
 
 
 def test_a_run_that_diverges_takes_its_steps_once(monkeypatch):

@@ -321,6 +321,30 @@ def test_the_best_are_tried_first_and_then_what_fewest_of_the_problems_can_run(m
     assert found == ["rk8", "rk4", "rk8-7", "contact-log8"]
 
 
+def of_floats(q):
+    return float(q[0]) ** 2 / 2
+
+
+def in_a_domain(q):
+    return -cb.math.sqrt(4 - q[0] * q[0])
+
+
+@pytest.mark.parametrize(
+    ("given", "tried"),
+    [
+        ({"potential": of_floats, "gradient": lambda q: (float(q[0]),)}, True),
+        ({"potential": in_a_domain, "q": (1.5,)}, True),  # steps that are too long leave it
+        ({"potential": lambda q: 0 * q[0]}, True),
+        ({"potential": lambda q: q[0] * q[0] / 2, "q": (0.0,)}, False),  # at rest: nothing has an error
+        ({"potential": lambda q: -(q[0] ** 4) / 4, "gamma": 0.0}, False),  # it leaves any scale
+    ],
+)
+def test_advice_copes_with_unkind_functions(given, tried):
+    scene = cb.Mechanical(name="unkind", **{"q": (1.0,), "p": (0.0,), "gamma": 0.1, "t_end": 20.0} | given)
+    found = cb.advise(scene)
+    assert (len(found), any(found["tried"])) == (3, tried)
+
+
 def test_no_method_is_tried_on_a_long_motion():
     scene = cb.SCENES["particle"]
     assert cb.advise(scene)["tried"].all()

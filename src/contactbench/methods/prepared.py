@@ -322,8 +322,10 @@ class Prepared(ABC):
         end = r.scene.energy(x)
         if not (end > most > start and end - start > r.scene.energy_terms(x) / 2):
             return out
-        energies = r.scene.energy(r.scene.unpack(out.y.T, r.carry))
-        first = int(np.argmax(energies > most))
+        states = (
+            r.scene.unpack(r.scene.entries(y), r.carry) for y in out.y
+        )  # functions may take floats alone
+        first = next(k for k, x in enumerate(states) if r.scene.energy(x) > most)
         y, time = out.y.copy(), float(r.save_at[first])
         y[first:] = math.nan
         message = f"H0 rose from {start:.6g} to {end:.6g}, above all that the scene allows: a smaller step is needed"

@@ -130,12 +130,11 @@ def with_tried(score: np.ndarray, spent: np.ndarray, each: np.ndarray) -> np.nda
     spent : evaluations, (m,); inf of what did not reach the error, nan of what was not tried.  each : as
     `an_evaluation` returns it.  What is not tried is put beside the others by its score.
     """
-    with np.errstate(divide="ignore"):
-        own = np.log(spent) + each
+    own = np.log(np.maximum(spent, 1.0)) + each
     both = np.isfinite(own) & np.isfinite(score)
     if not both.any():
         return score
-    found: np.ndarray = np.where(np.isnan(own), score + np.median((own - score)[both]) + UNTRIED, own)
+    found: np.ndarray = np.where(np.isnan(own), score + np.median(own[both] - score[both]) + UNTRIED, own)
     return found
 
 

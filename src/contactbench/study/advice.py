@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import lru_cache
 from time import process_time
 
 import numpy as np
 import pandas as pd
 
-from contactbench.blame import their_code
+from contactbench.blame import UserError
 from contactbench.checks import finite, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import METHODS
@@ -30,7 +31,7 @@ from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
 from contactbench.study.experiment import Row
 from contactbench.study.features import Features, features
-from contactbench.study.search import Question
+from contactbench.study.search import BROKEN, Question
 from contactbench.study.trial import Trial, most_in_python, short_truth
 
 #: methods that are named
@@ -108,18 +109,24 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     spent = [trials[name]["evaluations"] if name in trials else np.nan for name in table]
     score = with_tried(score, np.array(spent), an_evaluation(each, near, weights))
     rows = rows[(rows["error"] == taken) & (rows["status"] == "ok")].set_index(["seed", "scene"])
+    alike = {name: beginning(rows[rows["method"] == name], own.iloc[near], found) for name in table}
+    more = [row["evaluations"] / alike[name]["evaluations"] for name, row in trials.items()]
+    more = [
+        each for each in more if 0 < each < np.inf
+    ]  # than of problems alike, as what is not tried will too
     lines = []
     for place in np.argsort(score, kind="stable")[: min(methods, int(np.isfinite(score).sum()))]:
         name, there = table.columns[place], table.iloc[near, place]
-        begin = trials.get(name) or beginning(rows[rows["method"] == name], own.iloc[near], found)
+        begin = trials.get(name) or alike[name]
+        evaluations = begin["evaluations"] * (1.0 if name in trials or not more else np.median(more))
         best = float((there.le(1.0) * weights).sum() / weights.sum())
         expected = float(np.exp(score[place] - np.min(score)))
-        begun = (name, METHODS[name].control, begin["value"], begin["evaluations"], expected, name in trials)
+        begun = (name, METHODS[name].control, begin["value"], evaluations, expected, name in trials)
         lines.append((*begun, best, there.median(), there.quantile(0.9)))
     frame = pd.DataFrame(lines, columns=COLUMNS)
     frame.attrs = {
         "scene": scene.name,
-        "error": taken,
+        "error": error if trials else taken,
         "cost": cost,
         "features": found.row(),
         "nearest": [f"{name} of seed {seed}" for seed, name in own.index[near[:NAMED]]],
@@ -132,21 +139,23 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
 def tried(scene: Scene, known: Features, methods: Iterable[str], error: float) -> dict[str, Row]:
     """Try methods in Python on a motion that is short; return the setting and the evaluations that each takes."""
     found: dict[str, Row] = {}
-    with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
+    failing, truth = (UserError, *BROKEN), None  # as a function does that a long step takes out of its domain
+    with suppress(*failing):
         truth = short_truth(scene, known)
-        # its digits are those of the looser of two runs: it is itself about ten times nearer
-        if truth is None or error < 10.0**-truth.digits:
-            return found
-        question, least = Question(scene, truth, (error,), np.inf), dict[float, float]()
-        until = process_time() + SECONDS
-        for name in methods:
-            trial = Trial(question, METHODS[name], known, most_in_python(known), "python")
+    # its digits are those of the looser of two runs: it is itself about ten times nearer
+    if truth is None or error < 10.0**-truth.digits:
+        return found
+    question, least = Question(scene, truth, (error,), np.inf), dict[float, float]()
+    until = process_time() + SECONDS
+    for name in methods:
+        trial = Trial(question, METHODS[name], known, most_in_python(known), "python")
+        with suppress(*failing), np.errstate(all="ignore"):
             trial.search((error,), least, GIVEN_UP)
             (row,) = trial.rows((error,), {})
             found[name] = {"value": np.nan, "evaluations": np.inf} | row
-            if process_time() > until:
-                break
-    return found
+        if process_time() > until:
+            break
+    return found if least else {}  # at rest nothing has an error
 
 
 def beginning(rows: pd.DataFrame, near: pd.DataFrame, found: Features) -> Row:
@@ -159,4 +168,4 @@ def beginning(rows: pd.DataFrame, near: pd.DataFrame, found: Features) -> Row:
 
 def gmean(values: pd.Series) -> float:
     with np.errstate(divide="ignore"):  # nothing is set of an exact method
-        return float(np.exp(np.log(values.to_numpy(dtype=float)).mean()))
+        return float(np.exp(np.log(values.to_numpy(dtype=float)).mean())) if len(values) else np.nan

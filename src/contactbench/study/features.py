@@ -106,7 +106,7 @@ def features(scene: Scene) -> Features:
     omega = float(np.average(rates, weights=lengths[seen])) if seen.any() else 0.0
     omega = max(omega, SLOWEST / scene.t_end)
     size = len(y0) // 2 if scene.canonical else len(y0)
-    spread = float(max(omega, *rates)) / omega
+    spread = float(max([omega, *rates])) / omega
     span = scene.t_end * omega / (2 * math.pi)
     return Features(
         omega, max(damping, 0.0) / omega, span, spread, force_cost(scene, recorded), size, scene.kind

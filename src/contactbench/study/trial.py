@@ -73,7 +73,7 @@ def short_truth(scene: Scene, known: Features) -> Reference | None:
 
 def agreed(scene: Scene, carry: tuple[str, ...], one: Solution, other: Solution) -> Reference:
     """Return the states of one run as the truth, to the digits on which another agrees."""
-    gap = float(np.abs(one.y - other.y).max() / np.abs(one.y).max())
+    gap = float(np.abs(one.y - other.y).max() / (np.abs(one.y).max() or 1.0))  # 1: at rest
     digits = max(0, math.floor(-math.log10(max(gap, 1e-16))))
     return Reference(scene, carry, np.asarray(one.t), one.y, [], digits, "two solvers")
 
