@@ -70,7 +70,7 @@ class FixedStep(Method):
         loops = SITE_LOOPS if request.scene.by_sites else LOOPS
         loop = loops[request.engine](self, request)
         if request.step is not None:
-            return self.run_of(request, loop)
+            return FixedStepRun(self.name, request, self, loop)  # as `run_of`, without a call
         return ChosenStep(self.name, request, self, loop)
 
     def run_of(self, request: Request, loop: StepLoop[Any]) -> FixedStepRun:
