@@ -12,6 +12,7 @@ import numpy as np
 from contactbench.blame import their_code
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
+from contactbench.solution import DIVERGENCE
 from contactbench.trace.form import FUNCTIONS
 from contactbench.trace.formula import Formula, formula
 
@@ -89,11 +90,12 @@ def features(scene: Scene) -> Features:
 
     passed, until = list[tuple[float, float, float]](), process_time() + SECONDS
     with np.errstate(all="ignore"), their_code(f"scene {scene.name!r}"):
-        solver = DOP853(slope, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * max(1e-30, np.abs(y0).max()))
+        size = max(1e-30, np.abs(y0).max())
+        solver = DOP853(slope, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * size)
         q, force = pull(0.0, y0)
         while len(passed) < STEPS and solver.status == "running" and process_time() < until:
-            if not math.isfinite(solver.h_abs):
-                break
+            if not (math.isfinite(solver.h_abs) and np.abs(solver.y).max() < DIVERGENCE * size):
+                break  # it leaves any scale
             before = solver.t
             solver.step()
             old_q, old, (q, force) = q, force, pull(solver.t, solver.y)
