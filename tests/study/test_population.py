@@ -376,12 +376,13 @@ def test_advice_refuses_what_it_does_not_take(given, says):
 def test_a_problem_lost_changes_the_count_of_the_answers():
     rows, problems = planted()
     frames = report_frames(rows, problems)
-    (evaluations, _) = report.answers(frames)
+    (evaluations, _, advice) = report.answers(frames)
     assert evaluations.count == "20 of 40, 0 tied"
     assert evaluations.answer == "10⁻⁶: 50 % [35, 65]"
+    assert (advice.answer, advice.count) == ("10⁻⁶: ×1.00", "median of 40 problems; 90 %: ×1.00")
     lost = (rows["scene"] == "a-1") & (rows["method"] == "rk4")
     changed = rows.assign(evaluations=rows["evaluations"].where(~lost, 10.0))
-    (evaluations, _) = report.answers(report_frames(changed, problems))
+    (evaluations, *_) = report.answers(report_frames(changed, problems))
     assert evaluations.count == "19 of 40, 0 tied"
     titles = [part.title for part in report.parts(frames) if part is not None]
     assert len(titles) == 5 - 1  # no hard ones

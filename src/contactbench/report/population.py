@@ -115,6 +115,15 @@ def answers(frames: Frames) -> Iterator[Answer]:
             says.append(f"{power(error)}: {percent(part, len(own))}")
             counts.append(f"{part} of {len(own)}, {int((own['winner'] == 'tie').sum())} tied")
         yield Answer(QUESTIONS[cost].format(drawn), ", ".join(says), "; ".join(counts))
+    for asked in seeds(frames)[1:]:
+        found = [
+            judged(frames["population"], problems_of(frames), error, COSTS[-1], seed, asked)["regret"]
+            for error in errors(frames)
+        ]
+        says = [f"{power(e)}: {times(own.median())}" for e, own in zip(errors(frames), found, strict=True)]
+        most = ", ".join(times(own.quantile(0.9)) for own in found)
+        counted = ", ".join(str(len(own)) for own in found)
+        yield Answer(QUESTIONS["advice"], ", ".join(says), f"median of {counted} problems; 90 %: {most}")
 
 
 # -- views -----------------------------------------------------------------------------------------
