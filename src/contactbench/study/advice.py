@@ -38,7 +38,7 @@ from contactbench.study.trial import Trial, most_in_python, short_truth
 NAMED = 3
 COLUMNS = ["method", "setting", "value", "evaluations", "expected", "tried", "best", "regret", "regret_90"]
 #: seconds after which no other method is tried, and how many times the least a run may cost there
-SECONDS, GIVEN_UP = 1.7, 4.0
+SECONDS, GIVEN_UP = 1.6, 4.0
 
 
 @lru_cache(1)
@@ -139,6 +139,7 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
 def tried(scene: Scene, known: Features, methods: Iterable[str], error: float) -> dict[str, Row]:
     """Try methods in Python on a motion that is short; return the setting and the evaluations that each takes."""
     found: dict[str, Row] = {}
+    until = process_time() + SECONDS
     failing, truth = (UserError, *BROKEN), None  # as a function does that a long step takes out of its domain
     with suppress(*failing):
         truth = short_truth(scene, known)
@@ -146,7 +147,6 @@ def tried(scene: Scene, known: Features, methods: Iterable[str], error: float) -
     if truth is None or error < 10.0**-truth.digits:
         return found
     question, least = Question(scene, truth, (error,), np.inf), dict[float, float]()
-    until = process_time() + SECONDS
     for name in methods:
         trial = Trial(question, METHODS[name], known, most_in_python(known), "python")
         with suppress(*failing), np.errstate(all="ignore"):
