@@ -335,6 +335,7 @@ def in_a_domain(q):
         ({"potential": of_floats, "gradient": lambda q: (float(q[0]),)}, True),
         ({"potential": in_a_domain, "q": (1.5,)}, True),  # steps that are too long leave it
         ({"potential": lambda q: 0 * q[0]}, True),
+        ({"potential": lambda q: q[0] ** 60 / 60, "q": (0.5,), "p": (1.0,)}, True),  # a step overflows
         ({"potential": lambda q: q[0] * q[0] / 2, "q": (0.0,)}, False),  # at rest: nothing has an error
         ({"potential": lambda q: -(q[0] ** 4) / 4, "gamma": 0.0}, False),  # it leaves any scale
     ],

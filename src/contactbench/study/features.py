@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from time import process_time
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.blame import their_code
+from contactbench.methods.prepared import NO_NUMBER
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import DIVERGENCE
@@ -80,6 +82,11 @@ def features(scene: Scene) -> Features:
         found = recorded(start + t, given) if recorded else scene.slopes(start + t, given, carry)
         return np.array(found, dtype=float)
 
+    def attempt(t: float, y: np.ndarray) -> np.ndarray:
+        with suppress(*(NO_NUMBER if t > 0 else ())):  # where a step leaves all numbers a shorter one follows
+            return slope(t, y)
+        return np.full(len(y), math.nan)
+
     def pull(t: float, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a place and the acceleration there, friction left out; of what has no coordinates state and slope."""
         if not scene.separable:
@@ -91,7 +98,7 @@ def features(scene: Scene) -> Features:
     passed, until = list[tuple[float, float, float]](), process_time() + SECONDS
     with np.errstate(all="ignore"), their_code(f"scene {scene.name!r}"):
         size = max(1e-30, np.abs(y0).max())
-        solver = DOP853(slope, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * size)
+        solver = DOP853(attempt, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * size)
         q, force = pull(0.0, y0)
         while len(passed) < STEPS and solver.status == "running" and process_time() < until:
             if not (math.isfinite(solver.h_abs) and np.abs(solver.y).max() < DIVERGENCE * size):
