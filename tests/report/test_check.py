@@ -53,6 +53,15 @@ def test_what_was_just_written_agrees(results, capsys):
     assert "| Do the methods have the order they claim?" in text
 
 
+def test_documents_point_to_what_is_there_alone(results, capsys):
+    written = {path.name: path.read_text() for path in results.glob("*.md")}
+    assert not [name for name, text in written.items() if "../docs/" in text]
+    (results.parent / "docs").mkdir()
+    (results.parent / "docs" / "reading.md").touch()
+    status, lines = checked(results, capsys)
+    assert (status, any("laws.md" in line for line in lines)) == (1, True)  # which has links then
+
+
 def test_the_gate_sees_a_number_of_the_readme_that_the_tables_do_not_give(results):
     root = results.parent
     (root / "src").symlink_to(REPOSITORY / "src")

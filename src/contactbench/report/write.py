@@ -36,6 +36,10 @@ def tables(results: Path) -> Tables:
     return as_of(results, tuple(path.stat().st_mtime_ns for path in sorted(results.glob("*.csv"))))
 
 
+#: a sentence that is a link into this project's documents
+TO_DOCS = re.compile(r"\s?\[[^\]]+\]\(\.\./docs/[^)]*\)\.?")
+
+
 @lru_cache(1)
 def as_of(results: Path, written: tuple[int, ...]) -> Tables:
     """Return the tables that were written at these times: the end of a run asks for those of its report again."""
@@ -53,7 +57,10 @@ def documents(
     words = glossary(registries)
     texts = {one.chapter.file: markdown.document(one) for one in found}
     texts["glossary.md"] = f"# Glossary\n\n{markdown.parts(words)}\n"
-    texts["report.html"] = page.page(found, recorded, words, page.LINKS)
+    if not (results.parent / "docs" / "reading.md").exists():  # as in a repository of one's own
+        texts = {name: TO_DOCS.sub("", text) for name, text in texts.items()}
+    links = {label: to for label, to in page.LINKS.items() if to in texts or to.startswith("..")}
+    texts["report.html"] = page.page(found, recorded, words, links)
     texts |= {f"figures/{figure.name}.svg": draw.svg(figure) for figure in drawn}
     paths = {results / name: text for name, text in texts.items()}
     return paths | ({readme: with_answers(readme, frames)} if readme else {}), drawn

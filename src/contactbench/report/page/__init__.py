@@ -18,6 +18,7 @@ from contactbench.report.views import Cell, View
 
 #: where readers go from here: documents beside the page, and the source above it
 LINKS = {
+    "which method?": "which.md",
     "results as text": "README.md",
     "the paper and its claims": "claims.md",
     "glossary": "glossary.md",
