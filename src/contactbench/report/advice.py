@@ -23,6 +23,11 @@ def lines(frame: pd.DataFrame) -> Iterator[str]:
     )
     if said["far"]:
         yield "It is far from every problem of the population: this is a guess; `contactbench compare` measures."
+    if said["stiff"]:
+        yield (
+            "Damping is stronger than of any problem of the population: where more than a few digits are wanted, try "
+            "cyrk-radau, cyrk-lsoda and cvode-bdf (which.md, question 3)."
+        )
     yield f"Most like it: {', '.join(said['nearest'])}"
     yield f"For an error of {power(said['error'])}, by {said['cost']}:"
     yield f"  {'method':20} {'begin with':>16} {'evaluations':>12} {'cost':>6}  {'best':>6}  regret: median, 90 %"

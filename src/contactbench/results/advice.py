@@ -28,7 +28,7 @@ KNOWN = 0.95
 WEIGHTS = {"damping": 0.5, "span": 0.6, "spread": 2.0, "cost": 1.0, "size": 0.7}
 OTHER_KIND, OTHER_METHODS = 2.0, 0.5
 #: methods tried first on a short motion; and what is not tried is thought dearer by so much
-FIRST, UNTRIED = 4, 0.2
+FIRST, UNTRIED = 4, 0.4
 #: what is not tried: it has no steps in Python, or takes long there
 NOT_TRIED = (
     "quinlan-tremaine12",

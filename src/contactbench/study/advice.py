@@ -38,7 +38,9 @@ from contactbench.study.trial import Trial, most_in_python, short_truth
 NAMED = 3
 COLUMNS = ["method", "setting", "value", "evaluations", "expected", "tried", "best", "regret", "regret_90"]
 #: seconds after which no other method is tried, and how many times the least a run may cost there
-SECONDS, GIVEN_UP = 1.6, 4.0
+SECONDS, GIVEN_UP = 1.4, 4.0
+#: seconds of a pilot from which on nothing is tried
+SLOW = 1.0
 
 
 @lru_cache(1)
@@ -57,8 +59,8 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     scene :
         A scene or the name of one.
     error :
-        Error wanted at the end, relative to the motion, between 1e-9 and 1e-3; the nearest decade of these that is
-        measured, by three, is taken.
+        Error wanted at the end, relative to the motion.  Methods are tried for it; of problems like it the nearest of
+        1e-3, 1e-6 and 1e-9 is taken.
     cost :
         "time", compiled, or "evaluations" of the right-hand side.
     methods :
@@ -68,12 +70,13 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     -------
     pandas.DataFrame
         A row for each method, the best first: method, setting ("step" or "rtol"), value to begin with, evaluations
-        to expect, expected (its cost over that of the first), tried (whether value and evaluations were found on
-        this very motion, which then is short, or are those of problems like it); best (how often it was the best of
+        to expect, expected (its cost over that of the first), tried (whether it reached the error on this very
+        motion, which then is short, with this value and these evaluations; else both are those of problems like it,
+        to begin with); best (how often it was the best of
         the problems like this one), regret (median of its cost over the least there) and regret_90 (its 90 %
         quantile).  ``attrs``: "features" (what the pilot found), "nearest" (problems of the population like it),
-        "distance" of the nearest, "far" (whether it is unlike all of them and nothing could be tried), "error",
-        "cost".
+        "distance" of the nearest, "far" (whether it is unlike all of them and nothing could be tried),
+        "stiff" (whether damping over frequency is larger than of any of them), "error", "cost".
 
     Raises
     ------
@@ -97,6 +100,7 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     rows, problems, far = known()
     measured = rows["error"].unique()
     taken = float(min(measured, key=lambda each: abs(np.log(each / error))))
+    begun = process_time()
     found = features(scene)
     table = regrets(rows, taken, costs[cost])
     own = problems.loc[table.index]
@@ -105,8 +109,8 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     runs = np.array([METHODS[name].refuses(scene) is None for name in table])
     near, weights = neighbours(values, gaps, runs)
     score = scores(values[near], weights, runs)
-    trials = tried(scene, found, table.columns[to_try(score, table.columns, runs, values)], error)
-    spent = [trials[name]["evaluations"] if name in trials else np.nan for name in table]
+    trials = tried(scene, found, table.columns[to_try(score, table.columns, runs, values)], error, begun)
+    spent = [trials[name]["cost"] if name in trials else np.nan for name in table]
     score = with_tried(score, np.array(spent), an_evaluation(each, near, weights))
     rows = rows[(rows["error"] == taken) & (rows["status"] == "ok")].set_index(["seed", "scene"])
     alike = {name: beginning(rows[rows["method"] == name], own.iloc[near], found) for name in table}
@@ -121,8 +125,8 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
         evaluations = begin["evaluations"] * (1.0 if name in trials or not more else np.median(more))
         best = float((there.le(1.0) * weights).sum() / weights.sum())
         expected = float(np.exp(score[place] - np.min(score)))
-        begun = (name, METHODS[name].control, begin["value"], evaluations, expected, name in trials)
-        lines.append((*begun, best, there.median(), there.quantile(0.9)))
+        setting = (name, METHODS[name].control, begin["value"], evaluations, expected, name in trials)
+        lines.append((*setting, best, there.median(), there.quantile(0.9)))
     frame = pd.DataFrame(lines, columns=COLUMNS)
     frame.attrs = {
         "scene": scene.name,
@@ -132,13 +136,21 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
         "nearest": [f"{name} of seed {seed}" for seed, name in own.index[near[:NAMED]]],
         "distance": float(gaps.min()),
         "far": bool(gaps.min() > far) and not trials,
+        "stiff": bool(found.damping > problems["damping"].max()),
     }
     return frame
 
 
-def tried(scene: Scene, known: Features, methods: Iterable[str], error: float) -> dict[str, Row]:
-    """Try methods in Python on a motion that is short; return the setting and the evaluations that each takes."""
+def tried(
+    scene: Scene, known: Features, methods: Iterable[str], error: float, begun: float
+) -> dict[str, Row]:
+    """Try methods in Python on a motion that is short; return the setting and the evaluations that each takes.
+
+    cost : evaluations, between settings.  begun : when the pilot did; of a slow force there is no time for trials.
+    """
     found: dict[str, Row] = {}
+    if process_time() - begun > SLOW:
+        return found
     until = process_time() + SECONDS
     failing, truth = (UserError, *BROKEN), None  # as a function does that a long step takes out of its domain
     with suppress(*failing):
@@ -152,7 +164,9 @@ def tried(scene: Scene, known: Features, methods: Iterable[str], error: float) -
         with suppress(*failing), np.errstate(all="ignore"):
             trial.search((error,), least, GIVEN_UP)
             (row,) = trial.rows((error,), {})
-            found[name] = {"value": np.nan, "evaluations": np.inf} | row
+            found[name] = {"value": np.nan, "evaluations": np.inf, "cost": row.get("evaluations", np.inf)}
+            if (best := trial.best(error)) is not None:
+                found[name] |= {"value": best.value, "evaluations": best.evaluations}
         if process_time() > until:
             break
     return found if least else {}  # at rest nothing has an error
