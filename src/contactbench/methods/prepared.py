@@ -322,9 +322,8 @@ class Prepared(ABC):
         end = r.scene.energy(x)
         if not (end > most > start and end - start > r.scene.energy_terms(x) / 2):
             return out
-        states = (
-            r.scene.unpack(r.scene.entries(y), r.carry) for y in out.y
-        )  # functions may take floats alone
+        # one by one: functions may take floats alone
+        states = (r.scene.unpack(r.scene.entries(y), r.carry) for y in out.y)
         first = next(k for k, x in enumerate(states) if r.scene.energy(x) > most)
         y, time = out.y.copy(), float(r.save_at[first])
         y[first:] = math.nan

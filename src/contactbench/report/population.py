@@ -77,6 +77,12 @@ def of(frames: Frames, seed: int, cost: str, error: float) -> pd.DataFrame:
     return own[(own["seed"] == seed) & (own["by"] == cost) & (own["error"] == error)]
 
 
+@lru_cache(32)
+def advised(frames: Frames, asked: int, cost: str, error: float) -> pd.DataFrame:
+    """Return what advice costs on the problems of a seed, from those of the first."""
+    return judged(frames["population"], problems_of(frames), error, cost, seeds(frames)[0], asked)
+
+
 def errors(frames: Frames) -> list[float]:
     return sorted(frames["population"]["error"].unique(), reverse=True)
 
@@ -116,13 +122,10 @@ def answers(frames: Frames) -> Iterator[Answer]:
             counts.append(f"{part} of {len(own)}, {int((own['winner'] == 'tie').sum())} tied")
         yield Answer(QUESTIONS[cost].format(drawn), ", ".join(says), "; ".join(counts))
     for asked in seeds(frames)[1:]:
-        found = [
-            judged(frames["population"], problems_of(frames), error, COSTS[-1], seed, asked)["regret"]
-            for error in errors(frames)
-        ]
-        says = [f"{power(e)}: {times(own.median())}" for e, own in zip(errors(frames), found, strict=True)]
-        most = ", ".join(times(own.quantile(0.9)) for own in found)
-        counted = ", ".join(str(len(own)) for own in found)
+        found = {error: advised(frames, asked, COSTS[-1], error)["regret"] for error in errors(frames)}
+        says = [f"{power(error)}: {times(own.median())}" for error, own in found.items()]
+        most = ", ".join(times(own.quantile(0.9)) for own in found.values())
+        counted = ", ".join(str(len(own)) for own in found.values())
         yield Answer(QUESTIONS["advice"], ", ".join(says), f"median of {counted} problems; 90 %: {most}")
 
 
@@ -213,7 +216,7 @@ def advice_view(frames: Frames) -> View:
     for asked, label in ((first, "another family"), *((seed, f"seed {seed}") for seed in others)):
         for cost in COSTS:
             for error in errors(frames):
-                own = judged(frames["population"], problems_of(frames), error, cost, first, asked)
+                own = advised(frames, asked, cost, error)
                 cells = [quantile(own[name], q) for name in ("regret", "of_three") for q in (0.5, 0.9)]
                 lines.append([f"{label}, {LABELS[cost]}, {power(error)}", len(own), *cells])
     labels = [("", "judged on"), ("", "problems")]

@@ -9,6 +9,9 @@ judged on problems it has not seen (`judged`).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -55,22 +58,26 @@ def distances(problems: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
     return np.asarray(np.hypot(np.linalg.norm(gaps, axis=2), OTHER_KIND * strange))
 
 
+def spent(rows: pd.DataFrame, error: float, cost: str) -> pd.DataFrame:
+    """Return the cost of an error by problem (seed, scene) and method; nan where it was not reached, or not run."""
+    own = rows[rows["error"] == error].set_index(["seed", "scene", "method"])
+    return own[cost].astype(float).where(own["status"] == "ok").unstack("method")
+
+
 def regrets(rows: pd.DataFrame, error: float, cost: str) -> pd.DataFrame:
     """Return cost over the least by problem (seed, scene) and method; `WORST` where not reached, nan where not run."""
-    own = rows[rows["error"] == error].set_index(["seed", "scene", "method"])
-    spent = own[cost].astype(float).where(own["status"] == "ok").unstack("method")
-    ran = own["status"].unstack("method").notna()
-    spent = spent[spent.notna().any(axis=1)]
-    found = spent.div(spent.min(axis=1), axis=0).clip(upper=WORST)
+    found, own = spent(rows, error, cost), rows[rows["error"] == error]
+    ran = own.set_index(["seed", "scene", "method"])["status"].unstack("method").notna()
+    found = found[found.notna().any(axis=1)]
+    found = found.div(found.min(axis=1), axis=0).clip(upper=WORST)
     return found.mask(found.isna() & ran.loc[found.index], WORST)
 
 
 def rates(rows: pd.DataFrame, error: float, cost: str, like: pd.DataFrame) -> np.ndarray:
     """Return the logarithm of the cost of an evaluation by problem and method, as `regrets` has them, else nan."""
-    own = rows[rows["error"] == error].set_index(["seed", "scene", "method"])
-    each = own[cost].astype(float) / own["evaluations"].astype(float)
-    each = each.where((own["status"] == "ok") & (own["evaluations"] > 0)).unstack("method")
-    found: np.ndarray = np.log(each.reindex(index=like.index, columns=like.columns).to_numpy())
+    evaluations = spent(rows, error, "evaluations")
+    each = spent(rows, error, cost) / evaluations.where(evaluations > 0)
+    found: np.ndarray = np.log(each.loc[like.index, like.columns].to_numpy())
     return found
 
 
@@ -138,6 +145,38 @@ def with_tried(score: np.ndarray, spent: np.ndarray, each: np.ndarray) -> np.nda
     return found
 
 
+@dataclass(frozen=True)
+class Outlook:
+    """What is to be expected of each method on a problem.
+
+    score : logarithm of its cost, (m,), to be compared; inf of what cannot run, or failed.  near : the problems that
+    were asked, nearest first, as places, and weights : how much each of them counts.
+    """
+
+    score: np.ndarray
+    near: np.ndarray
+    weights: np.ndarray
+
+
+def outlook(
+    known: pd.DataFrame,
+    each: np.ndarray,
+    far: np.ndarray,
+    runs: np.ndarray,
+    trials: Callable[[np.ndarray], np.ndarray],
+) -> Outlook:
+    """Return what the problems that are known, regrets (n, m), and trials say of a problem.
+
+    each : `rates`, (n, m).  far : distances, (n,).  runs : whether each method can run it, (m,).  trials : takes the
+    places of methods, the first to be tried first, and returns evaluations as `with_tried` takes them.
+    """
+    values = known.to_numpy()
+    near, weights = neighbours(values, far, runs)
+    score = scores(values[near], weights, runs)
+    taken = trials(to_try(score, known.columns, runs, values))
+    return Outlook(with_tried(score, taken, an_evaluation(each, near, weights)), near, weights)
+
+
 def threshold(problems: pd.DataFrame) -> float:
     """Return the distance of the nearest other problem that `KNOWN` of the population do not exceed."""
     far = distances(problems, problems)
@@ -155,21 +194,24 @@ def judged(
     """
     table = regrets(rows, error, cost)
     own = problems.set_index(["seed", "scene"]).loc[table.index]
-    values, methods, each = table.to_numpy(), table.columns, rates(rows, error, cost, table)
-    least = regrets(rows, error, "evaluations").loc[table.index, methods].to_numpy()
+    values, each = table.to_numpy(), rates(rows, error, cost, table)
+    least = regrets(rows, error, "evaluations").loc[table.index, table.columns].to_numpy()
     seeds, families = own.index.get_level_values("seed"), own["structure"].to_numpy()
-    far = distances(own, own)
+    far, short = distances(own, own), own["short"].to_numpy()
+
+    def trials(i: int, places: np.ndarray) -> np.ndarray:
+        """Return what methods take on a problem, over the least: nothing is known of a long one."""
+        taken = np.full(len(table.columns), math.nan)
+        if short[i]:
+            taken[places] = np.where(least[i, places] < WORST, least[i, places], math.inf)
+        return taken
+
     found = []
-    for i in np.flatnonzero(seeds == asked):
+    for i in np.flatnonzero(seeds == asked).tolist():
         others = np.flatnonzero((seeds == known) & ((families != families[i]) | (known != asked)))
         runs = ~np.isnan(values[i])
-        near, weights = neighbours(values[others], far[i, others], runs)
-        score = scores(values[others[near]], weights, runs)
-        if own["short"].iloc[i]:
-            spent, places = np.full(len(methods), math.nan), to_try(score, methods, runs, values[others])
-            spent[places] = np.where(least[i, places] < WORST, least[i, places], math.inf)
-            score = with_tried(score, spent, an_evaluation(each[others], near, weights))
-        first = np.argsort(score, kind="stable")[:3]
+        said = outlook(table.iloc[others], each[others], far[i, others], runs, partial(trials, i))
+        first = np.argsort(said.score, kind="stable")[:3]
         taken = values[i, first]
-        found.append((families[i], methods[first[0]], taken[0], np.nanmin(taken)))
+        found.append((families[i], table.columns[first[0]], taken[0], np.nanmin(taken)))
     return pd.DataFrame(found, columns=["structure", "first", "regret", "of_three"])

@@ -14,18 +14,7 @@ from contactbench.blame import UserError
 from contactbench.checks import finite, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import METHODS
-from contactbench.results.advice import (
-    COSTS,
-    an_evaluation,
-    distances,
-    neighbours,
-    rates,
-    regrets,
-    scores,
-    threshold,
-    to_try,
-    with_tried,
-)
+from contactbench.results.advice import COSTS, distances, outlook, rates, regrets, threshold
 from contactbench.results.tables import results
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
@@ -105,24 +94,30 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     table = regrets(rows, taken, costs[cost])
     own = problems.loc[table.index]
     gaps = distances(pd.DataFrame([found.row()]), own)[0]
-    values, each = table.to_numpy(), rates(rows, taken, costs[cost], table)
     runs = np.array([METHODS[name].refuses(scene) is None for name in table])
-    near, weights = neighbours(values, gaps, runs)
-    score = scores(values[near], weights, runs)
-    trials = tried(scene, found, table.columns[to_try(score, table.columns, runs, values)], error, begun)
-    spent = [trials[name]["cost"] if name in trials else np.nan for name in table]
-    score = with_tried(score, np.array(spent), an_evaluation(each, near, weights))
+    trials: dict[str, Row] = {}
+
+    def evaluations_of(places: np.ndarray) -> np.ndarray:
+        trials.update(tried(scene, found, table.columns[places], error, begun))
+        return np.array([trials[name]["cost"] if name in trials else np.nan for name in table])
+
+    each = rates(rows, taken, costs[cost], table)
+    said = outlook(table, each, gaps, runs, evaluations_of)
+    score, near, weights = said.score, said.near, said.weights
+    order = np.argsort(score, kind="stable")[: min(methods, int(np.isfinite(score).sum()))]
     rows = rows[(rows["error"] == taken) & (rows["status"] == "ok")].set_index(["seed", "scene"])
-    alike = {name: beginning(rows[rows["method"] == name], own.iloc[near], found) for name in table}
-    more = [row["evaluations"] / alike[name]["evaluations"] for name, row in trials.items()]
-    more = [
-        each for each in more if 0 < each < np.inf
-    ]  # than of problems alike, as what is not tried will too
+    alike = {
+        name: beginning(rows[rows["method"] == name], own.iloc[near], found)
+        for name in {*trials, *table.columns[order]}
+    }
+    ratios = (row["evaluations"] / alike[name]["evaluations"] for name, row in trials.items())
+    # what is not tried will take more than on problems alike too, as what is
+    more = np.median([each for each in ratios if 0 < each < np.inf] or [1.0])
     lines = []
-    for place in np.argsort(score, kind="stable")[: min(methods, int(np.isfinite(score).sum()))]:
+    for place in order:
         name, there = table.columns[place], table.iloc[near, place]
         begin = trials.get(name) or alike[name]
-        evaluations = begin["evaluations"] * (1.0 if name in trials or not more else np.median(more))
+        evaluations = begin["evaluations"] * (1.0 if name in trials else more)
         best = float((there.le(1.0) * weights).sum() / weights.sum())
         expected = float(np.exp(score[place] - np.min(score)))
         setting = (name, METHODS[name].control, begin["value"], evaluations, expected, name in trials)

@@ -24,11 +24,10 @@ from contactbench.study.settings import halving_steps, times
 POINTS = 9
 #: below this, relative to the solution, an error is round-off
 FLOOR = 1e-12
-EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
+#: steps at fifty digits; the first few in any case, the others one by one where these do not show an order yet
+EXTENDED_TIME, EXTENDED_STEPS, FEW, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128, 256, 512), 5, 1e-33
 #: for steps that iterate, some forty times to fifty digits
-ITERATED_TIME, ITERATED_STEPS = 1.0, EXTENDED_STEPS[:-1]
-#: and where these do not show an order yet
-FINER = (128, 256, 512)
+ITERATED_TIME, ITERATED_FEW = 1.0, 4
 
 
 def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, float, float]]:
@@ -78,12 +77,11 @@ def convergence(cell: Cell, profile: Profile) -> Recorded:
     extended = (
         method.order > 4 and isinstance(method, FixedStep | Logarithmic) and method.refuses(scene) is None
     )
-    counts = ITERATED_STEPS if method.iterates else EXTENDED_STEPS
-    measured = list(
-        at_fifty_digits(scene, method, counts) if extended else in_double_precision(scene, method)
-    )
+    few = ITERATED_FEW if method.iterates else FEW
+    first, finer = (EXTENDED_STEPS[:few], EXTENDED_STEPS[few:]) if extended else ((), ())
+    measured = list(at_fifty_digits(scene, method, first) if extended else in_double_precision(scene, method))
     floor = EXTENDED_FLOOR if extended else FLOOR
-    for n in (n for n in FINER if extended and n not in counts):
+    for n in finer:
         if math.isfinite(fit_order(*points(measured), floor).order):
             break
         measured += at_fifty_digits(scene, method, [n])

@@ -99,11 +99,11 @@ def features(scene: Scene) -> Features:
 
     passed, until = list[tuple[float, float, float]](), process_time() + SECONDS
     with np.errstate(all="ignore"), their_code(f"scene {scene.name!r}"):
-        size = max(1e-30, np.abs(y0).max())
-        solver = DOP853(attempt, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * size)
+        scale = max(1e-30, np.abs(y0).max())
+        solver = DOP853(attempt, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * scale)
         q, force = pull(0.0, y0)
         while len(passed) < STEPS and solver.status == "running" and process_time() < until:
-            if not (math.isfinite(solver.h_abs) and np.abs(solver.y).max() < DIVERGENCE * size):
+            if not (math.isfinite(solver.h_abs) and np.abs(solver.y).max() < DIVERGENCE * scale):
                 break  # it leaves any scale
             before = solver.t
             solver.step()

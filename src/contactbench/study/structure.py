@@ -41,8 +41,9 @@ STEPS = {
 #: tolerances from the loosest that a method holds, as powers of ten
 POWERS = {"cyrk-dop853": (4, 8), "cyrk-vern8": (3, 8), "cvode-adams": (4, 8), "heyoka-taylor": (4, 9)}
 LADDERS = STEPS | {name: tuple(10.0**-k for k in range(a, b + 1)) for name, (a, b) in POWERS.items()}
-#: of long runs those around an error of 1 %, where each is dear
-LONG = {
+#: at weak damping and over the first of the long spans those around an error of 1 %, where each is dear
+LONG_SPAN = 1e5
+AROUND = {
     "rkn12": (1.6, 1.1),
     "cyrk-dop853": (1e-6, 1e-7),
     "cyrk-vern8": (1e-5, 1e-6),
@@ -54,7 +55,7 @@ LATTICE = ("rk4", "cvode-adams")
 N, GAMMA, SPAN, SAVES = 16, 1e-5, 1e4, 20
 #: other dampings, lengths of a run and numbers of sites, by the profile from which on they are run
 MORE = {
-    "standard": [(GAMMA, 1e5, N), (1e-4, SPAN, N), (1e-3, SPAN, N)],
+    "standard": [(GAMMA, LONG_SPAN, N), (1e-4, SPAN, N), (1e-3, SPAN, N)],
     "full": [(1e-4, 1e5, N), (GAMMA, 1e6, N), (GAMMA, SPAN, 256), (GAMMA, SPAN, 1024)],
 }
 FEW = ("contact-strang", "contact-rkn4", "rk4", "cyrk-vern8")
@@ -82,7 +83,8 @@ def ladder(profile: Profile) -> list[Cell]:
 
 def rungs(scene: str, name: str, gamma: float, span: float, n: int) -> list[Cell]:
     """Return the cells of a method; in long runs without the first, which is lost, and the last, which is dear."""
-    values = LADDERS[name] if span <= SPAN else LONG.get(name, LADDERS[name][1:-1])
+    around = AROUND if (gamma, span) == (GAMMA, LONG_SPAN) else {}
+    values = LADDERS[name] if span <= SPAN else around.get(name, LADDERS[name][1:-1])
     return [(scene, name, cb.METHODS[name].engines[0], gamma, span, n, value) for value in values]
 
 
