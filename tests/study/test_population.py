@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pandas as pd
@@ -338,7 +339,6 @@ def in_a_domain(q):
         ({"potential": lambda q: 0 * q[0]}, True),
         ({"potential": lambda q: q[0] ** 60 / 60, "q": (0.5,), "p": (1.0,)}, True),  # a step overflows
         ({"potential": lambda q: q[0] * q[0] / 2, "q": (0.0,)}, False),  # at rest: nothing has an error
-        ({"potential": lambda q: -(q[0] ** 4) / 4, "gamma": 0.0}, False),  # it leaves any scale
     ],
 )
 def test_advice_copes_with_unkind_functions(given, tried):
@@ -364,6 +364,23 @@ def test_advice_is_judged_without_the_family_that_it_is_asked_for():
     assert (other["regret"] == 1.0).all()
     tried = tables.judged(rows, problems.assign(short=True), 1e-6, "time_s", 1, 1)
     assert (tried["regret"] == 1.0).all()  # tried, it is known for what it is
+
+
+@pytest.mark.parametrize(
+    ("scene", "time"),
+    [
+        (cb.Equations(name="own", rhs=lambda t, y: (1 + y[0] ** 2,), y0=(0.0,), t_end=3.0), math.pi / 2),
+        (
+            cb.Mechanical(name="own", potential=lambda q: -(q[0] ** 4), q=(0.5,), p=(0.5**1.5,), t_end=9.0),
+            2**0.5,
+        ),
+    ],
+)
+def test_advice_says_where_a_motion_ends(scene, time):
+    with pytest.raises(cb.BadInput, match="its motion has left any scale") as refused:
+        cb.advise(scene, error=1e-6)
+    assert float(re.search(r"t = ([\d.]+)", str(refused.value))[1]) == pytest.approx(time, rel=5e-3)
+    assert len(cb.advise(scene.with_(t_end=0.9 * time), error=1e-6)) > 0
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,29 @@ def test_states_that_do_not_lead_to_each_other_are_refused(monkeypatch):
     assert "two engines disagree before t = " in refusal(lambda: cb.reference(scene, [20.0], ()))
 
 
+@pytest.mark.parametrize(
+    ("slope", "exact"),
+    [
+        (lambda y: 1.0, lambda t: t),
+        (lambda y: 1 - y**2, np.tanh),
+        (lambda y: 1 + y**2, np.tan),
+        (lambda y: 3.0 * cb.math.cos(y), lambda t: 2 * np.arctan(np.tanh(1.5 * t))),
+    ],
+)
+def test_a_slope_that_does_not_vanish_where_the_state_does_is_no_rough_one(slope, exact):
+    """The state is then known far better than its slope, whose rounding alone was read as a force of time."""
+    scene = cb.Equations(name="from zero", rhs=lambda t, y: (slope(y[0]),), y0=(0.0,), t_end=1.5)
+    found = cb.reference(scene, [0.75, 1.5])
+    assert found.digits >= 15
+    np.testing.assert_allclose(found.y[:, 0], exact(np.array([0.75, 1.5])), rtol=1e-15)
+
+
+def test_the_pole_of_a_motion_from_zero_is_said():
+    scene = cb.Equations(name="pole", rhs=lambda t, y: (1 + y[0] ** 2,), y0=(0.0,), t_end=3.0)
+    with pytest.raises(cb.BadInput, match=r"the trajectory blows up at t = 1\.5708"):
+        cb.reference(scene, [3.0])
+
+
 def test_two_solvers_that_agree_on_no_digit_are_refused(monkeypatch):
     module = importlib.import_module("contactbench.truth.many")
     monkeypatch.setattr(module, "by_scipy", lambda slope, y, times, **_: [y + 1.0 for _ in times])

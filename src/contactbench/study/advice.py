@@ -70,7 +70,8 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     Raises
     ------
     BadInput
-        For a wrong argument, and where no population comes with the installation.
+        For a wrong argument, a motion that leaves any scale before its end, and where no population comes with the
+        installation.
 
     Examples
     --------
@@ -91,6 +92,11 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     taken = float(min(measured, key=lambda each: abs(np.log(each / error))))
     begun = process_time()
     found = features(scene)
+    if found.left < scene.t_end:
+        raise BadInput(
+            f"scene {scene.name!r}: by t = {found.left:.6g} its motion has left any scale, so that nothing reaches "
+            f"an error at t_end = {scene.t_end:g}: choose an earlier one"
+        )
     table = regrets(rows, taken, costs[cost])
     own = problems.loc[table.index]
     gaps = distances(pd.DataFrame([found.row()]), own)[0]

@@ -38,7 +38,8 @@ class Features:
     """What a problem is like.  omega : rate at which the force changes along the motion, as an angular frequency.
 
     damping : over omega.  span : in periods 2π/omega.  spread : largest of these rates over their mean.  cost : of a
-    right-hand side, in additions.  size : components.  kind : of the scene.
+    right-hand side, in additions.  size : components.  kind : of the scene.  left : time at which it had left any
+    scale, infinite if the pilot did not see it; no column.
     """
 
     omega: float
@@ -48,9 +49,10 @@ class Features:
     cost: float
     size: int
     kind: str
+    left: float = math.inf
 
     def row(self) -> dict[str, Any]:
-        return asdict(self)
+        return {name: value for name, value in asdict(self).items() if name != "left"}
 
 
 def recorded_slopes(scene: Scene) -> Formula | None:
@@ -97,14 +99,18 @@ def features(scene: Scene) -> Features:
         own: Any = scene
         return np.array(x.q, dtype=float), np.array(own.velocity(own.gradient_at(x)), dtype=float)
 
-    passed, until = list[tuple[float, float, float]](), process_time() + SECONDS
+    passed, until, left = list[tuple[float, float, float]](), process_time() + SECONDS, math.inf
     with np.errstate(all="ignore"), their_code(f"scene {scene.name!r}"):
-        scale = max(1e-30, np.abs(y0).max())
+        # of what begins at zero, how far its slope there would take it
+        scale = max(1e-30, np.abs(y0).max() or scene.t_end * np.abs(np.nan_to_num(slope(0.0, y0))).max())
         solver = DOP853(attempt, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * scale)
         q, force = pull(0.0, y0)
         while len(passed) < STEPS and solver.status == "running" and process_time() < until:
-            if not (math.isfinite(solver.h_abs) and np.abs(solver.y).max() < DIVERGENCE * scale):
-                break  # it leaves any scale
+            if not math.isfinite(solver.h_abs):
+                break
+            if not np.abs(solver.y).max() < DIVERGENCE * scale:
+                left = solver.t
+                break
             before = solver.t
             solver.step()
             old_q, old, (q, force) = q, force, pull(solver.t, solver.y)
@@ -120,7 +126,7 @@ def features(scene: Scene) -> Features:
     spread = float(max([omega, *rates])) / omega
     span = scene.t_end * omega / (2 * math.pi)
     return Features(
-        omega, max(damping, 0.0) / omega, span, spread, force_cost(scene, recorded), size, scene.kind
+        omega, max(damping, 0.0) / omega, span, spread, force_cost(scene, recorded), size, scene.kind, left
     )
 
 

@@ -247,7 +247,8 @@ class Survey:
             off = excess(values, weights, allowed)
             resolved = np.all(off <= 1)
             if resolved and timed and b - a > FINEST * self.end:
-                off = excess(frozen, weights, noise)
+                own = 4 * np.finfo(float).eps * np.abs(np.nan_to_num(frozen)).max(axis=1)
+                off = excess(frozen, weights, noise + own)
             if np.all(off <= 1) or b - a <= SHORTEST * self.end:
                 if not resolved and timed:
                     raise jump_at(self.scene, b)
