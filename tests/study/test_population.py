@@ -374,13 +374,42 @@ def test_advice_is_judged_without_the_family_that_it_is_asked_for():
             cb.Mechanical(name="own", potential=lambda q: -(q[0] ** 4), q=(0.5,), p=(0.5**1.5,), t_end=9.0),
             2**0.5,
         ),
+        (
+            cb.Mechanical(
+                name="own", potential=lambda q: -(q[0] ** 4) / 4, gamma=0.0, q=(1.0,), p=(0.0,), t_end=20.0
+            ),
+            1.8541,  # √2 Γ(1/4)² / (4 √(2π)) = √2 · 1.31103
+        ),
     ],
 )
 def test_advice_says_where_a_motion_ends(scene, time):
-    with pytest.raises(cb.BadInput, match="its motion has left any scale") as refused:
+    with pytest.raises(cb.BadInput, match="its motion left its scale by a factor 1e6") as refused:
         cb.advise(scene, error=1e-6)
     assert float(re.search(r"t = ([\d.]+)", str(refused.value))[1]) == pytest.approx(time, rel=5e-3)
     assert len(cb.advise(scene.with_(t_end=0.9 * time), error=1e-6)) > 0
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        cb.Equations(name="own", rhs=lambda t, y: (cb.math.sin(t) - y[0],), y0=(0.0,), t_end=20.0),
+        cb.Driven(
+            name="own", potential=lambda q, t: q[0] ** 2 / 2 - 1e-20 * q[0] * cb.math.sin(t),
+            q=(0.0,), p=(0.0,), gamma=0.1, t_end=20.0,
+        ),
+        cb.Mechanical(
+            name="own", potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
+            q=(1e-7,), p=(0.0,), gamma=0.1, t_end=40.0,
+        ),
+        cb.Mechanical(
+            name="own", potential=lambda q: 0 * q[0], q=(1.0,), p=(1.0,), gamma=0.0, t_end=1e7
+        ),
+    ],
+)  # fmt: skip
+def test_a_motion_that_only_grows_from_little_is_no_diverging_one(scene):
+    """As for every run: from rest, next to an equilibrium, and where a free particle goes far by itself."""
+    assert cb.solve(scene, "rk8-7", rtol=1e-8).ok
+    assert cb.advise(scene, error=1e-6)["tried"].any()
 
 
 @pytest.mark.parametrize(

@@ -70,8 +70,8 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     Raises
     ------
     BadInput
-        For a wrong argument, a motion that leaves any scale before its end, and where no population comes with the
-        installation.
+        For a wrong argument, a motion that diverges before its end (`Status.diverged`), and where no population
+        comes with the installation.
 
     Examples
     --------
@@ -94,8 +94,8 @@ def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods:
     found = features(scene)
     if found.left < scene.t_end:
         raise BadInput(
-            f"scene {scene.name!r}: by t = {found.left:.6g} its motion has left any scale, so that nothing reaches "
-            f"an error at t_end = {scene.t_end:g}: choose an earlier one"
+            f"scene {scene.name!r}: its motion left its scale by a factor 1e6 by t = {found.left:.6g}, "
+            "where runs end as diverged: choose t_end before that"
         )
     table = regrets(rows, taken, costs[cost])
     own = problems.loc[table.index]

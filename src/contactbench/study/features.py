@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from contactbench.blame import their_code
-from contactbench.methods.prepared import NO_NUMBER
+from contactbench.methods.prepared import NO_NUMBER, furthest
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
-from contactbench.solution import DIVERGENCE
 from contactbench.trace.form import FUNCTIONS
 from contactbench.trace.formula import Formula, formula
 
@@ -38,8 +37,8 @@ class Features:
     """What a problem is like.  omega : rate at which the force changes along the motion, as an angular frequency.
 
     damping : over omega.  span : in periods 2π/omega.  spread : largest of these rates over their mean.  cost : of a
-    right-hand side, in additions.  size : components.  kind : of the scene.  left : time at which it had left any
-    scale, infinite if the pilot did not see it; no column.
+    right-hand side, in additions.  size : components.  kind : of the scene.  left : time at which it had diverged,
+    infinite if the pilot did not see it; no column.
     """
 
     omega: float
@@ -79,7 +78,9 @@ def features(scene: Scene) -> Features:
 
     scene, carry = scene.recorded(), scene.carry(())
     recorded = recorded_slopes(scene)
-    start, y0 = scene.split_clock(np.array(scene.pack(scene.initial(carry)), dtype=float))
+    begin = scene.initial(carry)
+    packed = np.array(scene.pack(begin), dtype=float)
+    start, y0 = scene.split_clock(packed)
 
     def slope(t: float, y: np.ndarray) -> np.ndarray:
         given = y.tolist()
@@ -101,15 +102,15 @@ def features(scene: Scene) -> Features:
 
     passed, until, left = list[tuple[float, float, float]](), process_time() + SECONDS, math.inf
     with np.errstate(all="ignore"), their_code(f"scene {scene.name!r}"):
-        # of what begins at zero, how far its slope there would take it
-        scale = max(1e-30, np.abs(y0).max() or scene.t_end * np.abs(np.nan_to_num(slope(0.0, y0))).max())
+        most = furthest(scene, carry, packed, scene.t_end)
+        scale = max(1e-30, np.abs(y0).max() or scene.scales(begin, scene.t_end).max())
         solver = DOP853(attempt, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * scale)
         q, force = pull(0.0, y0)
         while len(passed) < STEPS and solver.status == "running" and process_time() < until:
-            if not math.isfinite(solver.h_abs):
-                break
-            if not np.abs(solver.y).max() < DIVERGENCE * scale:
+            reached = np.abs(solver.y[: len(most)])
+            if np.any(reached > most):
                 left = solver.t
+            if not (math.isfinite(solver.h_abs) and np.all(reached <= most)):
                 break
             before = solver.t
             solver.step()
