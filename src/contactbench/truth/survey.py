@@ -242,13 +242,14 @@ class Survey:
             at_nodes = values[:, : len(NODES)]
             steepest = np.maximum(steepest, np.abs(np.nan_to_num(values)).max(axis=1))
             coupled = np.maximum(coupled, np.abs(shifted - at_nodes).max(axis=1) / RESOLVED)
-            noise = 4 * (np.abs(rounded - at_nodes).max(axis=1) + np.finfo(float).eps * self.varying)
+            noise = 4 * (
+                np.abs(rounded - at_nodes).max(axis=1) + np.finfo(float).eps * (self.varying + steepest)
+            )
             allowed = RESOLVED * np.maximum(steepest, coupled) + noise
             off = excess(values, weights, allowed)
             resolved = np.all(off <= 1)
             if resolved and timed and b - a > FINEST * self.end:
-                own = 4 * np.finfo(float).eps * np.abs(np.nan_to_num(frozen)).max(axis=1)
-                off = excess(frozen, weights, noise + own)
+                off = excess(frozen, weights, noise)
             if np.all(off <= 1) or b - a <= SHORTEST * self.end:
                 if not resolved and timed:
                     raise jump_at(self.scene, b)
