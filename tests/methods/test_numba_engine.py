@@ -13,7 +13,7 @@ from contactbench.methods.loops import loop_of
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
 from contactbench.solution import Status
-from contactbench.trace.compiled import compile_function
+from contactbench.trace.compiled import compile_function, read_kept
 from contactbench.trace.form import FUNCTIONS, execute
 from contactbench.trace.program import record
 from contactbench.trace.recording import ALIASES
@@ -204,7 +204,8 @@ SECOND = """
 import contactbench as cb, sys
 assert "numba" not in sys.modules
 run = cb.prepare("central", "contact-bm4", step=0.1)
-print(sum(run.loop.loop.run.stats.cache_hits.values()), run().y[-1].tolist())
+from contactbench.trace.compiled import machine
+print(machine().compiled, run().y[-1].tolist())
 """
 
 
@@ -216,25 +217,28 @@ def run_elsewhere(folder):
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
-    """A cache of one program, and the states that it gave."""
+    """A cache of one program and of what calls it, and the states that it gave."""
     folder = tmp_path_factory.mktemp("cache")
     compiled, states = run_elsewhere(folder)
-    assert compiled == "0"
+    assert compiled == "1"
     return folder, states
 
 
 @pytest.fixture
 def kept(first, tmp_path):
-    """A copy of it, its program, and the states."""
+    """A copy of it, its files by their kind, and the states."""
     folder = shutil.copytree(first[0], tmp_path / "cache")
-    (path,) = folder.glob("programs/*.program")
-    return folder, path, first[1]
+    paths = {path.suffix: path for path in (folder / "programs").iterdir()}
+    assert paths.keys() == {".object", ".program"}  # the program, and what numba compiled to call it
+    return folder, paths, first[1]
 
 
 def test_a_second_process_compiles_nothing(kept):
-    folder, path, states = kept
-    assert run_elsewhere(folder) == ["1", states]
-    assert list(folder.glob("programs/*.program")) == [path]
+    folder, paths, states = kept
+    before = [path.stat().st_mtime_ns for path in paths.values()]
+    assert run_elsewhere(folder) == ["0", states]
+    assert sorted((folder / "programs").iterdir()) == sorted(paths.values())
+    assert [path.stat().st_mtime_ns for path in paths.values()] == before
 
 
 def flip(content):
@@ -245,22 +249,26 @@ def flip(content):
 DAMAGE = (lambda whole: b"\x9c" * len(whole), lambda whole: whole[: len(whole) // 2], lambda whole: b"", flip)
 
 
+@pytest.mark.parametrize("kind", [".object", ".program"])
 @pytest.mark.parametrize("damage", few_slow(DAMAGE, *DAMAGE[:3]))
-def test_a_damaged_program_is_compiled_anew_and_replaced(damage, kept):
-    folder, path, states = kept
-    path.write_bytes(damage(path.read_bytes()))
+def test_a_damaged_program_is_compiled_anew_and_replaced(damage, kind, kept):
+    folder, paths, states = kept
+    paths[kind].write_bytes(damage(paths[kind].read_bytes()))
+    assert read_kept(paths[kind]) is None
+    assert run_elsewhere(folder) == ["1" if kind == ".object" else "0", states]
+    assert read_kept(paths[kind])
     assert run_elsewhere(folder) == ["0", states]
-    assert run_elsewhere(folder) == ["1", states]
 
 
-def test_a_program_that_can_neither_be_read_nor_replaced_is_compiled(kept):
-    folder, path, states = kept
-    path.unlink()
-    (path / "in the way").mkdir(parents=True)
-    assert run_elsewhere(folder) == ["0", states]
-    assert list(folder.glob("programs/*")) == [path]
+@pytest.mark.parametrize("kind", [".object", ".program"])
+def test_a_program_that_can_neither_be_read_nor_replaced_is_compiled(kind, kept):
+    folder, paths, states = kept
+    paths[kind].unlink()
+    (paths[kind] / "in the way").mkdir(parents=True)
+    assert run_elsewhere(folder) == ["1" if kind == ".object" else "0", states]
+    assert sorted((folder / "programs").iterdir()) == sorted(paths.values())
 
 
 def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
     (tmp_path / "file").write_text("")
-    assert run_elsewhere(tmp_path / "file")[0] == "0"
+    assert run_elsewhere(tmp_path / "file")[0] == "1"

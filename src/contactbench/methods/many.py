@@ -155,7 +155,7 @@ class FieldLoop(Loop):
         self.seconds = elapsed()
 
     @cached_property
-    def sweeps(self) -> Any:
+    def sweeps(self) -> int:
         elapsed, program = stopwatch(), self.program
         made = compile_sweeps(program.run, self.boundary, program.sums, program.width, self.packing)
         self.seconds += elapsed()
@@ -164,7 +164,7 @@ class FieldLoop(Loop):
     @cached_property
     def run(self) -> Callable[..., int]:
         pointer = ctypes.c_void_p
-        return ctypes.CFUNCTYPE(None, pointer, ctypes.c_double, pointer, pointer)(self.sweeps.address)
+        return ctypes.CFUNCTYPE(None, pointer, ctypes.c_double, pointer, pointer)(self.sweeps)
 
     def data(self, scene: Many, arrays: dict[str, np.ndarray], rank: int = 0, threads: int = 1) -> np.ndarray:
         """The argument `data` of the compiled function: the addresses of its arrays, which are to be kept alive."""

@@ -27,8 +27,8 @@ from contactbench.peers.base import Call, Ending, Peer, derivative
 from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
-from contactbench.trace.compiled import back_end, compile_c, intrinsic
-from contactbench.trace.form import Assign, Element, Function, Operation, Store, digest, execute, read_by
+from contactbench.trace.compiled import compile_recorded_c
+from contactbench.trace.form import Assign, Element, Function, Operation, Store, execute, read_by
 from contactbench.trace.recording import Block, Tape, attempt, is_constant, operand_of
 
 #: places in data: the two counters, the time a run begins at, then the constants
@@ -47,13 +47,12 @@ LARGEST_JACOBIAN = 64
 
 
 class CFunctions(NamedTuple):
-    """Addresses of rhs and jacobian (0: none), how to make their data, seconds to compile, code kept alive."""
+    """Addresses of rhs and jacobian (0: none), how to make their data, seconds to compile."""
 
     rhs: int
     jacobian: int
     constants: Callable[[Sequence[float]], Sequence[float]]
     compile_s: float
-    code: object
 
     def data(self, numbers: Sequence[float]) -> np.ndarray:
         return np.array([0.0] * CONSTANTS + [*self.constants(numbers)])
@@ -74,12 +73,8 @@ def c_functions(scene: Scene, carry: tuple[str, ...], jacobian: bool = True) -> 
     def make() -> CFunctions:
         elapsed = stopwatch()
         constants, found = functions(scene, carry, jacobian)
-        code = {}
-        for name, function in found.items():
-            key = digest(back_end(), function.digest)
-            code[name] = compile_c(intrinsic(function), name, "out, t, y, data", key)
-        of_jacobian = code["jacobian"].address if "jacobian" in code else 0
-        return CFunctions(code["rhs"].address, of_jacobian, execute(constants), elapsed(), code)
+        at = {name: compile_recorded_c(function) for name, function in found.items()}
+        return CFunctions(at["rhs"], at.get("jacobian", 0), execute(constants), elapsed())
 
     return _compiled.get(key(scene.identity, carry, jacobian), make)
 
@@ -91,7 +86,7 @@ class FieldFunctions:
 
     def __init__(self, scene: Many, carry: tuple[str, ...]) -> None:
         self.scene, self.loop = scene, slopes_of(scene, carry)
-        self.rhs, self.compile_s = self.loop.sweeps.address, self.loop.seconds
+        self.rhs, self.compile_s = self.loop.sweeps, self.loop.seconds
 
     def data(self, numbers: Sequence[float]) -> np.ndarray:
         self.arrays = self.loop.arrays(self.scene, np.array(numbers))  # they live as long as this

@@ -1,9 +1,9 @@
-"""Recorded functions compiled by LLVM inside a function of numba's, and kept: once, not once per process.
+"""Recorded functions compiled by LLVM, and kept: once, not once per process.
 
 Recorded programs are long, and numba would spend a second and more on finding out the types of every line of one.
-Here the types follow from floating-point constants, whole constants and comparisons, and the whole program is one
-intrinsic function to numba, which does all the rest: arguments, optimisation, its cache.  It is imported when the
-first program is compiled.
+Here the types follow from floating-point constants, whole constants and comparisons, and a program becomes a module
+of LLVM's at once.  Numba compiles what takes arrays from Python and calls a program with them, one function for every
+kind of arguments.  Both are imported when the first program is compiled.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from threading import Lock
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 #: a function that numba makes or compiles
 Compiled = Callable[..., Any]
+#: writes the instructions of a function, given its arguments, and returns its result
+type Instructions = Callable[[IRBuilder, Sequence[Value]], Value | None]
 
 #: folder for compiled programs; by default the user's cache folder
 VARIABLE = "CONTACTBENCH_CACHE"
@@ -249,36 +252,6 @@ class Lowering:
         return result
 
 
-def intrinsic(function: form.Function, lanes: int = 1, fused: bool = True) -> Compiled:
-    """The function of arrays, pointers and numbers as a numba intrinsic; lanes, fused : see `compile_function`."""
-    from numba.core import cgutils, types
-    from numba.extending import intrinsic
-    from numba.np.arrayobj import make_array
-
-    def typed(typingctx: Context, *kinds: Type) -> tuple[Signature, Compiled]:
-        def instructions(
-            context: BaseContext, builder: IRBuilder, signature: Signature, given: Sequence[Value]
-        ) -> Value:
-            arrays, numbers = {}, {}
-            for name, kind, value in zip(function.arguments, signature.args, given, strict=True):
-                if isinstance(kind, types.Float):
-                    numbers[name] = value
-                elif isinstance(kind, types.CPointer):
-                    arrays[name] = Array(value, None)
-                else:
-                    array = make_array(kind)(context, builder, value)
-                    arrays[name] = Array(array.data, *cgutils.unpack_tuple(builder, array.shape)[:2])
-            return Lowering(builder, arrays, numbers, fused, lanes).lower(function)
-
-        return types.int64(*kinds), instructions
-
-    # numba reads the number of arguments off the function
-    arguments, scope = ", ".join(function.arguments), {"typed": typed}
-    exec(f"def {function.name}(typingctx, {arguments}):\n    return typed(typingctx, {arguments})", scope)
-    made: Compiled = intrinsic(scope[function.name])
-    return made
-
-
 # -- kept in files ----------------------------------------------------------------------------------
 @cache
 def folder() -> Path:
@@ -302,11 +275,139 @@ def back_end() -> str:
     return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
-class Kept:
-    """The cache of one function, in the place of numba's own, which fails for good on a file that is damaged.
+def read_kept(path: Path) -> bytes | None:
+    """Return what was kept, None where a file is missing or damaged: it begins with the SHA-256 of the rest."""
+    with suppress(OSError):
+        content = path.read_bytes()
+        if content[:DIGEST] == hashlib.sha256(content[DIGEST:]).digest():
+            return content[DIGEST:]
+    return None
 
-    A file begins with the SHA-256 of the rest: one that is not what was written is compiled anew and replaced.
+
+def write_kept(path: Path, content: bytes) -> None:
+    with suppress(OSError), replacing(path, sync=False, mode="wb") as file:
+        file.write(hashlib.sha256(content).digest() + content)
+
+
+# -- by LLVM -----------------------------------------------------------------------------------------
+class Machine:
+    """LLVM for the processor of this machine, and what it has compiled in this process."""
+
+    def __init__(self) -> None:
+        from llvmlite import binding
+
+        binding.initialize_native_target()
+        binding.initialize_native_asmprinter()
+        processor, features = binding.get_host_cpu_name(), ""
+        with suppress(RuntimeError):  # not known on every platform
+            features = binding.get_host_cpu_features().flatten()
+        self.triple = binding.get_process_triple()
+        target = binding.Target.from_triple(self.triple)
+        self.target = target.create_target_machine(cpu=processor, features=features, opt=3, jit=True)
+        self.engine = binding.create_mcjit_compiler(binding.parse_assembly(""), self.target)
+        self.key = form.digest(self.triple, processor, features, binding.llvm_version_info)
+        self.alone = Lock()
+        #: functions compiled in this process, which were not kept
+        self.compiled = 0
+
+    def address(self, key: str, result: str, kinds: Sequence[str], instructions: Instructions) -> int:
+        """Return where a function is whose instructions a call writes, compiled or as it was kept.
+
+        kinds : of its arguments, "double", "i64", or pointers, "doubles" and "i64s"; result : the same, or "void".
+        """
+        from llvmlite.binding import ObjectFileRef
+
+        name = f"program_{form.digest(key, self.key)}"
+        path = folder() / f"{name}.object"
+        with self.alone:
+            if (address := self.engine.get_function_address(name)) == 0:
+                code = read_kept(path)
+                if code is None:
+                    code = self.compile(name, result, kinds, instructions)
+                    write_kept(path, code)
+                self.engine.add_object_file(ObjectFileRef.from_data(code))
+                self.engine.finalize_object()
+                address = self.engine.get_function_address(name)
+        return int(address)
+
+    def compile(self, name: str, result: str, kinds: Sequence[str], instructions: Instructions) -> bytes:
+        from llvmlite import binding, ir
+
+        double, whole = ir.DoubleType(), ir.IntType(64)
+        types = {"double": double, "i64": whole, "doubles": double.as_pointer(), "i64s": whole.as_pointer()}
+        types["void"] = ir.VoidType()
+        module = ir.Module(name)
+        module.triple, module.data_layout = self.triple, str(self.target.target_data)
+        made = ir.Function(module, ir.FunctionType(types[result], [types[kind] for kind in kinds]), name)
+        builder = ir.IRBuilder(made.append_basic_block("entry"))
+        value = instructions(builder, made.args)
+        builder.ret_void() if value is None else builder.ret(value)
+        parsed = binding.parse_assembly(str(module))
+        options = binding.create_pipeline_tuning_options(speed_level=3)
+        options.loop_vectorization = True
+        builder_of_passes = binding.create_pass_builder(self.target, options)
+        builder_of_passes.getModulePassManager().run(parsed, builder_of_passes)
+        self.compiled += 1
+        return bytes(self.target.emit_object(parsed))
+
+
+@cache
+def machine() -> Machine:
+    if not COMPILES:
+        raise CannotRecord("NUMBA_DISABLE_JIT is set: nothing is compiled")
+    return Machine()
+
+
+def compile_c(key: str, instructions: Instructions) -> int:
+    """Return the address of the C function ``void (double *out, double t, double *y, double *data)``.
+
+    instructions : writes them, given the builder and the arguments; key : what they depend on.
     """
+    kinds = ("doubles", "double", "doubles", "doubles")
+    return machine().address(form.digest(back_end(), key, kinds), "void", kinds, instructions)
+
+
+def compile_recorded_c(function: form.Function) -> int:
+    """Return the address of a recorded function of (out, t, y, data) as a C function."""
+
+    def instructions(builder: IRBuilder, given: Sequence[Value]) -> None:
+        named = dict(zip(function.arguments, given, strict=True))
+        numbers = {"t": named.pop("t")}
+        arrays = {name: Array(value, None) for name, value in named.items()}
+        Lowering(builder, arrays, numbers, True, 1).lower(function)
+
+    return compile_c(function.digest, instructions)
+
+
+@cache
+def compile_function(function: form.Function, lanes: int = 1, fused: bool = True) -> Callable[..., int]:
+    """Return the function, compiled for the arrays that its arguments name, contiguous ones of the right kind.
+
+    Raise `CannotRecord` where nothing is to be compiled.
+
+    lanes : states it runs on at a time.  fused : products and sums may be one operation, which Python's are not.
+    """
+    dimensions = [DIMENSIONS.get(name, 1) for name in function.arguments]
+    kinds: list[str] = []
+    for name, n in zip(function.arguments, dimensions, strict=True):
+        kinds += ["i64s" if name in WHOLE else "doubles"] + ["i64"] * n
+
+    def instructions(builder: IRBuilder, given: Sequence[Value]) -> Value:
+        values, arrays = iter(given), {}
+        for name, n in zip(function.arguments, dimensions, strict=True):
+            first, *shape = (next(values) for _ in range(1 + n))
+            arrays[name] = Array(first, *shape[:2])
+        return Lowering(builder, arrays, {}, fused, lanes).lower(function)
+
+    key = form.digest(back_end(), function.digest, lanes, fused)
+    address = machine().address(key, "i64", kinds, instructions)
+    types = [f"{'int64' if name in WHOLE else 'float64'}" for name in function.arguments]
+    return partial(caller(tuple(zip(types, dimensions, strict=True))), address)
+
+
+# -- by numba ----------------------------------------------------------------------------------------
+class Kept:
+    """The cache of one function, in the place of numba's own, which fails for good on a file that is damaged."""
 
     cache_path = property(lambda self: str(folder()))
 
@@ -324,34 +425,15 @@ class Kept:
 
         context.refresh()
         with suppress(Exception):  # whatever is wrong with the file
-            content = self.path(signature, context.codegen()).read_bytes()
-            if content[:DIGEST] == hashlib.sha256(content[DIGEST:]).digest():
-                return CompileResult._rebuild(context, *pickle.loads(content[DIGEST:]))
+            if (content := read_kept(self.path(signature, context.codegen()))) is not None:
+                return CompileResult._rebuild(context, *pickle.loads(content))
         return None
 
     def save_overload(self, signature: Signature, compiled: Any) -> None:
         from numba.core.serialize import dumps
 
-        if compiled.lifted or compiled.library.has_dynamic_globals:
-            return
-        content = dumps(compiled._reduce())
-        with (
-            suppress(OSError),
-            replacing(self.path(signature, compiled.codegen), sync=False, mode="wb") as file,
-        ):
-            file.write(hashlib.sha256(content).digest() + content)
-
-
-def calling(lowered: Compiled, name: str, arguments: str, body: str, key: str) -> Compiled:
-    """Return a function of a module of its own, by which numba names what it compiles, that calls an intrinsic."""
-    if not COMPILES:
-        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
-    module = ModuleType(f"contactbench_program_{key[:32]}")
-    vars(module)["lowered"] = lowered
-    sys.modules[module.__name__] = module
-    exec(f"def {name}({arguments}): {body}", vars(module))
-    made: Compiled = getattr(module, name)
-    return made
+        if not (compiled.lifted or compiled.library.has_dynamic_globals):
+            write_kept(self.path(signature, compiled.codegen), dumps(compiled._reduce()))
 
 
 def keep(function: Compiled, *key: str, signature: str = "", **options: Any) -> Any:
@@ -377,29 +459,43 @@ def keep_c(function: Compiled, signature: Signature, *key: str) -> Any:
     return made
 
 
-def compile_c(lowered: Compiled, name: str, given: str, key: str) -> Any:
-    """Return the C function ``name(out, t, y, data)`` of pointers and a number, which calls an intrinsic."""
-    from numba import types
-
-    pointer = types.CPointer(types.float64)
-    signature = types.void(pointer, types.float64, pointer, pointer)
-    return keep_c(calling(lowered, name, "out, t, y, data", f"lowered({given})", key), signature)
-
-
 @cache
-def compile_function(function: form.Function, lanes: int = 1, fused: bool = True) -> Any:
-    """Return the function, compiled for the arrays that its arguments name.
+def caller(kinds: tuple[tuple[str, int], ...]) -> Callable[..., int]:
+    """Return what calls a compiled program, given its address and arrays; kinds : their types and dimensions.
 
-    Raise `CannotRecord` where numba is not to compile.
-
-    lanes : states it runs on at a time.  fused : products and sums may be one operation, which Python's are not.
+    It asks for no more than arrays of the right size of numbers: what numba adds to find out which of several compiled
+    functions to call takes longer than a short run.
     """
-    kinds = []
-    for array in function.arguments:
-        dimensions = ", ".join([":"] * (DIMENSIONS.get(array, 1) - 1) + ["::1"])
-        kinds.append(f"{'int64' if array in WHOLE else 'float64'}[{dimensions}]")
-    key, arguments = form.digest(back_end(), function.digest, lanes, fused), ", ".join(function.arguments)
-    body = f"return lowered({arguments})"
-    made = calling(intrinsic(function, lanes, fused), function.name, arguments, body, key)
-    signature = f"int64({', '.join(kinds)})"
-    return keep(made, signature=signature, nogil=True, no_cfunc_wrapper=True)
+    from llvmlite import ir
+    from numba.core import cgutils, types
+    from numba.extending import intrinsic
+    from numba.np.arrayobj import make_array
+
+    def typed(typingctx: Context, *kinds: Type) -> tuple[Signature, Compiled]:
+        def instructions(
+            context: BaseContext, builder: IRBuilder, signature: Signature, given: Sequence[Value]
+        ) -> Value:
+            address, *values = given
+            passed: list[Value] = []
+            for kind, value in zip(signature.args[1:], values, strict=True):
+                array = make_array(kind)(context, builder, value)
+                passed += [array.data, *cgutils.unpack_tuple(builder, array.shape)]
+            called = ir.FunctionType(ir.IntType(64), [value.type for value in passed])
+            return builder.call(builder.inttoptr(address, called.as_pointer()), passed)
+
+        return types.int64(*kinds), instructions
+
+    # numba reads the number of arguments off the function
+    arguments = ", ".join(["address", *(f"array{i}" for i in range(len(kinds)))])
+    module = ModuleType("contactbench_caller_" + "_".join(f"{kind}x{n}" for kind, n in kinds))
+    sys.modules[module.__name__] = module  # by which numba names what it compiles
+    vars(module)["typed"] = typed
+    exec(f"def lowered(typingctx, {arguments}): return typed(typingctx, {arguments})", vars(module))
+    vars(module)["lowered"] = intrinsic(vars(module)["lowered"])
+    exec(f"def call({arguments}): return lowered({arguments})", vars(module))
+    shapes = [f"{kind}[{', '.join([':'] * (n - 1) + ['::1'])}]" for kind, n in kinds]
+    signature = f"int64(int64, {', '.join(shapes)})"
+    made = keep(module.call, back_end(), signature=signature, nogil=True, no_cfunc_wrapper=True)
+    (only,) = made.overloads.values()
+    entry: Callable[..., int] = only.entry_point
+    return entry

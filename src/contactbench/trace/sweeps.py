@@ -12,18 +12,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from contactbench.trace import compiled as llvm
 from contactbench.trace import form
-from contactbench.trace.compiled import back_end, compile_c
+from contactbench.trace.compiled import compile_c
 from contactbench.trace.form import Pairs, Sites, Statement, digest
 
 if TYPE_CHECKING:
-    from llvmlite.ir import IRBuilder, Value
-    from numba.core.base import BaseContext
-    from numba.core.types import Type
-    from numba.core.typing import Context, Signature
+    from llvmlite.ir import IRBuilder, Type, Value
 
 #: places beyond either end of a row: a cache line, so that rows begin at one
 PAD = 8
@@ -365,21 +362,12 @@ def rows_of(sites: Sites) -> set[str]:
 
 
 @cache
-def compile_sweeps(function: form.Function, boundary: str, sums: int, width: int, packing: Packing) -> Any:
-    """Return a recorded function as a C function ``(out, t, y, data)`` of packed states; may raise `CannotRecord`."""
-    from numba.core import types
-    from numba.extending import intrinsic
+def compile_sweeps(function: form.Function, boundary: str, sums: int, width: int, packing: Packing) -> int:
+    """Return the address of a C function ``(out, t, y, data)`` of packed states; may raise `CannotRecord`."""
 
-    @intrinsic
-    def lowered(typingctx: Context, out: Type, y: Type, data: Type) -> tuple[Signature, llvm.Compiled]:
-        def instructions(
-            context: BaseContext, builder: IRBuilder, signature: Signature, given: Sequence[Value]
-        ) -> Value:
-            SweepLowering(builder, given, boundary, sums, width, packing).lower(function)
-            return context.get_dummy_value()
-
-        return types.void(out, y, data), instructions
+    def instructions(builder: IRBuilder, given: Sequence[Value]) -> None:
+        out, _, y, data = given
+        SweepLowering(builder, (out, y, data), boundary, sums, width, packing).lower(function)
 
     own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
-    key = digest(back_end(), own, function.digest, boundary, sums, width, packing)
-    return compile_c(lowered, "run", "out, y, data", key)
+    return compile_c(digest(own, function.digest, boundary, sums, width, packing), instructions)
