@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TypeGuard
@@ -19,8 +20,10 @@ from contactbench.methods import METHODS
 from contactbench.methods.base import Method
 from contactbench.methods.contact import ContactMethod
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.numbers.protocol import Numbers
-from contactbench.scene import Mechanical, State
+from contactbench.methods.implicit import Implicit
+from contactbench.methods.loops import loop_of
+from contactbench.numbers.protocol import CannotRecord, Numbers
+from contactbench.scene import Mechanical, Scene, State
 from contactbench.scenes import SCENES
 
 #: |tr/(1 + det)| and |det| may pass one by this much, which is round-off: no orbit then grows by more than
@@ -67,11 +70,26 @@ def kernel(method: FixedStep) -> FixedStep:
 def step_matrix(method: FixedStep, gamma: float, omega: float, h: float | np.ndarray) -> np.ndarray:
     """Return the map (q, p) → (q, p) of one step of size h: (2, 2), or (…, 2, 2) for an array of step sizes."""
     scene, steps = oscillator(gamma, omega), np.asarray(h, dtype=float)
+    if isinstance(method, Implicit) and steps.size > 1:
+        with suppress(CannotRecord):  # iterations on arrays go on until the last entry has converged
+            return by_compiled_steps(method, scene, steps)
     q, p = (np.multiply.outer(unit, np.ones_like(steps)) for unit in np.eye(2))  # both unit vectors at once
     with np.errstate(all="ignore"):  # e^{γ|a|h} of a negative substep may overflow: unstable, then
         x = method.advance(scene, State((q,), (p,)), steps, 1, ELEMENTWISE)  # type: ignore[arg-type]
     entries = [np.broadcast_to(row, q.shape) for row in (*x.q, *x.p)]
     return np.moveaxis(np.array(entries), (0, 1), (-2, -1))
+
+
+def by_compiled_steps(method: FixedStep, scene: Scene, steps: np.ndarray) -> np.ndarray:
+    """Return the same, nan where a step finds no end, by the compiled loop: of so many intervals of one step."""
+    loop = loop_of(method, scene, ())
+    spans = np.column_stack([steps.ravel(), np.ones(steps.size)])
+    rows, shape = loop.table(np.array(scene.numbers()), spans), np.append(loop.program.shape, 0)
+    ends = np.full((2, steps.size, 2), math.nan)
+    for unit, of_unit in zip(np.eye(2), ends, strict=True):
+        for k, end in enumerate(of_unit):
+            loop.run(unit, rows[k : k + 1], shape, end)
+    return ends.transpose(1, 2, 0).reshape(*steps.shape, 2, 2)
 
 
 def spectral_radius(method: FixedStep, gamma: float, omega: float, h: float | np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ def pairs(profile: Profile, experiment: str, methods: Iterable[str]) -> list[tup
     return [
         (scene.name, method)
         for scene in scenes_of(experiment)
-        for method in contestants(experiment, scene, methods)
+        for method in contestants(experiment, scene, methods, profile)
         if not profile.brief or small(scene.name, method)
     ]
 
@@ -40,23 +40,30 @@ def small(scene: str, method: str, main: str = SMOKE, everywhere: Iterable[str] 
 
 #: what XLA compiles and what calls back into Python takes seconds on every scene
 DEAR = ("jax", "python")
-#: the scenes on which callbacks and XLA are timed, and where else laws have them: CyRK has SciPy's tableaux compiled
-TIMED_DEAR, DEAR_SCENES = ("oscillator", "particle", "rigid_body"), ("central",)
+#: the scenes on which callbacks and XLA are timed: CyRK has SciPy's tableaux compiled
+TIMED_DEAR = ("oscillator", "particle", "rigid_body")
 #: where some run nevertheless
 FORCED = ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
 DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
+#: implicit solvers of which a run takes seconds, a third of all that is run without a clock, and where stiffness asks
+#: for them; elsewhere CyRK's and CVODE's, compiled, stand for them
+IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
+STIFF = ("overdamped", "critical", "underflow", "stiff_spring", "steep_wall", "large_step", "kepler_close")
 
 
-def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[str]:
+def left_to_full(scene: Scene, method: str, profile: Profile) -> bool:
+    """Return whether a method is one of those that only the full profile runs on a scene."""
+    known = scene.name in OWN and scene.name not in STIFF + TIMED_DEAR
+    return known and method in IMPLICIT and not profile.reaches("full")
+
+
+def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: Profile) -> list[str]:
     """Return which of some methods an experiment runs on a scene: what is dear on a few, and on those of users."""
 
     def runs(method: str) -> bool:
         dear = METHODS[method].engines[0] in DEAR and scene.name in OWN and method in OWN
-        return (
-            not dear
-            or scene.name in TIMED_DEAR + DEAR_SCENES
-            or (experiment, scene.name, method) in DEAR_CELLS
-        )
+        here = scene.name in TIMED_DEAR or (experiment, scene.name, method) in DEAR_CELLS
+        return (here or not dear) and not left_to_full(scene, method, profile)
 
     return list(filter(runs, methods))
 

@@ -31,7 +31,7 @@ def ladder(profile: Profile) -> list[Cell]:
         (scene.name, method, cost)
         for scene in scenes_of("decay_laws")
         if scene.name in FEW or scene.experiments
-        for method in contestants("decay_laws", scene, methods_of(profile))
+        for method in contestants("decay_laws", scene, methods_of(profile), profile)
         for cost in (COSTS[:1] if profile.brief else COSTS)
         if not profile.brief or small(scene.name, method)
     ]

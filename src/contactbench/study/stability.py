@@ -28,7 +28,7 @@ from contactbench.results.tables import DAMPING_RATES, STABILITY, STABILITY_LIMI
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
-from contactbench.study.choice import controlled, key, methods_of, outcome, small, step_budget
+from contactbench.study.choice import controlled, key, left_to_full, methods_of, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import SAVES, times
@@ -84,13 +84,14 @@ def ladder(profile: Profile) -> list[Cell]:
     return [
         (scene.name, method)
         for scene in scenes_of("stability")
-        for method in contestants(profile)
+        for method in contestants(profile, scene)
         if not profile.brief or small(scene.name, method, SMOKE, EVERYWHERE)
     ]
 
 
-def contestants(profile: Profile) -> list[str]:
-    return [name for name in methods_of(profile) if profile.reaches("full") or name not in LEFT_OUT]
+def contestants(profile: Profile, scene: Scene) -> list[str]:
+    every = [name for name in methods_of(profile) if not left_to_full(scene, name, profile)]
+    return [name for name in every if profile.reaches("full") or name not in LEFT_OUT]
 
 
 def questions(profile: Profile) -> list[Cell]:
@@ -98,7 +99,8 @@ def questions(profile: Profile) -> list[Cell]:
         return [(which, EVERYWHERE[0]) for which in ("overdamped", f"weak_damping {SPANS[0]:.0e}")]
     weak = [("weak_damping", span) for span in SPANS] + [("weak_damping_particle", SPANS[0])]
     every = ["overdamped", *(f"{scene} {span:.0e}" for scene, span in weak)]
-    return [(which, method) for which in every for method in contestants(profile)]
+    scenes = {which: cb.SCENES[which.split()[0]] for which in every}
+    return [(which, method) for which in every for method in contestants(profile, scenes[which])]
 
 
 #: the row of a call that ends badly, and the call
