@@ -49,12 +49,16 @@ DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
 #: for them; elsewhere CyRK's and CVODE's, compiled, stand for them
 IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
 STIFF = ("overdamped", "critical", "underflow", "stiff_spring", "steep_wall", "large_step", "kepler_close")
+#: compiled ones, and the longest motions, none of them stiff
+COMPILED_IMPLICIT, LONGEST_SCENES = ("cvode-bdf", "cyrk-radau"), ("particle_long", "kepler")
 
 
 def left_to_full(scene: Scene, method: str, profile: Profile) -> bool:
     """Return whether a method is one of those that only the full profile runs on a scene."""
-    known = scene.name in OWN and scene.name not in STIFF + TIMED_DEAR
-    return known and method in IMPLICIT and not profile.reaches("full")
+    if profile.reaches("full") or scene.name not in OWN:
+        return False
+    dear = method in IMPLICIT and scene.name not in STIFF + TIMED_DEAR
+    return dear or (method in COMPILED_IMPLICIT and scene.name in LONGEST_SCENES)
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: Profile) -> list[str]:
@@ -87,7 +91,7 @@ def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
 
     def chosen(name: str, engine: str) -> bool:
         first, here = engine == METHODS[name].engines[0], scene.name == SMOKE
-        if not first and METHODS[name].lacks(engine):
+        if (not first and METHODS[name].lacks(engine)) or left_to_full(scene, name, profile):
             return False
         brought = scene.name not in OWN or name not in OWN
         if scene.name not in TIMED_DEAR and not brought and (not first or engine in DEAR):

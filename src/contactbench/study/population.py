@@ -84,7 +84,7 @@ def problem_row(problem: Problem, known: Features, digits: int, source: str) -> 
         "structure": problem.family,
         "hard": problem.hard,
         "t_end": problem.scene.t_end,
-        "short": short_truth(problem.scene, known) is not None,
+        "short": short_truth(problem.scene, known, engine=None) is not None,
         "digits": digits,
         "source": source,
     } | known.row()

@@ -45,8 +45,8 @@ SHARED = 100_000
 LOOP, STEPS_OF = "limit-c", "contact-strang"
 #: evaluations of a run at most, times sites, and evaluations that are always allowed
 WORK, ALLOWED = 3e8, 1000
-#: methods that compile for seconds at every size
-DEAR = ("diffrax-kvaerno5",)
+#: left to the full profile on rings: what compiles for seconds at every size, or takes minutes of the time
+DEAR = ("diffrax-kvaerno5", "scipy-radau", "cvode-bdf", "ias15")
 
 
 def ladder(profile: Profile) -> list[Cell]:
@@ -60,7 +60,7 @@ def ladder(profile: Profile) -> list[Cell]:
         names = [
             name
             for name in (methods_of(profile) if main else FEW)
-            if profile.reaches("full") or name not in DEAR
+            if profile.reaches("full") or name not in DEAR or scene.name not in RINGS
         ]
         methods = [
             m for m in map(cb.METHODS.__getitem__, names) if m.refuses(sized(scene.name, PERIOD)) is None

@@ -54,17 +54,18 @@ def most_in_python(known: Features) -> float:
     return SHORT / (known.cost + IN_PYTHON)
 
 
-def short_truth(scene: Scene, known: Features) -> Reference | None:
-    """Return the states at `ENDS` on which runs in Python agree; None of a motion that takes them too long, or ends."""
+def short_truth(scene: Scene, known: Features, engine: str | None = "python") -> Reference | None:
+    """Return the states at `ENDS` on which two runs agree; None of a motion that would take Python too long, or ends.
+
+    engine : compiled where the method is compiled for this motion anyway.
+    """
     method, carry = METHODS["rk8-7"], carry_of(scene)
     most = max(1, int(most_in_python(known) / TYPICAL))
     ends = [part * scene.t_end for part in ENDS]
     found: list[Solution] = []
     for rtol in TOLERANCES:
         with np.errstate(all="ignore"):
-            run = prepare(
-                scene, method, save_at=ends, carry=carry, rtol=rtol, engine="python", max_steps=most
-            )
+            run = prepare(scene, method, save_at=ends, carry=carry, rtol=rtol, engine=engine, max_steps=most)
             found.append(run())
         if not found[-1].ok:
             return None
