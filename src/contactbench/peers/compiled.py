@@ -14,6 +14,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import cached_property
 from threading import Lock
 from types import ModuleType
 from typing import Any, NamedTuple, cast
@@ -27,7 +28,7 @@ from contactbench.peers.base import Call, Ending, Peer, derivative
 from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
-from contactbench.trace.compiled import compile_recorded_c
+from contactbench.trace.compiled import compile_recorded_c, entry
 from contactbench.trace.form import Assign, Element, Function, Operation, Store, execute, read_by
 from contactbench.trace.recording import Block, Tape, attempt, is_constant, operand_of
 
@@ -154,6 +155,10 @@ class Compiled(Call):
         self.alone = Lock()  # memory may be shared by the calls: those from several threads take turns
         self.library, self.arguments = self.connect(-1 if self.clock is None else self.clock)
 
+    @cached_property
+    def to_end(self) -> Callable[..., np.ndarray]:
+        return entry(self.library.to_end, np.empty(len(self.request.start)), *self.arguments)
+
     @abstractmethod
     def connect(self, clock: int) -> Connection:
         """Return the compiled `to_end`, `at_times` and `in_a_loop`, and their arguments but states and times."""
@@ -166,8 +171,7 @@ class Compiled(Call):
         return Counts(steps, evaluations, jacobians, int(rejected))
 
     def last(self, y0: np.ndarray) -> np.ndarray:
-        found: np.ndarray = self.library.to_end(y0, *self.arguments)
-        return found[KNOWN:]
+        return self.to_end(y0, *self.arguments)[KNOWN:]
 
     def many(self, starts: np.ndarray) -> np.ndarray:
         """Return `FACTS` and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
@@ -177,7 +181,7 @@ class Compiled(Call):
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `FACTS` and the state reached, and the saved states, of which those reached are filled."""
         if self.final_only:
-            facts = self.library.to_end(y0, *self.arguments)
+            facts = self.to_end(y0, *self.arguments)
             return facts, facts[None, KNOWN:]
         rows = np.empty((len(self.later), len(y0)))
         return self.library.at_times(y0, self.later, rows, *self.arguments), rows

@@ -29,6 +29,7 @@ from contactbench.peers.stepping import LibrarySteps, Stepper
 from contactbench.scene import Mechanical, Scene, State, norm
 from contactbench.scene.many import Many, Particles
 from contactbench.solution import Counts, Status
+from contactbench.trace.compiled import entry
 
 #: of all masses so much at least is one body's
 DOMINANT = 0.9
@@ -67,7 +68,8 @@ class Orbits(LibrarySteps):
     def last(self, ready: list[tuple[float, int]]) -> Callable[[np.ndarray], np.ndarray]:
         if len(ready) > 1:
             return super().last(ready)
-        advance, rest = self.abi.advance, (*ready[0], *self.place)
+        rest = (*ready[0], *self.place)
+        advance = entry(self.abi.advance, np.empty(len(self.scene.labels(self.carry))), *rest)
         # addresses are good as long as this object lives
         return lambda y0, owner=self: advance(y0, *rest)  # type: ignore[misc]
 

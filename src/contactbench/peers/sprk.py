@@ -29,6 +29,7 @@ from contactbench.peers.stepping import LibrarySteps, Stepper
 from contactbench.scene import System, Vector, dot, key, scaled
 from contactbench.scene.many import Many
 from contactbench.scene.mechanical import Canonical
+from contactbench.trace.compiled import entry
 
 if TYPE_CHECKING:
     from contactbench.peers.abi.arkode import Memory
@@ -172,10 +173,11 @@ class Steps(LibrarySteps):
         return self.back(self.memory.y)
 
     def last(self, ready: list[tuple[float, int]]) -> Callable[[np.ndarray], np.ndarray]:
-        memory, advance, (h, n) = self.memory, self.abi.advance, ready[0]
+        memory, (h, n) = self.memory, ready[0]
         if len(ready) > 1 or isinstance(memory, Callbacks):
             return super().last(ready)
         rest = *self.place, h, n, memory.y, memory.memory, memory.vector
+        advance = entry(self.abi.advance, np.empty(len(self.scene.labels(self.carry))), *rest)
         # addresses are good as long as their memory lives
         return lambda y0, owner=memory: advance(y0, *rest)  # type: ignore[misc]
 

@@ -102,9 +102,7 @@ class Cvode(Compiled):
         while taken < most:
             count, saved = min(piece, most - taken), int(facts[SAVED])
             if self.final_only:
-                facts = (
-                    self.library.on_to_end(*place, count) if taken else self.library.to_end(y0, *place, count)
-                )
+                facts = self.library.on_to_end(*place, count) if taken else self.to_end(y0, *place, count)
             elif taken:
                 facts = self.library.on_to_times(saved, self.later, rows, *place, count)
             else:

@@ -2,24 +2,27 @@
 
 Recorded programs are long, and numba would spend a second and more on finding out the types of every line of one.
 Here the types follow from floating-point constants, whole constants and comparisons, and a program becomes a module
-of LLVM's at once.  Numba compiles what takes arrays from Python and calls a program with them, one function for every
-kind of arguments.  Both are imported when the first program is compiled.
+of the LLVM that numba brings, at once.  What takes arrays from Python and calls a program with them is such a module
+too, one for every kind of arguments.  Numba itself, which takes as long to import as all else, is for solvers in C.
 """
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import pickle
+import struct
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import cache, partial
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from threading import Lock
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from contactbench.files import replacing
 from contactbench.numbers.protocol import CannotRecord
@@ -27,12 +30,10 @@ from contactbench.trace import form
 from contactbench.trace.form import Statement
 
 if TYPE_CHECKING:
-    from llvmlite.ir import IRBuilder, Value
-    from numba.core.base import BaseContext
+    from llvmlite.ir import IRBuilder, Type, Value
     from numba.core.codegen import CPUCodegen
     from numba.core.cpu import CPUContext
-    from numba.core.types import Type
-    from numba.core.typing import Context, Signature
+    from numba.core.typing import Signature
 
 #: a function that numba makes or compiles
 Compiled = Callable[..., Any]
@@ -91,21 +92,17 @@ class Lowering:
         self.first: Value | None = None
 
     def lower(self, function: form.Function) -> Value:
-        from numba.core.cgutils import for_range
-
         if self.lanes == 1:
             self.run(function.body)
             return self.value(function.result)
         begin, end = (self.load(form.Element("part", (i,))) for i in (0, 1))
-        with for_range(self.builder, end, begin) as turn:
-            self.first = self.builder.mul(turn.index, self.whole(self.lanes))
+        with self.counted(begin, end) as tile:
+            self.first = self.builder.mul(tile, self.whole(self.lanes))
             self.run(function.body)
         return self.whole(0)
 
     # -- statements --------------------------------------------------------------------------------
     def run(self, body: Sequence[Statement]) -> None:
-        from numba.core.cgutils import for_range
-
         for statement in body:
             match statement:
                 case form.Assign(target, form.Element() as element):
@@ -118,11 +115,26 @@ class Lowering:
                     for name, value in zip(variables, list(map(self.value, values)), strict=True):
                         self.update(name, value)
                 case form.Loop(counter, times, inner):
-                    with for_range(self.builder, self.value(times)) as turn:
-                        self.values[counter] = turn.index
+                    with self.counted(self.whole(0), self.value(times)) as self.values[counter]:
                         self.run(inner)
                 case form.While():
                     self.repeat(statement)
+
+    @contextmanager
+    def counted(self, begin: Value, end: Value) -> Iterator[Value]:
+        """Repeat the instructions of a block for begin, begin + 1, …, end − 1."""
+        builder, entry = self.builder, self.builder.block
+        test, body, after = (builder.append_basic_block(name) for name in ("test", "body", "after"))
+        builder.branch(test)
+        builder.position_at_end(test)
+        index = builder.phi(self.whole)
+        index.add_incoming(begin, entry)
+        builder.cbranch(builder.icmp_signed("<", index, end), body, after)
+        builder.position_at_end(body)
+        yield index
+        index.add_incoming(builder.add(index, self.whole(1)), builder.block)
+        builder.branch(test)
+        builder.position_at_end(after)
 
     def update(self, name: str, value: Value) -> None:
         if value.type == self.double:
@@ -233,15 +245,14 @@ class Lowering:
         return self.builder.select(condition, a, b)
 
     def call(self, name: str, *x: Value) -> Value:
-        from numba.core.cgutils import get_or_insert_function
-
         kind = x[0].type
         if name in INTRINSICS:
             name = f"llvm.{INTRINSICS[name]}.{'f64' if kind == self.double else f'v{self.lanes}f64'}"
         elif kind != self.double:
             return self.call_each(name, *x)
         signature = self.ir.FunctionType(kind, [kind] * len(x))
-        return self.builder.call(get_or_insert_function(self.builder.module, signature, name), x)
+        known = self.builder.module.globals.get(name)
+        return self.builder.call(known or self.ir.Function(self.builder.module, signature, name), x)
 
     def call_each(self, name: str, *x: Value) -> Value:
         """Emit calls of a function that LLVM has for numbers only, one for each lane; return the vector of results."""
@@ -313,7 +324,8 @@ class Machine:
     def address(self, key: str, result: str, kinds: Sequence[str], instructions: Instructions) -> int:
         """Return where a function is whose instructions a call writes, compiled or as it was kept.
 
-        kinds : of its arguments, "double", "i64", or pointers, "doubles" and "i64s"; result : the same, or "void".
+        kinds : of its arguments, "double", "i64", "object", or pointers to them, "doubles", "i64s", "objects"; result :
+        the same, or "void".
         """
         from llvmlite.binding import ObjectFileRef
 
@@ -335,7 +347,8 @@ class Machine:
 
         double, whole = ir.DoubleType(), ir.IntType(64)
         types = {"double": double, "i64": whole, "doubles": double.as_pointer(), "i64s": whole.as_pointer()}
-        types["void"] = ir.VoidType()
+        types |= {"void": ir.VoidType(), "object": ir.IntType(8).as_pointer()}
+        types["objects"] = types["object"].as_pointer()
         module = ir.Module(name)
         module.triple, module.data_layout = self.triple, str(self.target.target_data)
         made = ir.Function(module, ir.FunctionType(types[result], [types[kind] for kind in kinds]), name)
@@ -401,8 +414,106 @@ def compile_function(function: form.Function, lanes: int = 1, fused: bool = True
 
     key = form.digest(back_end(), function.digest, lanes, fused)
     address = machine().address(key, "i64", kinds, instructions)
-    types = [f"{'int64' if name in WHOLE else 'float64'}" for name in function.arguments]
-    return partial(caller(tuple(zip(types, dimensions, strict=True))), address)
+    taken = tuple(Taken(n, name in WHOLE) for name, n in zip(function.arguments, dimensions, strict=True))
+    return builtin(address, taken)
+
+
+# -- from Python -------------------------------------------------------------------------------------
+class Taken(NamedTuple):
+    """What a program takes: a contiguous array of so many dimensions, of whole numbers or of doubles."""
+
+    dimensions: int
+    whole: bool
+
+
+class MethodDef(ctypes.Structure):
+    """CPython's PyMethodDef."""
+
+    _fields_ = (
+        *(("name", ctypes.c_char_p), ("function", ctypes.c_void_p)),
+        *(("flags", ctypes.c_int), ("about", ctypes.c_char_p)),
+    )
+
+
+#: functions of CPython's that a call from Python needs, and METH_FASTCALL
+CPYTHON = ("PyEval_SaveThread", "PyEval_RestoreThread", "PyLong_FromLongLong", "PyErr_BadArgument")
+FASTCALL = 0x80
+#: the header of an object, whose last word is its type; where the characters of a bytes object are
+HEADER, CHARACTERS = object.__basicsize__, bytes.__basicsize__ - 1
+#: fields of NumPy's PyArrayObject after the header (NumPy C-API, "Array structure and data access"), in bytes
+DATA, DIMENSION_COUNT, SHAPE, DTYPE, FLAGS = (HEADER + 8 * k for k in (0, 1, 2, 5, 6))
+#: the bit of the flags that says C-contiguous
+CONTIGUOUS = 1
+
+
+def builtin(address: int, taken: tuple[Taken, ...]) -> Callable[..., int]:
+    """Return what calls the program at an address with arrays, without the GIL: a built-in function of CPython's.
+
+    Others than such arrays, each of its own number, are refused with `TypeError`.
+    """
+    new = ctypes.pythonapi.PyCFunction_NewEx
+    new.restype, new.argtypes = (
+        ctypes.py_object,
+        (ctypes.POINTER(MethodDef), ctypes.py_object, ctypes.c_void_p),
+    )
+    known = struct.pack("4P", address, *map(id, (np.ndarray, np.dtype(np.float64), np.dtype(np.int64))))
+    made: Callable[..., int] = new(ctypes.byref(method_of(taken)), known, None)
+    return made
+
+
+@cache
+def method_of(taken: tuple[Taken, ...]) -> MethodDef:
+    from llvmlite import binding, ir
+
+    for name in CPYTHON:
+        binding.add_symbol(name, ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value)
+    whole, half, byte = ir.IntType(64), ir.IntType(32), ir.IntType(8)
+    pointer = byte.as_pointer()
+
+    def instructions(builder: IRBuilder, given: Sequence[Value]) -> Value:
+        own, arguments, count = given
+        bad = builder.append_basic_block("bad")
+
+        def called(name: str, result: Type, *values: Value) -> Value:
+            kind = ir.FunctionType(result, [value.type for value in values])
+            return builder.call(ir.Function(builder.module, kind, name), values)
+
+        def read(base: Value, offset: int, kind: Type) -> Value:
+            place = builder.gep(base, [whole(offset)])
+            return builder.load(builder.bitcast(place, kind.as_pointer()), align=4)
+
+        def demand(condition: Value) -> None:
+            good = builder.append_basic_block()
+            builder.cbranch(condition, good, bad)
+            builder.position_at_end(good)
+
+        demand(builder.icmp_signed("==", count, whole(len(taken))))
+        program, array, double, integer = (read(own, CHARACTERS + 8 * k, whole) for k in range(4))
+        passed: list[Value] = []
+        for k, (dimensions, of_whole) in enumerate(taken):
+            value = builder.load(builder.gep(arguments, [whole(k)]), align=8)
+            demand(builder.icmp_signed("==", read(value, HEADER - 8, whole), array))
+            right = builder.icmp_signed("==", read(value, DTYPE, whole), integer if of_whole else double)
+            as_many = builder.icmp_signed("==", read(value, DIMENSION_COUNT, half), half(dimensions))
+            flag = builder.and_(read(value, FLAGS, half), half(CONTIGUOUS))
+            dense = builder.icmp_signed("!=", flag, half(0))
+            demand(builder.and_(builder.and_(right, as_many), dense))
+            element = (whole if of_whole else ir.DoubleType()).as_pointer()
+            passed.append(read(value, DATA, element))
+            shape = read(value, SHAPE, pointer)
+            passed += [read(shape, 8 * k, whole) for k in range(dimensions)]
+        thread = called("PyEval_SaveThread", pointer)
+        kind = ir.FunctionType(whole, [value.type for value in passed])
+        result = builder.call(builder.inttoptr(program, kind.as_pointer()), passed)
+        called("PyEval_RestoreThread", ir.VoidType(), thread)
+        builder.ret(called("PyLong_FromLongLong", pointer, result))
+        builder.position_at_end(bad)
+        called("PyErr_BadArgument", half)
+        return ir.Constant(pointer, None)
+
+    kinds = ("object", "objects", "i64")
+    key = form.digest(back_end(), taken, HEADER, CHARACTERS)
+    return MethodDef(b"program", machine().address(key, "object", kinds, instructions), FASTCALL, None)
 
 
 # -- by numba ----------------------------------------------------------------------------------------
@@ -436,15 +547,22 @@ class Kept:
             write_kept(self.path(signature, compiled.codegen), dumps(compiled._reduce()))
 
 
-def keep(function: Compiled, *key: str, signature: str = "", **options: Any) -> Any:
+def keep(function: Compiled, *key: str, **options: Any) -> Any:
     """Compile as numba's `njit` with a cache; key : what the function depends on besides its name."""
     from numba import njit
 
     made = njit(**options)(function)
     made._cache = Kept(form.digest(function.__module__, function.__qualname__, *key))
-    if signature:
-        made.compile(signature)
-        made.disable_compile()
+    return made
+
+
+def entry(function: Any, *arguments: object) -> Compiled:
+    """Return what `keep` compiles for such arguments: at a call numba looks for it for a third of a microsecond."""
+    from numba import typeof
+
+    kinds = tuple(map(typeof, arguments))
+    function.compile(kinds)
+    made: Compiled = function.overloads[kinds].entry_point
     return made
 
 
@@ -457,45 +575,3 @@ def keep_c(function: Compiled, signature: Signature, *key: str) -> Any:
     made._cache = Kept(form.digest(function.__module__, function.__qualname__, *key))
     made.compile()
     return made
-
-
-@cache
-def caller(kinds: tuple[tuple[str, int], ...]) -> Callable[..., int]:
-    """Return what calls a compiled program, given its address and arrays; kinds : their types and dimensions.
-
-    It asks for no more than arrays of the right size of numbers: what numba adds to find out which of several compiled
-    functions to call takes longer than a short run.
-    """
-    from llvmlite import ir
-    from numba.core import cgutils, types
-    from numba.extending import intrinsic
-    from numba.np.arrayobj import make_array
-
-    def typed(typingctx: Context, *kinds: Type) -> tuple[Signature, Compiled]:
-        def instructions(
-            context: BaseContext, builder: IRBuilder, signature: Signature, given: Sequence[Value]
-        ) -> Value:
-            address, *values = given
-            passed: list[Value] = []
-            for kind, value in zip(signature.args[1:], values, strict=True):
-                array = make_array(kind)(context, builder, value)
-                passed += [array.data, *cgutils.unpack_tuple(builder, array.shape)]
-            called = ir.FunctionType(ir.IntType(64), [value.type for value in passed])
-            return builder.call(builder.inttoptr(address, called.as_pointer()), passed)
-
-        return types.int64(*kinds), instructions
-
-    # numba reads the number of arguments off the function
-    arguments = ", ".join(["address", *(f"array{i}" for i in range(len(kinds)))])
-    module = ModuleType("contactbench_caller_" + "_".join(f"{kind}x{n}" for kind, n in kinds))
-    sys.modules[module.__name__] = module  # by which numba names what it compiles
-    vars(module)["typed"] = typed
-    exec(f"def lowered(typingctx, {arguments}): return typed(typingctx, {arguments})", vars(module))
-    vars(module)["lowered"] = intrinsic(vars(module)["lowered"])
-    exec(f"def call({arguments}): return lowered({arguments})", vars(module))
-    shapes = [f"{kind}[{', '.join([':'] * (n - 1) + ['::1'])}]" for kind, n in kinds]
-    signature = f"int64(int64, {', '.join(shapes)})"
-    made = keep(module.call, back_end(), signature=signature, nogil=True, no_cfunc_wrapper=True)
-    (only,) = made.overloads.values()
-    entry: Callable[..., int] = only.entry_point
-    return entry
