@@ -287,6 +287,7 @@ BAD = {
     "whole numbers": (GOOD[2], *GOOD[1:]),
     "doubles": (*GOOD[:2], GOOD[0], GOOD[3]),
     "single precision": (GOOD[0].astype(np.float32), *GOOD[1:]),
+    "other order of bytes": (GOOD[0].astype(">f8"), *GOOD[1:]),
     "not contiguous": (np.zeros(4)[::2], *GOOD[1:]),
 }
 

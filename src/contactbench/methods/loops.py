@@ -1,4 +1,4 @@
-"""Loops over steps: from a packed state to those after intervals of equal steps, compiled by numba or by Python."""
+"""Loops over steps: from a packed state to those after intervals of equal steps, by LLVM or by Python."""
 
 from __future__ import annotations
 
@@ -302,7 +302,7 @@ def loop_of(
     return _loops.get(key(identity(method, scene, carry), tangent, counted), make)
 
 
-# -- by numba ----------------------------------------------------------------------------------------
+# -- by LLVM -----------------------------------------------------------------------------------------
 class Recorded(StepLoop[Rows]):
     """By the recorded loop, compiled."""
 

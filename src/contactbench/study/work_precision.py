@@ -64,7 +64,7 @@ def ladder(profile: Profile) -> list[Cell]:
             else:
                 values = profile.choose(steps(scene, method))
             if engine == "jax" and engine != method.engines[0] and not profile.reaches("full"):
-                values = values[1::2][:CROSS_CHECKS] or values
+                values = values[2::2][:CROSS_CHECKS] or values
             rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
             if by_pilots(scene, method, engine) and (not profile.brief or scene.name == SMOKE):
                 rows += [(scene.name, name, engine, "rtol", rtol) for rtol in profile.choose(PILOTED)]

@@ -444,6 +444,10 @@ HEADER, CHARACTERS = object.__basicsize__, bytes.__basicsize__ - 1
 DATA, DIMENSION_COUNT, SHAPE, DTYPE, FLAGS = (HEADER + 8 * k for k in (0, 1, 2, 5, 6))
 #: the bit of the flags that says C-contiguous
 CONTIGUOUS = 1
+#: fields of NumPy's PyArray_Descr: a character that says the order of bytes, and the number of the type
+ORDER, NUMBER = HEADER + 10, HEADER + 12
+#: the numbers of doubles and of whole numbers; a type that was pickled is another object of the same number
+NUMBERS = np.dtype(np.float64).num, np.dtype(np.int64).num
 
 
 def builtin(address: int, taken: tuple[Taken, ...]) -> Callable[..., int]:
@@ -456,7 +460,7 @@ def builtin(address: int, taken: tuple[Taken, ...]) -> Callable[..., int]:
         ctypes.py_object,
         (ctypes.POINTER(MethodDef), ctypes.py_object, ctypes.c_void_p),
     )
-    known = struct.pack("4P", address, *map(id, (np.ndarray, np.dtype(np.float64), np.dtype(np.int64))))
+    known = struct.pack("2P", address, id(np.ndarray))
     made: Callable[..., int] = new(ctypes.byref(method_of(taken)), known, None)
     return made
 
@@ -488,23 +492,26 @@ def method_of(taken: tuple[Taken, ...]) -> MethodDef:
             builder.position_at_end(good)
 
         demand(builder.icmp_signed("==", count, whole(len(taken))))
-        program, array, double, integer = (read(own, CHARACTERS + 8 * k, whole) for k in range(4))
+        program, array = (read(own, CHARACTERS + 8 * k, whole) for k in (0, 1))
         passed: list[Value] = []
         for k, (dimensions, of_whole) in enumerate(taken):
             value = builder.load(builder.gep(arguments, [whole(k)]), align=8)
             demand(builder.icmp_signed("==", read(value, HEADER - 8, whole), array))
-            right = builder.icmp_signed("==", read(value, DTYPE, whole), integer if of_whole else double)
+            kind = read(value, DTYPE, pointer)
+            number, order = read(kind, NUMBER, half), builder.load(builder.gep(kind, [whole(ORDER)]))
+            right = builder.icmp_signed("==", number, half(NUMBERS[of_whole]))
+            native = builder.icmp_signed("==", order, byte(ord("=")))
             as_many = builder.icmp_signed("==", read(value, DIMENSION_COUNT, half), half(dimensions))
             flag = builder.and_(read(value, FLAGS, half), half(CONTIGUOUS))
             dense = builder.icmp_signed("!=", flag, half(0))
-            demand(builder.and_(builder.and_(right, as_many), dense))
+            demand(builder.and_(builder.and_(right, native), builder.and_(as_many, dense)))
             element = (whole if of_whole else ir.DoubleType()).as_pointer()
             passed.append(read(value, DATA, element))
             shape = read(value, SHAPE, pointer)
             passed += [read(shape, 8 * k, whole) for k in range(dimensions)]
         thread = called("PyEval_SaveThread", pointer)
-        kind = ir.FunctionType(whole, [value.type for value in passed])
-        result = builder.call(builder.inttoptr(program, kind.as_pointer()), passed)
+        called_kind = ir.FunctionType(whole, [value.type for value in passed])
+        result = builder.call(builder.inttoptr(program, called_kind.as_pointer()), passed)
         called("PyEval_RestoreThread", ir.VoidType(), thread)
         builder.ret(called("PyLong_FromLongLong", pointer, result))
         builder.position_at_end(bad)
@@ -512,7 +519,7 @@ def method_of(taken: tuple[Taken, ...]) -> MethodDef:
         return ir.Constant(pointer, None)
 
     kinds = ("object", "objects", "i64")
-    key = form.digest(back_end(), taken, HEADER, CHARACTERS)
+    key = form.digest(back_end(), taken, HEADER, CHARACTERS, NUMBERS)
     return MethodDef(b"program", machine().address(key, "object", kinds, instructions), FASTCALL, None)
 
 
