@@ -308,3 +308,28 @@ def test_a_program_runs_without_the_interpreter_lock():
         during.append(time.perf_counter())
         time.sleep(1e-4)
     assert len(during) > 5
+
+
+TOGETHER = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+import contactbench as cb
+sys.setswitchinterval(1e-6)
+names = ["contact-strang", "contact-rkn4", "rk4", "contact-rkn6"] * 3
+with ThreadPoolExecutor(4) as pool:
+    found = list(pool.map(lambda name: cb.solve("oscillator", name, step=0.1).y[-1, 0], names))
+assert found[:4] * 3 == found, found
+"""
+
+
+def test_threads_that_compile_first_share_what_they_compile(tmp_path):
+    for _ in range(3):
+        shutil.rmtree(tmp_path / "cache", ignore_errors=True)
+        done = run(
+            sys.executable,
+            "-c",
+            TOGETHER,
+            CONTACTBENCH_CACHE=tmp_path / "cache",
+            PYTHONPATH=REPOSITORY / "src",
+        )
+        assert (done.returncode, done.stderr) == (0, "")

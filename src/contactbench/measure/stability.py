@@ -1,5 +1,6 @@
 """Linear stability: the one-step map of a fixed-step method on q'' + γ q' + ω² q = 0, a 2×2 matrix.
 
+Of (q, p) alone: where s is carried, an iteration has to settle for it too, and a run may end as `failed` before.
 Of a processed method, π χⁿ π*, the kernel χ is repeated where only the end is saved, π χ π* where every step is.
 """
 

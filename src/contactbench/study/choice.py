@@ -66,6 +66,7 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: 
 
     def runs(method: str) -> bool:
         dear = METHODS[method].engines[0] in DEAR and scene.name in OWN and method in OWN
+        dear = dear and not profile.reaches("full")
         here = scene.name in TIMED_DEAR or (experiment, scene.name, method) in DEAR_CELLS
         return (here or not dear) and not left_to_full(scene, method, profile)
 

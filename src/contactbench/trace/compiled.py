@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from threading import Lock
+from threading import Lock, RLock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -364,8 +364,17 @@ class Machine:
         return bytes(self.target.emit_object(parsed))
 
 
-@cache
+#: held while what there is once in a process is made: two threads that begin together would make two, one of them freed
+MAKING = RLock()
+
+
 def machine() -> Machine:
+    with MAKING:
+        return _machine()
+
+
+@cache
+def _machine() -> Machine:
     if not COMPILES:
         raise CannotRecord("NUMBA_DISABLE_JIT is set: nothing is compiled")
     return Machine()
@@ -461,7 +470,9 @@ def builtin(address: int, taken: tuple[Taken, ...]) -> Callable[..., int]:
         (ctypes.POINTER(MethodDef), ctypes.py_object, ctypes.c_void_p),
     )
     known = struct.pack("2P", address, id(np.ndarray))
-    made: Callable[..., int] = new(ctypes.byref(method_of(taken)), known, None)
+    with MAKING:
+        method = method_of(taken)  # lives as long as the process: built-in functions only point to it
+    made: Callable[..., int] = new(ctypes.byref(method), known, None)
     return made
 
 
