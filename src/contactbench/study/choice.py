@@ -45,7 +45,7 @@ TIMED_DEAR = ("oscillator", "particle", "rigid_body")
 #: where some run nevertheless
 FORCED = ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
 DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
-#: implicit solvers of which a run takes seconds, a third of all that is run without a clock, and where stiffness asks
+#: implicit solvers of which a run takes seconds, a fifth of all that is run without a clock, and where stiffness asks
 #: for them; elsewhere CyRK's and CVODE's, compiled, stand for them
 IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
 STIFF = ("overdamped", "critical", "underflow", "stiff_spring", "steep_wall", "large_step", "kepler_close")
@@ -66,9 +66,8 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: 
 
     def runs(method: str) -> bool:
         dear = METHODS[method].engines[0] in DEAR and scene.name in OWN and method in OWN
-        dear = dear and not profile.reaches("full")
         here = scene.name in TIMED_DEAR or (experiment, scene.name, method) in DEAR_CELLS
-        return (here or not dear) and not left_to_full(scene, method, profile)
+        return (here or not dear or profile.reaches("full")) and not left_to_full(scene, method, profile)
 
     return list(filter(runs, methods))
 

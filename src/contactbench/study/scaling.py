@@ -45,7 +45,7 @@ SHARED = 100_000
 LOOP, STEPS_OF = "limit-c", "contact-strang"
 #: evaluations of a run at most, times sites, and evaluations that are always allowed
 WORK, ALLOWED = 3e8, 1000
-#: left to the full profile on rings: what compiles for seconds at every size, or takes minutes of the time
+#: left to the full profile on rings: what compiles for seconds at every size, or takes as long as all the others
 DEAR = ("diffrax-kvaerno5", "scipy-radau", "cvode-bdf", "ias15")
 
 

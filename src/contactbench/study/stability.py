@@ -99,8 +99,11 @@ def questions(profile: Profile) -> list[Cell]:
         return [(which, EVERYWHERE[0]) for which in ("overdamped", f"weak_damping {SPANS[0]:.0e}")]
     weak = [("weak_damping", span) for span in SPANS] + [("weak_damping_particle", SPANS[0])]
     every = ["overdamped", *(f"{scene} {span:.0e}" for scene, span in weak)]
-    scenes = {which: cb.SCENES[which.split()[0]] for which in every}
-    return [(which, method) for which in every for method in contestants(profile, scenes[which])]
+    return [
+        (which, method)
+        for which in every
+        for method in contestants(profile, cb.SCENES[which.partition(" ")[0]])
+    ]
 
 
 #: the row of a call that ends badly, and the call

@@ -17,7 +17,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from threading import Lock, RLock
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -121,15 +121,16 @@ class Lowering:
                     self.repeat(statement)
 
     @contextmanager
-    def counted(self, begin: Value, end: Value) -> Iterator[Value]:
-        """Repeat the instructions of a block for begin, begin + 1, …, end − 1."""
+    def counted(self, begin: Value, end: Value, over: Callable[[], Value] | None = None) -> Iterator[Value]:
+        """Repeat the instructions of a block for begin, begin + 1, …, end − 1, or until it is over."""
         builder, entry = self.builder, self.builder.block
         test, body, after = (builder.append_basic_block(name) for name in ("test", "body", "after"))
         builder.branch(test)
         builder.position_at_end(test)
         index = builder.phi(self.whole)
         index.add_incoming(begin, entry)
-        builder.cbranch(builder.icmp_signed("<", index, end), body, after)
+        more = builder.icmp_signed("<", index, end)
+        builder.cbranch(more if over is None else builder.and_(more, builder.not_(over())), body, after)
         builder.position_at_end(body)
         yield index
         index.add_incoming(builder.add(index, self.whole(1)), builder.block)
@@ -251,8 +252,12 @@ class Lowering:
         elif kind != self.double:
             return self.call_each(name, *x)
         signature = self.ir.FunctionType(kind, [kind] * len(x))
+        return self.builder.call(self.external(name, signature), x)
+
+    def external(self, name: str, signature: Type) -> Value:
+        """Return a function of the C library's or of LLVM's, declared once in a module."""
         known = self.builder.module.globals.get(name)
-        return self.builder.call(known or self.ir.Function(self.builder.module, signature, name), x)
+        return known or self.ir.Function(self.builder.module, signature, name)
 
     def call_each(self, name: str, *x: Value) -> Value:
         """Emit calls of a function that LLVM has for numbers only, one for each lane; return the vector of results."""
@@ -364,17 +369,25 @@ class Machine:
         return bytes(self.target.emit_object(parsed))
 
 
-#: held while what there is once in a process is made: two threads that begin together would make two, one of them freed
+#: held while what there is once in a process is made
 MAKING = RLock()
 
 
+def once[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Make it once, and never free it: `cache` makes it twice for threads that begin together, and frees one."""
+    made: Any = cache(function)
+
+    @wraps(function)
+    def waiting(*args: P.args, **kwargs: P.kwargs) -> R:
+        with MAKING:
+            known: R = made(*args, **kwargs)
+        return known
+
+    return waiting
+
+
+@once
 def machine() -> Machine:
-    with MAKING:
-        return _machine()
-
-
-@cache
-def _machine() -> Machine:
     if not COMPILES:
         raise CannotRecord("NUMBA_DISABLE_JIT is set: nothing is compiled")
     return Machine()
@@ -439,9 +452,17 @@ class MethodDef(ctypes.Structure):
     """CPython's PyMethodDef."""
 
     _fields_ = (
-        *(("name", ctypes.c_char_p), ("function", ctypes.c_void_p)),
-        *(("flags", ctypes.c_int), ("about", ctypes.c_char_p)),
+        ("name", ctypes.c_char_p),
+        ("function", ctypes.c_void_p),
+        ("flags", ctypes.c_int),
+        ("about", ctypes.c_char_p),
     )
+
+
+#: CPython's PyCFunction_NewEx: a built-in function of a definition, which is to outlive it, and of the object it is of
+new_builtin = ctypes.PYFUNCTYPE(
+    ctypes.py_object, ctypes.POINTER(MethodDef), ctypes.py_object, ctypes.c_void_p
+)(("PyCFunction_NewEx", ctypes.pythonapi))
 
 
 #: functions of CPython's that a call from Python needs, and METH_FASTCALL
@@ -464,19 +485,12 @@ def builtin(address: int, taken: tuple[Taken, ...]) -> Callable[..., int]:
 
     Others than such arrays, each of its own number, are refused with `TypeError`.
     """
-    new = ctypes.pythonapi.PyCFunction_NewEx
-    new.restype, new.argtypes = (
-        ctypes.py_object,
-        (ctypes.POINTER(MethodDef), ctypes.py_object, ctypes.c_void_p),
-    )
     known = struct.pack("2P", address, id(np.ndarray))
-    with MAKING:
-        method = method_of(taken)  # lives as long as the process: built-in functions only point to it
-    made: Callable[..., int] = new(ctypes.byref(method), known, None)
+    made: Callable[..., int] = new_builtin(ctypes.byref(method_of(taken)), known, None)
     return made
 
 
-@cache
+@once
 def method_of(taken: tuple[Taken, ...]) -> MethodDef:
     from llvmlite import binding, ir
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -129,14 +129,12 @@ class SweepLowering(llvm.Lowering):
         return self.builder.add(self.builder.mul(self.sites, self.whole(2 * d)), self.whole(int(with_s)))
 
     def copy(self, packed: Value, j: int, sites: tuple[Value, Value], inwards: bool) -> None:
-        from numba.core.cgutils import for_range
-
         b, whole, d = self.builder, self.whole, self.packing.dimensions
         block, half, component = j // (2 * d), j // d % 2, j % d
         first = b.add(b.mul(self.length, whole(block)), b.mul(self.sites, whole(half * d)))
-        with for_range(b, sites[1], sites[0]) as turn:
-            place = b.gep(packed, [b.add(first, b.add(b.mul(turn.index, whole(d)), whole(component)))])
-            cell = b.gep(self.rows["row"], [b.add(turn.index, whole(PAD))])
+        with self.counted(*sites) as site:
+            place = b.gep(packed, [b.add(first, b.add(b.mul(site, whole(d)), whole(component)))])
+            cell = b.gep(self.rows["row"], [b.add(site, whole(PAD))])
             source, target = (place, cell) if inwards else (cell, place)
             b.store(b.load(source), target)
 
@@ -151,18 +149,14 @@ class SweepLowering(llvm.Lowering):
         return begin, b.select(b.icmp_signed("<", end, self.sites), end, self.sites)
 
     def run(self, body: Sequence[Statement]) -> None:
-        from numba.core.cgutils import for_range
-
         for statement in body:
             if isinstance(statement, Sites):
                 self.sweep(statement)
             elif isinstance(statement, Pairs):
                 self.over_others(statement)
             elif isinstance(statement, form.Loop) and self.site is None:
-                with for_range(self.builder, self.value(statement.times)) as turn:
-                    with self.builder.if_then(self.builder.load(self.over)):
-                        turn.do_break()
-                    self.values[statement.counter] = turn.index
+                times, over = self.value(statement.times), partial(self.builder.load, self.over)
+                with self.counted(self.whole(0), times, over) as self.values[statement.counter]:
                     self.run(statement.body)
             else:
                 super().run((statement,))
@@ -178,38 +172,35 @@ class SweepLowering(llvm.Lowering):
 
     # -- sweeps ------------------------------------------------------------------------------------
     def sweep(self, sites: Sites) -> None:
-        from numba.core.cgutils import for_range
-
         b, whole = self.builder, self.whole
         self.rows = {row: self.row(self.value(row)) for row in sorted(rows_of(sites))}
         sums = range(len(sites.sums))
         parity = b.and_(b.load(self.count), whole(1))
-        with self.part() as part, for_range(b, part[1], part[0]) as turn:
-            begin, end = self.sites_of(turn.index, b.add(turn.index, whole(1)))
+        with self.part() as part, self.counted(*part) as chunk:
+            begin, end = self.sites_of(chunk, b.add(chunk, whole(1)))
             for kind, slots in self.partial.items():
                 for i in sums:
                     b.store(self.ir.Constant(kind, None), slots[i])
             vectors = b.sdiv(b.sub(end, begin), whole(LANES))
             self.lanes, self.wide = LANES, self.vector
-            with for_range(b, vectors) as inner:
-                self.site = b.add(begin, b.mul(inner.index, whole(LANES)))
+            with self.counted(whole(0), vectors) as turn:
+                self.site = b.add(begin, b.mul(turn, whole(LANES)))
                 self.at_site(sites)
             self.lanes, self.wide = 1, self.double
-            with for_range(b, end, b.add(begin, b.mul(vectors, whole(LANES)))) as inner:
-                self.site = inner.index
+            with self.counted(b.add(begin, b.mul(vectors, whole(LANES))), end) as self.site:
                 self.at_site(sites)
             self.site = None
             for i in sums:
                 total, vector = b.load(self.partial[self.double][i]), b.load(self.partial[self.vector][i])
                 for lane in range(LANES):
                     total = b.fadd(total, b.extract_element(vector, self.ir.IntType(32)(lane)))
-                b.store(total, self.chunk_sum(parity, i, turn.index))
+                b.store(total, self.chunk_sum(parity, i, chunk))
             self.ends(sites, begin, end)
         for i in sums:
             b.store(self.double(0.0), self.totals[i])
-            with for_range(b, self.chunks) as turn:
+            with self.counted(whole(0), self.chunks) as chunk:
                 total = b.load(self.totals[i])
-                b.store(b.fadd(total, b.load(self.chunk_sum(parity, i, turn.index))), self.totals[i])
+                b.store(b.fadd(total, b.load(self.chunk_sum(parity, i, chunk))), self.totals[i])
             self.values[sites.sums[i][0]] = b.load(self.totals[i])
 
     def at_site(self, sites: Sites) -> None:
@@ -242,14 +233,11 @@ class SweepLowering(llvm.Lowering):
                     b.store(b.load(b.gep(self.rows[str(row)], [own])), b.gep(self.rows[str(row)], [target]))
 
     def over_others(self, pairs: Pairs) -> None:
-        from numba.core.cgutils import for_range
-
         b = self.builder
         slots = [self.slot(self.wide) for _ in pairs.sums]
         for slot in slots:
             b.store(self.ir.Constant(self.wide, None), slot)
-        with for_range(b, self.sites) as turn:
-            self.values["other"] = turn.index
+        with self.counted(self.whole(0), self.sites) as self.values["other"]:
             self.run(pairs.body)
             for slot, (_, value) in zip(slots, pairs.sums, strict=True):
                 b.store(b.fadd(b.load(slot), self.spread(self.value(value))), slot)
@@ -260,23 +248,21 @@ class SweepLowering(llvm.Lowering):
     @contextmanager
     def part(self) -> Iterator[tuple[Value, Value]]:
         """Each part of the chunks, the first and before which one, that this thread is to do; then all is done."""
-        from numba.core.cgutils import for_range
-
         b, one = self.builder, self.whole(1)
         shared = b.icmp_signed(">", self.threads, one)
         count = b.load(self.count)
         with b.if_then(b.icmp_signed("!=", b.load_atomic(self.word(STOP), "monotonic", 8), self.whole(0))):
             b.store(self.truth(1), self.over)
         last = b.select(self.leader, self.threads, b.add(self.rank, one))
-        with for_range(b, last, self.rank) as turn:
+        with self.counted(self.rank, last) as rank:
             b.store(b.not_(b.load(self.over)), self.takes)
             with b.if_then(b.and_(shared, b.load(self.takes))), b.if_else(self.leader) as (leads, follows):
-                with leads, b.if_then(b.icmp_signed(">", turn.index, self.whole(0))):
-                    self.wait_for(turn.index, count)
+                with leads, b.if_then(b.icmp_signed(">", rank, self.whole(0))):
+                    self.wait_for(rank, count)
                 with follows:
                     self.begin(count)
             with b.if_then(b.load(self.takes)):
-                place = turn.index, b.add(turn.index, one)
+                place = rank, b.add(rank, one)
                 yield tuple(b.sdiv(b.mul(self.chunks, each), self.threads) for each in place)  # type: ignore[misc]
         done = b.add(count, one)
         b.store(done, self.count)
@@ -335,8 +321,6 @@ class SweepLowering(llvm.Lowering):
 
     def wait(self, there: Callable[[], Value], yields: Callable[[Value], Value]) -> Value:
         """Look until it is there, and let others run where the number of looks says so; return that number's slot."""
-        from numba.core.cgutils import get_or_insert_function
-
         b, whole, looks = self.builder, self.whole, self.slot(self.whole)
         b.store(whole(0), looks)
         look, again, after = (b.append_basic_block(name) for name in ("look", "again", "after"))
@@ -348,7 +332,7 @@ class SweepLowering(llvm.Lowering):
         b.store(count, looks)
         with b.if_then(yields(count), likely=False):
             signature = self.ir.FunctionType(self.ir.IntType(32), [])
-            b.call(get_or_insert_function(b.module, signature, "sched_yield"), [])
+            b.call(self.external("sched_yield", signature), [])
         b.branch(look)
         b.position_at_end(after)
         return looks
