@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -113,6 +114,15 @@ DIGITS = 50
 type Stepping = FixedStep | Logarithmic | ExactMethod
 
 
+def fastest(context: MPContext) -> Any:
+    """Return the namespace of numbers of as many digits that computes fastest: gmpy2's, where it is installed."""
+    try:
+        from contactbench.numbers.decimals import of_precision
+    except ImportError:
+        return context
+    return of_precision(context.prec)
+
+
 def march(
     method: Stepping,
     scene: Scene,
@@ -122,9 +132,16 @@ def march(
     start: Sequence[Arithmetic] | None = None,
 ) -> list[Arithmetic]:
     """Return the packed state, all fields carried, after n steps from the scene's or another packed start."""
-    twin = with_decimals(scene, context.mpf)
-    x = twin.initial(scene.carry()) if start is None else twin.unpack(start, scene.carry())
-    return twin.pack(method.advance(twin, x, context.mpf(step), n, context))
+    xp = fastest(context)
+    with getattr(xp, "context", nullcontext()):
+        twin = with_decimals(scene, xp.mpf)
+        given = None if start is None else [*map(xp.mpf, start)]
+        x = twin.initial(scene.carry()) if given is None else twin.unpack(given, scene.carry())
+        try:
+            end = twin.pack(method.advance(twin, x, xp.mpf(step), n, xp))
+        except ArithmeticError as why:
+            raise OverflowError(f"a number beyond any scale ({why})") from why
+        return end if xp is context else [context.mpf(str(c)) for c in end]
 
 
 def error_at(method: Stepping, scene: Scene, t: float, n: int) -> Arithmetic:

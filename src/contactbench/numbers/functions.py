@@ -45,6 +45,10 @@ def namespace(x: object) -> Any:
         return jnp
     if package == "mpmath":
         return x.context  # type: ignore[attr-defined]
+    if package == "gmpy2":
+        from contactbench.numbers.decimals import current
+
+        return current()
     if package == "heyoka" and type(x).__name__ == "expression":
         import heyoka
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.protocol import Arithmetic, Namespace, has_digits
+from contactbench.numbers.protocol import Arithmetic, Namespace, Numbers, has_digits
 
 STAGES = 8
 #: of the coefficients on doubles
@@ -53,8 +53,17 @@ def gauss_on_doubles(stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> R
     return numbers[0], numbers[1], numbers[2:]
 
 
+@cache
+def in_digits(xp: Any, stages: int, ends: tuple[Fraction, ...]) -> Rule:
+    """Return them as numbers of a namespace of this package."""
+    nodes, weights, matrix = gauss(xp.dps, stages, ends)
+    return [*map(xp.mpf, nodes)], [*map(xp.mpf, weights)], [[*map(xp.mpf, row)] for row in matrix]
+
+
 def rule(xp: Namespace, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
-    return gauss(xp.dps, stages, ends) if has_digits(xp) else gauss_on_doubles(stages, ends)
+    if not has_digits(xp):
+        return gauss_on_doubles(stages, ends)
+    return in_digits(xp, stages, ends) if isinstance(xp, Numbers) else gauss(xp.dps, stages, ends)
 
 
 def weigh(weights: list[Arithmetic], values: list[Arithmetic]) -> Arithmetic:

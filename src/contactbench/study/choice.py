@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple
 from zlib import crc32
 
 from contactbench.methods import METHODS
@@ -45,20 +46,57 @@ TIMED_DEAR = ("oscillator", "particle", "rigid_body")
 #: where some run nevertheless
 FORCED = ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
 DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
-#: implicit solvers of which a run takes seconds, a fifth of all that is run without a clock, and where stiffness asks
-#: for them; elsewhere CyRK's and CVODE's, compiled, stand for them
-IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
+#: where stiffness asks for implicit solvers
 STIFF = ("overdamped", "critical", "underflow", "stiff_spring", "steep_wall", "large_step", "kepler_close")
-#: compiled ones, and the longest motions, none of them stiff
-COMPILED_IMPLICIT, LONGEST_SCENES = ("cvode-bdf", "cyrk-radau"), ("particle_long", "kepler")
+#: those of which a run takes seconds: elsewhere CyRK's and CVODE's, compiled, stand for them
+IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
 
 
-def left_to_full(scene: Scene, method: str, profile: Profile) -> bool:
-    """Return whether a method is one of those that only the full profile runs on a scene."""
-    if profile.reaches("full") or scene.name not in OWN:
-        return False
-    dear = method in IMPLICIT and scene.name not in STIFF + TIMED_DEAR
-    return dear or (method in COMPILED_IMPLICIT and scene.name in LONGEST_SCENES)
+class Left(NamedTuple):
+    """What only the full profile runs, so that the standard one takes minutes.
+
+    experiments, methods : those concerned, all where there are none.  scenes : on these; apart : or on all but these.
+    """
+
+    experiments: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    scenes: tuple[str, ...] = ()
+    apart: tuple[str, ...] = ()
+
+    def has(self, experiment: str, scene: str, method: str) -> bool:
+        concerned = experiment in (self.experiments or [experiment]) and method in (self.methods or [method])
+        return concerned and scene in (self.scenes or [scene]) and scene not in self.apart
+
+
+LEFT = (
+    Left(methods=IMPLICIT, apart=STIFF + TIMED_DEAR),
+    Left(methods=("cvode-bdf", "cyrk-radau"), scenes=("particle_long", "kepler")),  # the longest, none stiff
+    Left(("stability",), ("diffrax-tsit5", "diffrax-dopri8")),
+    Left(("stability",), ("diffrax-kvaerno5",), apart=("overdamped", "stiff_spring")),
+    Left(("stability",), ("scipy-dop853",), apart=STIFF),  # its tableau is compiled by CyRK and here
+    Left(
+        ("laws", "convergence"), scenes=("detest_e1", "detest_e3", "lane_emden_0", "lane_emden_1", "duffing")
+    ),
+    Left(("scaling",), (*IMPLICIT, "cvode-bdf", "ias15"), ("fput", "linear_ring")),
+    Left(("scaling",), ("scipy-dop853", "diffrax-dopri8")),
+)
+#: the tightest tolerance of the implicit solvers that call back into Python or XLA, but for the full profile
+DEAREST = 1e-9
+
+
+def left_to_full(experiment: str, scene: Scene, method: str, profile: Profile) -> bool:
+    """Return whether an experiment runs a method on a scene in the full profile alone."""
+    mine = scene.name in OWN and method in OWN
+    return (
+        mine
+        and not profile.reaches("full")
+        and any(left.has(experiment, scene.name, method) for left in LEFT)
+    )
+
+
+def affordable(rtols: Iterable[float], method: str, profile: Profile) -> list[float]:
+    least = DEAREST if method in IMPLICIT and not profile.reaches("full") else 0.0
+    return [rtol for rtol in rtols if rtol >= least]
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: Profile) -> list[str]:
@@ -67,7 +105,9 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: 
     def runs(method: str) -> bool:
         dear = METHODS[method].engines[0] in DEAR and scene.name in OWN and method in OWN
         here = scene.name in TIMED_DEAR or (experiment, scene.name, method) in DEAR_CELLS
-        return (here or not dear or profile.reaches("full")) and not left_to_full(scene, method, profile)
+        return (here or not dear or profile.reaches("full")) and not left_to_full(
+            experiment, scene, method, profile
+        )
 
     return list(filter(runs, methods))
 
@@ -91,7 +131,9 @@ def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
 
     def chosen(name: str, engine: str) -> bool:
         first, here = engine == METHODS[name].engines[0], scene.name == SMOKE
-        if (not first and METHODS[name].lacks(engine)) or left_to_full(scene, name, profile):
+        if (not first and METHODS[name].lacks(engine)) or left_to_full(
+            "work_precision", scene, name, profile
+        ):
             return False
         brought = scene.name not in OWN or name not in OWN
         if scene.name not in TIMED_DEAR and not brought and (not first or engine in DEAR):

@@ -77,7 +77,7 @@ def ladder(profile: Profile) -> list[Cell]:
         profile.brief
     ):  # one kernel, one setting of two methods; how many cores there are is the machine's affair
         return [row for row in rows if (row[2], row[4], row[6]) in SMOKE]
-    sizes = [10**k for k in range(3, 8 if profile.reaches("full") else 7)]
+    sizes = [10**k for k in range(3, 8 if profile.reaches("full") else 6)]
     rows += [("size", "particle", OURS, ENGINES[0], "", "step", 0.4, n, 1) for n in sizes]
     most = len(usable_cores())
     cores = [*(2**k for k in range(most.bit_length()) if 2**k < most), most]

@@ -23,7 +23,7 @@ from contactbench.results.tables import SCALING
 from contactbench.scene.many import Many
 from contactbench.solution import keywords
 from contactbench.study.c_loops import ring_kernel
-from contactbench.study.choice import EVERYWHERE, key, methods_of, outcome
+from contactbench.study.choice import EVERYWHERE, key, left_to_full, methods_of, outcome
 from contactbench.study.experiment import Cell, Profile, Row, Timing, timed_experiment
 from contactbench.study.search import Question, Search, step_at
 from contactbench.study.settings import ENDS, times
@@ -34,7 +34,7 @@ from contactbench.truth.reference import by_two_solvers
 
 MAIN, RINGS, PERIOD, ERROR = "fput", ("fput", "linear_ring"), 16, 1e-6
 #: lengths of rings, by the profile from which on they are run
-SIZES = {"smoke": (PERIOD,), "standard": (128, 1024, 10_000), "full": (100_000, 1_000_000)}
+SIZES = {"smoke": (PERIOD,), "standard": (1024, 10_000), "full": (128, 100_000, 1_000_000)}
 #: the methods on other scenes than the main one; the one that is run by all of its engines
 FEW: tuple[str, ...] = ("contact-strang", "contact-rkn6", "rk4", "scipy-dop853", "cvode-adams", "cyrk-dop853")
 FEW += ("ias15", "whfast")
@@ -45,8 +45,6 @@ SHARED = 100_000
 LOOP, STEPS_OF = "limit-c", "contact-strang"
 #: evaluations of a run at most, times sites, and evaluations that are always allowed
 WORK, ALLOWED = 3e8, 1000
-#: left to the full profile on rings: what compiles for seconds at every size, or takes as long as all the others
-DEAR = ("diffrax-kvaerno5", "scipy-radau", "cvode-bdf", "ias15")
 
 
 def ladder(profile: Profile) -> list[Cell]:
@@ -60,7 +58,7 @@ def ladder(profile: Profile) -> list[Cell]:
         names = [
             name
             for name in (methods_of(profile) if main else FEW)
-            if profile.reaches("full") or name not in DEAR or scene.name not in RINGS
+            if not left_to_full("scaling", scene, name, profile)
         ]
         methods = [
             m for m in map(cb.METHODS.__getitem__, names) if m.refuses(sized(scene.name, PERIOD)) is None

@@ -28,7 +28,16 @@ from contactbench.results.tables import DAMPING_RATES, STABILITY, STABILITY_LIMI
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
-from contactbench.study.choice import controlled, key, left_to_full, methods_of, outcome, small, step_budget
+from contactbench.study.choice import (
+    affordable,
+    controlled,
+    key,
+    left_to_full,
+    methods_of,
+    outcome,
+    small,
+    step_budget,
+)
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import SAVES, times
@@ -55,19 +64,18 @@ TOLERANCES = (1e-4, 1e-7, 1e-10)
 #: of the smoke profile: what is soon compiled on the scene where nothing ends ok, which compiles no derivative,
 #: and two methods on every scene
 SMOKE, EVERYWHERE = "escape", ("contact-strang", "heyoka-taylor")
-#: what XLA compiles for seconds on every scene: on these one of diffrax's methods, the implicit one, stands for all
-LEFT_OUT = ("diffrax-tsit5", "diffrax-dopri8")
 CREEP_RTOLS = (1e-3, 1e-6, 1e-9)
 DAMPING_PER_STEP = (1.0, 5.0, 25.0)
 SPANS = (1e4, 1e5)
 
 
-def settings(scene: Scene, method: Method) -> list[tuple[str, float]]:
+def settings(scene: Scene, method: Method, profile: Profile) -> list[tuple[str, float]]:
     if method.control == EXACT:
         return [(EXACT, 0.0)]
     if method.adaptive:
         finest = method.rtol_range[0]
-        return [("rtol", rtol) for rtol in (*(r for r in TOLERANCES if r > finest), finest)]
+        rtols = (*(r for r in TOLERANCES if r > finest), finest)
+        return [("rtol", rtol) for rtol in affordable(rtols, method.name, profile)]
     if method.refuses(scene):
         return [("step", COARSEST.get(scene.name, scene.t_end / 100))]
     method = cast(FixedStep, method)  # or a library's, which says the same
@@ -90,8 +98,7 @@ def ladder(profile: Profile) -> list[Cell]:
 
 
 def contestants(profile: Profile, scene: Scene) -> list[str]:
-    every = [name for name in methods_of(profile) if not left_to_full(scene, name, profile)]
-    return [name for name in every if profile.reaches("full") or name not in LEFT_OUT]
+    return [name for name in methods_of(profile) if not left_to_full("stability", scene, name, profile)]
 
 
 def questions(profile: Profile) -> list[Cell]:
@@ -113,7 +120,7 @@ type Asked = tuple[Row, Callable[..., Row], tuple[object, ...]]
 def calls(cell: Cell, profile: Profile) -> Iterator[Asked]:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     engine, budget = method.engines[0], budget_of(profile, scene, method)
-    for kind, value in settings(scene, method):
+    for kind, value in settings(scene, method, profile):
         row = key(scene.name, method.name, engine, kind, value) | {"status": "failed"}
         yield row, stability_row, (scene.name, method.name, engine, kind, value, budget)
 

@@ -44,6 +44,13 @@ LADDERS = STEPS | {name: tuple(10.0**-k for k in range(a, b + 1)) for name, (a, 
 #: at weak damping and over the first of the long spans those around an error of 1 %, where each is dear
 LONG_SPAN = 1e5
 AROUND = {
+    "contact-strang": (0.4, 0.28, 0.2, 0.14),
+    "herglotz2": (0.4, 0.28, 0.2, 0.14),
+    "contact-rkn4": (0.56, 0.4),
+    "contact-rkn6": (1.1, 0.8),
+    "quinlan-tremaine8": (0.12, 0.1),
+    "rk4": (0.07, 0.05, 0.035),
+    "rkn8": (0.8, 0.56, 0.4),
     "rkn12": (1.6, 1.1),
     "cyrk-dop853": (1e-6, 1e-7),
     "cyrk-vern8": (1e-5, 1e-6),
@@ -83,9 +90,10 @@ def ladder(profile: Profile) -> list[Cell]:
 
 
 def rungs(scene: str, name: str, gamma: float, span: float, n: int) -> list[Cell]:
-    """Return the cells of a method; in long runs without the first, which is lost, and the last, which is dear."""
+    """Return the cells of a method; beside the main ones without the first, which is lost, and the last, dear one."""
     around = AROUND if (gamma, span) == (GAMMA, LONG_SPAN) else {}
-    values = LADDERS[name] if span <= SPAN else around.get(name, LADDERS[name][1:-1])
+    main = (scene, gamma, span, n) == (RING, GAMMA, SPAN, N)
+    values = LADDERS[name] if main else around.get(name, LADDERS[name][1:-1])
     return [(scene, name, cb.METHODS[name].engines[0], gamma, span, n, value) for value in values]
 
 
