@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+import contactbench.measure.order as of_steps
 from contactbench.measure.laws import LAWS
-from contactbench.measure.order import ROUND_OFF, fit_order
+from contactbench.measure.order import DIGITS, ROUND_OFF, fit_order
 from contactbench.splitting.tables import COMPOSITIONS
 from contactbench.study.search import Attempt, Question, Search
 from contactbench.study.settings import ENDS, carry_of, steps, times, tolerances
+from contactbench.truth import decimal_context
 
 H = [0.8 / 2**k for k in range(9)]
 
@@ -223,3 +225,36 @@ def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six
     assert counts == pytest.approx([5, 10, 20, 25, 35, 50, 70, 100, 140, 200])
     longest, *_, shortest = steps(particle, cb.METHODS["stormer12"])  # of one evaluation a step
     assert (longest, shortest) == pytest.approx((0.4, 0.4 / 32), rel=0.03)
+
+
+# -- two libraries of numbers of many digits -------------------------------------------------------
+MANY = [
+    *(("particle", name) for name in ("contact-rkn8", "rkn12", "rk8", "contact-gauss6")),
+    *(("forced_pulsating", name) for name in ("contact-o8", "gauss6")),
+    *(
+        ("thermostat", "rk8"),
+        ("double_pendulum", "rk8"),
+        ("heavy_top", "contact-bm6"),
+        ("kepler", "contact-log8"),
+    ),
+]
+
+
+@pytest.mark.parametrize(("scene", "method"), MANY)
+def test_numbers_of_gmpy2_step_as_those_of_mpmath(
+    scene: str, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("gmpy2")
+    context = decimal_context(DIGITS)
+    given = cb.METHODS[method], cb.SCENES[scene], context.mpf("0.1"), 3, context
+    fast = of_steps.march(*given)
+    monkeypatch.setattr(of_steps, "fastest", lambda context: context)
+    slow = of_steps.march(*given)
+    assert max(abs(a - b) / (1 + abs(b)) for a, b in zip(fast, slow, strict=True)) < 10 ** (3 - DIGITS)
+    assert any(a != b for a, b in zip(fast, given[1].pack(given[1].initial(given[1].carry())), strict=True))
+
+
+def test_a_number_of_gmpy2_beyond_any_scale_ends_the_run() -> None:
+    pytest.importorskip("gmpy2")
+    with pytest.raises(OverflowError, match="beyond any scale"):
+        of_steps.march(cb.METHODS["rk8"], cb.SCENES["double_pendulum"], "1e9", 10, decimal_context(DIGITS))
