@@ -65,7 +65,7 @@ def ladder(profile: Profile) -> list[Cell]:
     for method, step in ARITHMETIC.items():
         runs = [(method, engine, "") for engine in ENGINES]
         runs += [("limit-c", "c", f"{method} {shape}") for shape in SHAPES]
-        rows += [("arithmetic", "particle_long", *run, "step", step, 1024, 1) for run in runs]
+        rows += [("arithmetic", "particle_long", *run, "step", step, 512, 1) for run in runs]
     for method, steps in STEPS.items():
         rows += [("error", "particle", method, ENGINES[0], "", "step", h, 4096, 1) for h in steps]
     for method, engine, variant in PEERS:

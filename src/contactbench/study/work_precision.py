@@ -136,7 +136,7 @@ def errors(cell: Cell, profile: Profile) -> Row:
 #: SHORT what the public call adds
 LONG_CALLBACK, SHORT = 0.02, 5e-4
 #: rounds in which both calls are compared, and seconds of each
-PAIRS, BLOCK_SECONDS = 15, 1e-4
+PAIRS, BLOCK_SECONDS = 9, 1e-4
 
 
 def runs(cell: Cell, budget: int | None) -> tuple[Row, Call]:
