@@ -94,9 +94,13 @@ def left_to_full(experiment: str, scene: Scene, method: str, profile: Profile) -
     )
 
 
+def dearest(method: str, profile: Profile) -> bool:
+    """Return whether a method's finer settings are left to the full profile."""
+    return method in IMPLICIT and not profile.reaches("full")
+
+
 def affordable(rtols: Iterable[float], method: str, profile: Profile) -> list[float]:
-    least = DEAREST if method in IMPLICIT and not profile.reaches("full") else 0.0
-    return [rtol for rtol in rtols if rtol >= least]
+    return [rtol for rtol in rtols if rtol >= DEAREST or not dearest(method, profile)]
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: Profile) -> list[str]:
