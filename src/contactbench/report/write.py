@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
+from contactbench.measure.isolation import Worker, usable_cores
 from contactbench.report import draw, headline, markdown, page
 from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, discovered, every
 from contactbench.report.drawing import Figure
@@ -50,20 +53,51 @@ def documents(
     results: Path, registries: Registries, readme: Path | None
 ) -> tuple[dict[Path, str], list[Figure]]:
     frames, recorded = tables(results), runs(results)
-    found = [chapter.fill(frames) for chapter in chapters(frames)]
+    with drawing() as draws:
+        found, drawn = [], dict[str, Figure]()
+        pictures: dict[str, Callable[[], str]] = {}
+        for chapter in chapters(frames):
+            found.append(chapter.fill(frames))
+            for figure in every(Figure, found[-1].parts):
+                drawn[figure.name], pictures[figure.name] = figure, draws(figure)
+        texts = {f"figures/{name}.svg": picture() for name, picture in pictures.items()}
     if found and found[0].chapter.name == headline.NAME:
         found[0] = replace(found[0], parts=(*found[0].parts, headline.machine(recorded)))
-    drawn = list({figure.name: figure for one in found for figure in every(Figure, one.parts)}.values())
     words = glossary(registries)
-    texts = {one.chapter.file: markdown.document(one) for one in found}
-    texts["glossary.md"] = f"# Glossary\n\n{markdown.parts(words)}\n"
+    pages = {one.chapter.file: markdown.document(one) for one in found}
+    pages["glossary.md"] = f"# Glossary\n\n{markdown.parts(words)}\n"
     if not (results.parent / "docs" / "reading.md").exists():  # as in a repository of one's own
-        texts = {name: TO_DOCS.sub("", text) for name, text in texts.items()}
-    links = {label: to for label, to in page.LINKS.items() if to in texts or to.startswith("..")}
-    texts["report.html"] = page.page(found, recorded, words, links)
-    texts |= {f"figures/{figure.name}.svg": draw.svg(figure) for figure in drawn}
-    paths = {results / name: text for name, text in texts.items()}
-    return paths | ({readme: with_answers(readme, frames)} if readme else {}), drawn
+        pages = {name: TO_DOCS.sub("", text) for name, text in pages.items()}
+    links = {label: to for label, to in page.LINKS.items() if to in pages or to.startswith("..")}
+    pages["report.html"] = page.page(found, recorded, words, links)
+    paths = {results / name: text for name, text in (pages | texts).items()}
+    return paths | ({readme: with_answers(readme, frames)} if readme else {}), list(drawn.values())
+
+
+@contextmanager
+def drawing() -> Iterator[Callable[[Figure], Callable[[], str]]]:
+    """Draw figures in processes of their own, one for each of two cores."""
+    cores = usable_cores()[:2]
+    workers = [Worker([core]) for core in cores if len(cores) > 1]
+    turns = cycle(workers)
+
+    def draws(figure: Figure) -> Callable[[], str]:
+        if not workers:
+            return partial(draw.svg, figure)
+        call = next(turns).submit(draw.svg, figure)
+
+        def picture() -> str:
+            try:
+                return call.result()
+            except Exception:  # as of what a user's chapter draws with, which no other process knows
+                return draw.svg(figure)
+
+        return picture
+
+    with ExitStack() as stack:
+        for worker in workers:
+            stack.enter_context(worker)
+        yield draws
 
 
 def with_answers(readme: Path, frames: Frames) -> str:
