@@ -74,14 +74,9 @@ LEFT = (
     Left(("stability",), ("diffrax-tsit5", "diffrax-dopri8")),
     Left(("stability",), ("diffrax-kvaerno5",), apart=("overdamped", "stiff_spring")),
     Left(("stability",), ("scipy-dop853",), apart=STIFF),  # its tableau is compiled by CyRK and here
-    Left(
-        ("laws", "convergence"), scenes=("detest_e1", "detest_e3", "lane_emden_0", "lane_emden_1", "duffing")
-    ),
     Left(("scaling",), (*IMPLICIT, "cvode-bdf", "ias15"), ("fput", "linear_ring")),
     Left(("scaling",), ("scipy-dop853", "diffrax-dopri8")),
 )
-#: the tightest tolerance of the implicit solvers that call back into Python or XLA, but for the full profile
-DEAREST = 1e-9
 
 
 def left_to_full(experiment: str, scene: Scene, method: str, profile: Profile) -> bool:
@@ -92,15 +87,6 @@ def left_to_full(experiment: str, scene: Scene, method: str, profile: Profile) -
         and not profile.reaches("full")
         and any(left.has(experiment, scene.name, method) for left in LEFT)
     )
-
-
-def dearest(method: str, profile: Profile) -> bool:
-    """Return whether a method's finer settings are left to the full profile."""
-    return method in IMPLICIT and not profile.reaches("full")
-
-
-def affordable(rtols: Iterable[float], method: str, profile: Profile) -> list[float]:
-    return [rtol for rtol in rtols if rtol >= DEAREST or not dearest(method, profile)]
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: Profile) -> list[str]:

@@ -29,7 +29,6 @@ from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import (
-    affordable,
     controlled,
     key,
     left_to_full,
@@ -69,13 +68,12 @@ DAMPING_PER_STEP = (1.0, 5.0, 25.0)
 SPANS = (1e4, 1e5)
 
 
-def settings(scene: Scene, method: Method, profile: Profile) -> list[tuple[str, float]]:
+def settings(scene: Scene, method: Method) -> list[tuple[str, float]]:
     if method.control == EXACT:
         return [(EXACT, 0.0)]
     if method.adaptive:
         finest = method.rtol_range[0]
-        rtols = (*(r for r in TOLERANCES if r > finest), finest)
-        return [("rtol", rtol) for rtol in affordable(rtols, method.name, profile)]
+        return [("rtol", rtol) for rtol in (*(r for r in TOLERANCES if r > finest), finest)]
     if method.refuses(scene):
         return [("step", COARSEST.get(scene.name, scene.t_end / 100))]
     method = cast(FixedStep, method)  # or a library's, which says the same
@@ -120,7 +118,7 @@ type Asked = tuple[Row, Callable[..., Row], tuple[object, ...]]
 def calls(cell: Cell, profile: Profile) -> Iterator[Asked]:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     engine, budget = method.engines[0], budget_of(profile, scene, method)
-    for kind, value in settings(scene, method, profile):
+    for kind, value in settings(scene, method):
         row = key(scene.name, method.name, engine, kind, value) | {"status": "failed"}
         yield row, stability_row, (scene.name, method.name, engine, kind, value, budget)
 

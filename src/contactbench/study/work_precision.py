@@ -21,7 +21,7 @@ from contactbench.results.tables import WORK_PRECISION
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, GROWING, PILOTS, Solution
-from contactbench.study.choice import SMOKE, affordable, controlled, engines, outcome, step_budget
+from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.study.settings import (
     BETWEEN,
@@ -55,8 +55,7 @@ def ladder(profile: Profile) -> list[Cell]:
             elif method.control == EXACT:
                 values = [0.0]
             elif method.adaptive:
-                rungs = affordable(tolerances(method), name, profile)
-                rungs = [r for r in rungs if "python" not in engine or r not in BETWEEN]
+                rungs = [r for r in tolerances(method) if "python" not in engine or r not in BETWEEN]
                 values = profile.choose([rtol for rtol in rungs if TIGHT <= rtol < LOOSEST])
                 if not profile.brief:  # both ends of the range, whatever the profile
                     values = [r for r in rungs if r >= LOOSEST or r in values or r < TIGHT]
