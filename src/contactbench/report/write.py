@@ -59,7 +59,8 @@ def documents(
         for chapter in chapters(frames):
             found.append(chapter.fill(frames))
             for figure in every(Figure, found[-1].parts):
-                drawn[figure.name], pictures[figure.name] = figure, draws(figure)
+                if figure.name not in drawn:
+                    drawn[figure.name], pictures[figure.name] = figure, draws(figure)
         texts = {f"figures/{name}.svg": picture() for name, picture in pictures.items()}
     if found and found[0].chapter.name == headline.NAME:
         found[0] = replace(found[0], parts=(*found[0].parts, headline.machine(recorded)))

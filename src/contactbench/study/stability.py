@@ -28,15 +28,7 @@ from contactbench.results.tables import DAMPING_RATES, STABILITY, STABILITY_LIMI
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
-from contactbench.study.choice import (
-    controlled,
-    key,
-    left_to_full,
-    methods_of,
-    outcome,
-    small,
-    step_budget,
-)
+from contactbench.study.choice import controlled, key, left_to_full, methods_of, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import SAVES, times
