@@ -65,7 +65,7 @@ AIM, LEAST, MOST = 0.03, 0.2, 5.0
 #: the first step, in parts of what a linear equation takes
 START = 0.85
 #: steps that would be longer or shorter by less than this stay as they are; a last one may be longer by so much
-STAY, STRETCH = 1.1, 1.1
+STAY, STRETCH = 1.25, 1.1
 #: the weight of the error before, as a part of that of the error
 PROPORTIONAL = 0.5
 #: by how much a little step along the motion moves it, relative to its size
@@ -82,6 +82,11 @@ Slope = Vector | None
 #: what the loop carries: state, slope, factors and their step, time left, step, error before, attempts, rejected ones
 Carried = tuple[
     OwnState, Slope, Factors | None, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
+]
+#: and what the loop over equal steps does: state and slope before and after a step, sizes after it, time left at both,
+#: attempts, the square of the error, whether another one follows
+EqualSteps = tuple[
+    OwnState, Slope, OwnState, Slope, Vector, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
 ]
 
 
@@ -232,18 +237,18 @@ def march[S: Scene](
     #: squares of errors after which a step stays as it is
     keeps = tuple((AIM * STAY ** (way / power)) ** 2 for way in (-1, 1))
 
-    def parts(y: OwnState) -> Sequence[Arithmetic]:
-        return scene.without_clock(scene.pack(form.leave(scene, y)))
+    def sizes(y: OwnState) -> Vector:
+        return tuple(map(abs, scene.without_clock(scene.pack(form.leave(scene, y)))))
 
-    def scales(before: Sequence[Arithmetic], after: Sequence[Arithmetic]) -> list[Arithmetic]:
-        return [a + rtol / 2 * (abs(b) + abs(c)) for a, b, c in zip(atol, before, after, strict=True)]
+    def scales(before: Vector, after: Vector) -> list[Arithmetic]:
+        return [a + rtol / 2 * (b + c) for a, b, c in zip(atol, before, after, strict=True)]
 
     def first_step(y: OwnState) -> Arithmetic:
-        packed = parts(y)
-        weighed = [a / b for a, b in zip(packed, scales(packed, packed), strict=True)]
+        sized = sizes(y)
+        weighed = [a / b for a, b in zip(sized, scales(sized, sized), strict=True)]
         #: momenta may be of another size than coordinates; without an atol they are taken as they are
         units = tuple(xp.where((a > 0) & (atol[0] > 0), a / atol[0], 1.0) for a in atol)
-        moved = y.q if isinstance(form, Nystrom) else packed
+        moved = y.q if isinstance(form, Nystrom) else sized
         size = norm([a / unit for a, unit in zip(moved, units, strict=False)], xp) + atol[0] / rtol
         rate = form.rate(scene, y, form.slope(scene, y, xp), size, units, xp)
         error = unit_error(form) * (norm(weighed, xp) + 1)
@@ -264,24 +269,35 @@ def march[S: Scene](
         y, first, factors, at, left, step, past, tried, rejected = carried
         h = when(left < 2 * step, last_steps, step, xp, left)
         factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
-        try:
-            after, slope, error = form.attempt(scene, y, h, xp, first, factors)
-        except NO_NUMBER:
-            if not abilities(xp).branch:
-                raise
-            after, slope, error = y, first, [math.inf]
-        weighed = (e / c for e, c in zip(error, scales(parts(y), parts(after)), strict=False))
-        square = value(sum(e * e for e in weighed))
-        accepted = square <= 1
+
+        def attempt(row: EqualSteps) -> EqualSteps:
+            _, _, y, first, before, _, left, tried, _, _ = row
+            try:
+                after, slope, error = form.attempt(scene, y, h, xp, first, factors)
+            except NO_NUMBER:
+                if not abilities(xp).branch:
+                    raise
+                after, slope, error = y, first, [math.inf]
+            size = sizes(after)
+            weighed = (e / c for e, c in zip(error, scales(before, size), strict=False))
+            square, rest = value(sum(e * e for e in weighed)), left - h
+            alike = (square >= keeps[0]) & (square <= keeps[1]) & (rest >= 2 * h) & (tried + 1 < most)
+            more = xp.where(alike, 1.0, 0.0)
+            return y, first, after, slope if reuses else None, size, left, rest, tried + 1, square, more
+
+        row: EqualSteps = y, first, y, first, sizes(y), left, left, tried, 0 * span, 1.0 + 0 * span
+        row = repeat_while(lambda row: row[-1] > 0, attempt, row, xp)
+        y, first, after, slope, _, left, rest, last, square, _ = row
+        past = xp.where(last > tried + 1, 0.0, past)
 
         def advance(_: object) -> tuple[OwnState, Slope, Arithmetic, Arithmetic, Arithmetic]:
-            return after, slope if reuses else None, left - h, xp.where(step > h, step, h), rejected
+            return after, slope, rest, xp.where(step > h, step, h), rejected
 
         kept = y, first, left, step, rejected + 1
-        y, first, left, step, rejected = when(accepted, advance, kept, xp)
+        y, first, left, step, rejected = when(square <= 1, advance, kept, xp)
         within = (square >= keeps[0]) & (square <= keeps[1])
         step, past = when(xp.where(within, 0.0, 1.0) > 0, changed, (step, 0.0), xp, h, square, past)
-        return y, first, factors, h, left, step, past, tried + 1, rejected
+        return y, first, factors, h, left, step, past, last, rejected
 
     def last_steps(step: Arithmetic, left: Arithmetic) -> Arithmetic:
         return xp.where(left <= STRETCH * step, left, left / 2)
