@@ -33,19 +33,19 @@ from contactbench.study.ensemble import prepared_row, truth
 from contactbench.study.experiment import PROFILES, Timing, experiments
 from contactbench.study.search import step_at, tolerance_at
 from contactbench.study.settings import ENDS, steps
-from contactbench.study.timetable import SAMPLE, Entry, Timetable
+from contactbench.study.timetable import SAMPLE, SLOW, Entry, Timetable
 from contactbench.study.work_precision import error, errors, evaluations_spread, ladder, passes_through
 
 
 class Scripted:
     """A call whose visits take so long, one after the other; `order` says when it was visited."""
 
-    def __init__(self, name, order, *times):
-        self.name, self.order, self.times = name, order, iter(times)
+    def __init__(self, name, order, *times, lasts=0.001):
+        self.name, self.order, self.times, self.lasts = name, order, iter(times), lasts
         self.part = Part(lambda: None, share=0.25, span=1.0)
 
     def warm_up(self):
-        return 1.0
+        return self.lasts
 
     def visit(self, rounds=3):
         self.order.append(self.name)
@@ -81,6 +81,19 @@ def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_l
         assert columns["marginal_s"] == pytest.approx((2.0 - 1.0) / 0.75)
         assert columns.get("time_process_ratio") == (1.5 if name == "a" else None)
         assert visited > 7 * size
+
+
+def test_what_lasts_long_is_visited_in_every_second_sweep_and_recorded_once():
+    order, recorded = [], []
+    table = Timetable(dict.fromkeys("ab", ""), visits=5)
+    for name, lasts in {"a": 0.001, "b": 2 * SLOW}.items():
+        again = Scripted(f"{name} again", order, *[2.0] * 5, lasts=lasts)
+        record = lambda columns, name=name: recorded.append((name, columns["visits"]))  # noqa: E731
+        table.entries.append(Entry(Scripted(name, order, *[2.0] * 5, lasts=lasts), again, record))
+    table.go()
+    assert Counter(order) == {"a": 5, "a again": 5, "b": 3, "b again": 3}
+    assert set(order[4:6]) == {"a", "a again"}
+    assert sorted(recorded) == [("a", 5), ("b", 3)]
 
 
 def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():

@@ -50,21 +50,37 @@ DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
 STIFF = ("overdamped", "critical", "underflow", "stiff_spring", "steep_wall", "large_step", "kepler_close")
 #: those of which a run takes seconds: elsewhere CyRK's and CVODE's, compiled, stand for them
 IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
+#: compiling their maps takes seconds on the scene of the most components
+LONG_PROGRAMS = (
+    "contact-rkn8",
+    "contact-abc",
+    "contact-bm4",
+    "contact-printed",
+    "rk8",
+    "rk8-7",
+    "gauss4",
+    "gauss6",
+)
+#: driven scenes beside two that have everything
+MORE_DRIVEN = ("detest_e1", "detest_e3", "lane_emden_0", "lane_emden_1", "duffing")
 
 
 class Left(NamedTuple):
     """What only the full profile runs, so that the standard one takes minutes.
 
-    experiments, methods : those concerned, all where there are none.  scenes : on these; apart : or on all but these.
+    experiments, methods : those concerned, all where there are none; but : not these.  scenes : on these; apart : or
+    on all but these.
     """
 
     experiments: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
     scenes: tuple[str, ...] = ()
     apart: tuple[str, ...] = ()
+    but: tuple[str, ...] = ()
 
     def has(self, experiment: str, scene: str, method: str) -> bool:
         concerned = experiment in (self.experiments or [experiment]) and method in (self.methods or [method])
+        concerned = concerned and method not in self.but
         return concerned and scene in (self.scenes or [scene]) and scene not in self.apart
 
 
@@ -74,9 +90,19 @@ LEFT = (
     Left(("stability",), ("diffrax-tsit5", "diffrax-dopri8")),
     Left(("stability",), ("diffrax-kvaerno5",), apart=("overdamped", "stiff_spring")),
     Left(("stability",), ("scipy-dop853",), apart=STIFF),  # its tableau is compiled by CyRK and here
+    Left(
+        ("convergence",), ("gauss6", "contact-gauss6"), apart=(*TIMED_DEAR, "central")
+    ),  # 50 digits by iteration
+    Left(("laws",), LONG_PROGRAMS, ("pendulum_ring",)),
+    Left(
+        ("laws", "convergence"), scenes=MORE_DRIVEN, but=(*EVERYWHERE, "contact-bm4", "contact-rkn8", "rkn12")
+    ),
+    Left(("long_time",), ("cyrk-dop853", "cyrk-tsit5")),  # CyRK's third is as long
     Left(("scaling",), (*IMPLICIT, "cvode-bdf", "ias15"), ("fput", "linear_ring")),
     Left(("scaling",), ("scipy-dop853", "diffrax-dopri8")),
 )
+#: the tightest tolerance of `IMPLICIT` but where accuracy is timed, and but for the full profile
+DEAREST = 1e-9
 
 
 def left_to_full(experiment: str, scene: Scene, method: str, profile: Profile) -> bool:
@@ -87,6 +113,15 @@ def left_to_full(experiment: str, scene: Scene, method: str, profile: Profile) -
         and not profile.reaches("full")
         and any(left.has(experiment, scene.name, method) for left in LEFT)
     )
+
+
+def dearest(method: str, profile: Profile) -> bool:
+    """Return whether a method's finer settings are left to the full profile."""
+    return method in IMPLICIT and not profile.reaches("full")
+
+
+def affordable(rtols: Iterable[float], method: str, profile: Profile) -> list[float]:
+    return [rtol for rtol in rtols if rtol >= DEAREST or not dearest(method, profile)]
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: Profile) -> list[str]:

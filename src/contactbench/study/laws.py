@@ -10,7 +10,7 @@ import contactbench as cb
 from contactbench.measure.laws import LAWS, energies, row
 from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
 from contactbench.solution import Solution, keywords
-from contactbench.study.choice import methods_of, outcome, pairs, step_budget
+from contactbench.study.choice import affordable, methods_of, outcome, pairs, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.settings import halving_steps, times
 
@@ -22,7 +22,9 @@ MANY = 32
 @experiment(lambda profile: pairs(profile, "laws", methods_of(profile)))
 def laws(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
-    values = {"step": halving_steps(scene, 6)[::2], "rtol": RTOLS}.get(method.control, [0.0])
+    values = {"step": halving_steps(scene, 6)[::2], "rtol": affordable(RTOLS, method.name, profile)}.get(
+        method.control, [0.0]
+    )
     shown = values[1:2] or values
     if method.refuses(scene) is not None:  # one row says why
         values = values[:1]

@@ -27,6 +27,8 @@ from contactbench.study.experiment import Row, Timing
 
 #: cells of every engine that a second process times too
 SAMPLE = 40
+#: seconds from which a call is in every second sweep alone: what lasts so long is rarely interrupted all along
+SLOW = 0.02
 #: the calls that a second process has prepared
 PREPARED: list[Call] = []
 
@@ -120,19 +122,20 @@ class Timetable(AbstractContextManager["Timetable"]):
         return self.remote([core for core in cores if core not in mine][:1] or mine, mine, timing)
 
     def go(self) -> None:
-        """Visit all of them in turns; each is recorded with its last visit."""
+        """Visit all of them in turns, slow ones half as often; each is recorded with its last visit."""
         pairs = [(entry, call) for entry in self.entries for call in (entry.call, entry.again) if call]
-        for _, call in pairs:
-            call.warm_up()
+        slow = [call.warm_up() > SLOW for _, call in pairs]
         race = Race([call for _, call in pairs])
         visits = {id(call): made for (_, call), made in zip(pairs, race.visits, strict=True)}
-        for _ in tqdm(range(self.visits), "timing", unit="sweep", disable=None):
-            for i in race.sweep():
+        wanted = {
+            id(call): -(-self.visits // (1 + late)) for (_, call), late in zip(pairs, slow, strict=True)
+        }
+        for sweep in tqdm(range(self.visits), "timing", unit="sweep", disable=None):
+            for i in race.sweep(some=[i for i, late in enumerate(slow) if not (late and sweep % 2)]):
                 entry = pairs[i][0]
-                own = visits[id(entry.call)]
-                again = visits.get(id(entry.again), own)
-                if min(len(own), len(again)) == self.visits:
-                    entry.finish(own, again)
+                calls = [call for call in (entry.call, entry.again) if call]
+                if all(len(visits[id(call)]) == wanted[id(call)] for call in calls):
+                    entry.finish(visits[id(entry.call)], visits.get(id(entry.again), []))
 
     def __exit__(self, *_: object) -> None:
         for worker in self.workers.values():
