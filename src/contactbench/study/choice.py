@@ -101,7 +101,7 @@ LEFT = (
     Left(("scaling",), (*IMPLICIT, "cvode-bdf", "ias15"), ("fput", "linear_ring")),
     Left(("scaling",), ("scipy-dop853", "diffrax-dopri8")),
 )
-#: the tightest tolerance of `IMPLICIT` but where accuracy is timed, and but for the full profile
+#: the tightest tolerance of `IMPLICIT` where laws are measured, but for the full profile
 DEAREST = 1e-9
 
 
@@ -115,13 +115,9 @@ def left_to_full(experiment: str, scene: Scene, method: str, profile: Profile) -
     )
 
 
-def dearest(method: str, profile: Profile) -> bool:
-    """Return whether a method's finer settings are left to the full profile."""
-    return method in IMPLICIT and not profile.reaches("full")
-
-
 def affordable(rtols: Iterable[float], method: str, profile: Profile) -> list[float]:
-    return [rtol for rtol in rtols if rtol >= DEAREST or not dearest(method, profile)]
+    """Return tolerances but for those that only the full profile gives a method."""
+    return [rtol for rtol in rtols if rtol >= DEAREST or method not in IMPLICIT or profile.reaches("full")]
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: Profile) -> list[str]:
