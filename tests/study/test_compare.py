@@ -207,7 +207,7 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
         raise RuntimeError("no compiler found")
 
     monkeypatch.setattr(type(cb.METHODS["cvode-bdf"]), "prepare", broken)
-    found = cb.compare("particle", ["cvode-bdf"], (1e-2,), budget=5.0)
+    found = cb.compare("particle", ["cvode-bdf"], (1e-2,), budget=60.0)
     assert list(found["status"]) == ["failed"]
     assert "no compiler found" in found["reason"][0]
 

@@ -1,10 +1,10 @@
 """Runge–Kutta pairs by tolerance: the loop that chooses its steps, recorded and compiled as those of fixed steps are.
 
-An attempt is accepted where both formulas differ by e with Σ(e_i/(atol_i + rtol |y_i|))² ≤ 1.  Steps follow by a PI
-controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), and stay as they are where they
-would hardly change: what depends on the step alone, as exponentials of the damping do, is then not computed anew.  They
-end at saved times.  The first one is that at which y' = λy or z'' = −λ²z would have the error aimed at, for the λ that
-a little step shows.
+An attempt is accepted where both formulas differ by e with Σ(e_i/(atol_i + rtol |y_i|))² ≤ 1. Steps grow by a PI
+controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), not where they would hardly
+change, and shrink after a rejection alone: equal steps are a loop of their own, in which what depends on the step, as
+exponentials of the damping do, is a constant. They end at saved times. The first one is that at which y' = λy or z'' =
+−λ²z would have the error aimed at, for the λ that a little step shows.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ from contactbench.trace.program import Program, record
 AIM, LEAST, MOST = 0.03, 0.2, 5.0
 #: the first step, in parts of what a linear equation takes
 START = 0.85
-#: steps that would be longer or shorter by less than this stay as they are; a last one may be longer by so much
-STAY, STRETCH = 1.25, 1.1
+#: steps that would be longer by less than this stay as they are; a last one may be longer by so much
+STAY, STRETCH = 1.1, 1.1
 #: the weight of the error before, as a part of that of the error
 PROPORTIONAL = 0.5
 #: by how much a little step along the motion moves it, relative to its size
@@ -234,8 +234,8 @@ def march[S: Scene](
     rtol, *atol = tolerances
     tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
     reuses = tableau.first_same_as_last
-    #: squares of errors after which a step stays as it is
-    keeps = tuple((AIM * STAY ** (way / power)) ** 2 for way in (-1, 1))
+    #: the square of the error below which a step grows
+    grows = (AIM * STAY ** (-1 / power)) ** 2
 
     def sizes(y: OwnState) -> Vector:
         return tuple(map(abs, scene.without_clock(scene.pack(form.leave(scene, y)))))
@@ -281,7 +281,7 @@ def march[S: Scene](
             size = sizes(after)
             weighed = (e / c for e, c in zip(error, scales(before, size), strict=False))
             square, rest = value(sum(e * e for e in weighed)), left - h
-            alike = (square >= keeps[0]) & (square <= keeps[1]) & (rest >= 2 * h) & (tried + 1 < most)
+            alike = (square >= grows) & (square <= 1) & (rest >= 2 * h) & (tried + 1 < most)
             more = xp.where(alike, 1.0, 0.0)
             return y, first, after, slope if reuses else None, size, left, rest, tried + 1, square, more
 
@@ -295,7 +295,7 @@ def march[S: Scene](
 
         kept = y, first, left, step, rejected + 1
         y, first, left, step, rejected = when(square <= 1, advance, kept, xp)
-        within = (square >= keeps[0]) & (square <= keeps[1])
+        within = (square >= grows) & (square <= 1)
         step, past = when(xp.where(within, 0.0, 1.0) > 0, changed, (step, 0.0), xp, h, square, past)
         return y, first, factors, h, left, step, past, last, rejected
 

@@ -34,6 +34,7 @@ OTHER_KIND, OTHER_METHODS = 2.0, 0.5
 FIRST, UNTRIED = 4, 0.4
 #: what is not tried: it has no steps in Python, or takes long there
 NOT_TRIED = (
+    "quinlan-tremaine8",
     "quinlan-tremaine12",
     "stormer12",
     "gauss6",
