@@ -3,6 +3,7 @@
 import math
 import re
 from collections import Counter
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from contactbench.results.tables import (
     SUM,
 )
 from contactbench.scenes import scenes_of
-from contactbench.study import long_time
+from contactbench.study import choice, long_time
 from contactbench.study.choice import DEAR, SMOKE, methods_of
 from contactbench.study.claims import LONG
 from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
@@ -159,6 +160,16 @@ def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
     smoke, standard, full = (set(experiment.cells(profile)) for profile in PROFILES.values())
     assert standard
     assert smoke <= standard <= full
+
+
+@pytest.mark.parametrize("place", range(len(choice.LEFT)))
+def test_every_line_of_what_is_left_to_full_leaves_something_out_of_a_standard_run(place, monkeypatch):
+    left = choice.LEFT[place]
+    some = [experiments()[name] for name in left.experiments] or list(experiments().values())
+    without = (*choice.LEFT[:place], *choice.LEFT[place + 1 :])
+    cells = set(map(str, chain.from_iterable(each.cells(PROFILES["standard"]) for each in some)))
+    monkeypatch.setattr(choice, "LEFT", without)
+    assert cells < set(map(str, chain.from_iterable(each.cells(PROFILES["standard"]) for each in some)))
 
 
 # -- Rows of averages over long runs ---------------------------------------------------------------

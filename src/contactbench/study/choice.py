@@ -97,7 +97,6 @@ LEFT = (
     Left(
         ("laws", "convergence"), scenes=MORE_DRIVEN, but=(*EVERYWHERE, "contact-bm4", "contact-rkn8", "rkn12")
     ),
-    Left(("long_time",), ("cyrk-dop853", "cyrk-tsit5")),  # CyRK's third is as long
     Left(("scaling",), (*IMPLICIT, "cvode-bdf", "ias15"), ("fput", "linear_ring")),
     Left(("scaling",), ("scipy-dop853", "diffrax-dopri8")),
 )
