@@ -1,2 +1,6 @@
+def test_scaling_errors(measure):
+    measure()
+
+
 def test_scaling(measure):
     measure()

@@ -152,9 +152,7 @@ def measure(task: Task, request: pytest.FixtureRequest) -> Callable[[], None]:
         if isinstance(call, Call) and request.config.pluginmanager.hasplugin("benchmark"):
             benchmark = request.getfixturevalue("benchmark")
             benchmark.group, entry.told = request.path.stem, benchmark.extra_info
-            benchmark.pedantic(
-                call.runs[0], rounds=call.rounds(), iterations=call.calls_a_round(call.once[0])
-            )
+            benchmark.pedantic(call.runs[0], iterations=call.calls_a_round(call.once[0]))
 
     return measure
 

@@ -9,6 +9,7 @@ from contactbench.gate import compare, speed
 from contactbench.measure import clock, law, statistics
 from contactbench.methods.many import SHARED
 from contactbench.scene.many import ALL_TANGENTS
+from contactbench.study import timetable
 from contactbench.study.compare import BUDGET
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -36,6 +37,8 @@ QUOTED = {
         f"visited {clock.VISITS} times",
         f"{clock.ROUNDS} rounds of at least {1e3 * clock.ROUND_SECONDS} ms",
         f"more than {1e3 * clock.LONG:.0f} ms",
+        *(f"more than {1e3 * seconds:.0f} ms" for seconds in timetable.SPARED),
+        f"{timetable.SAMPLE} of each",
         f"{statistics.FLOOR - 1:.0%} at least",
         f"wider than {statistics.WIDEST - 1:.0%}",
     ],

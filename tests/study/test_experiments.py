@@ -26,15 +26,14 @@ from contactbench.results.tables import (
     SUM,
 )
 from contactbench.scenes import scenes_of
-from contactbench.study import choice, long_time
+from contactbench.study import choice, ensemble, long_time
 from contactbench.study.choice import DEAR, SMOKE, methods_of
 from contactbench.study.claims import LONG
 from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
-from contactbench.study.ensemble import prepared_row, truth
 from contactbench.study.experiment import PROFILES, Timing, experiments
 from contactbench.study.search import step_at, tolerance_at
 from contactbench.study.settings import ENDS, steps
-from contactbench.study.timetable import SAMPLE, SLOW, Entry, Timetable
+from contactbench.study.timetable import SAMPLE, SPARED, Entry, Timetable
 from contactbench.study.work_precision import error, errors, evaluations_spread, ladder, passes_through
 
 
@@ -84,17 +83,17 @@ def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_l
         assert visited > 7 * size
 
 
-def test_what_lasts_long_is_visited_in_every_second_sweep_and_recorded_once():
+def test_what_lasts_long_is_visited_less_often_and_recorded_once():
     order, recorded = [], []
-    table = Timetable(dict.fromkeys("ab", ""), visits=5)
-    for name, lasts in {"a": 0.001, "b": 2 * SLOW}.items():
-        again = Scripted(f"{name} again", order, *[2.0] * 5, lasts=lasts)
+    table = Timetable(dict.fromkeys("abc", ""), visits=6)
+    for name, lasts in {"a": 0.001, "b": 2 * min(SPARED), "c": 2 * max(SPARED)}.items():
+        again = Scripted(f"{name} again", order, *[2.0] * 6, lasts=lasts)
         record = lambda columns, name=name: recorded.append((name, columns["visits"]))  # noqa: E731
-        table.entries.append(Entry(Scripted(name, order, *[2.0] * 5, lasts=lasts), again, record))
+        table.entries.append(Entry(Scripted(name, order, *[2.0] * 6, lasts=lasts), again, record))
     table.go()
-    assert Counter(order) == {"a": 5, "a again": 5, "b": 3, "b again": 3}
-    assert set(order[4:6]) == {"a", "a again"}
-    assert sorted(recorded) == [("a", 5), ("b", 3)]
+    assert Counter(order) == {"a": 6, "a again": 6, "b": 3, "b again": 3, "c": 2, "c again": 2}
+    assert set(order[6:8]) == {"a", "a again"}
+    assert sorted(recorded) == [("a", 6), ("b", 3), ("c", 2)]
 
 
 def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
@@ -107,10 +106,8 @@ def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
 def test_another_process_prepares_and_times_what_it_is_told():
     cell = ("arithmetic", "particle", "limit-c", "c", "contact-strang plain", "step", 0.1, 64, 1)
     with Timetable({}, 8) as table:
-        call = table.remote([], [], Timing(ENSEMBLE_TABLE, prepared_row, (cell, truth("particle").tolist())))
-        row = call.prepared.result()[1]
-        assert row["status"] == "ok"
-        assert row["solution_error"] < 0.1
+        call = table.remote([], [], Timing(ENSEMBLE_TABLE, ensemble.call, (cell,)))
+        assert call.prepared.result()[1] == {}
         call.warm_up()
         visit = call.visit(2)
         assert len(visit.whole) == 2

@@ -11,9 +11,9 @@ from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, v
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import count, duration, names, power, times
-from contactbench.report.views import View, matrix, pick
+from contactbench.report.views import View, grid, pick
 from contactbench.report.work_precision import ERROR, LEGEND, cost_cell, error_label
-from contactbench.results.contest import COMPILED, CONTACT, LIMIT, MARGINAL, Kind, costs, standings
+from contactbench.results.contest import COMPILED, CONTACT, LIMIT, MARGINAL, Kind, cost_rows, costs, standings
 
 #: time of a whole call per trajectory
 WHOLE_CALLS = replace(COMPILED, cost="each")
@@ -60,7 +60,10 @@ def error_view(frame: pd.DataFrame, kind: Kind, name: str) -> View:
     found = standing(frame, kind, ("method", "engine", "variant"))
     way = found["method"] + ", " + found["engine"] + found["variant"].map(lambda v: f", {v}" if v else "")
     found = found.assign(way=way).sort_values(["way", "error"], ascending=[True, False])
-    table = matrix(found, "way", "error", cost_cell, error_label)
+    cells = {
+        (way, row.error): cost_cell(row) for way, row in zip(found["way"], cost_rows(found), strict=True)
+    }
+    table = grid("way", cells, error_label)
     return view(name, table, legend=LEGEND)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from typing import Any
 
 import pandas as pd
 
@@ -120,7 +121,12 @@ def matrix(
     label: Callable[..., str] = str,
 ) -> pd.DataFrame:
     """Return a row for each value of one column and a column for each of another; cell(rows that have both)."""
-    groups = dict(list(frame.groupby([row, column], sort=False)))
-    names, values = (list(dict.fromkeys(frame[key])) for key in (row, column))
-    lines = [(n, *(cell(groups[n, v]) if (n, v) in groups else DASH for v in values)) for n in names]
+    groups = frame.groupby([row, column], sort=False)
+    return grid(row, {key: cell(rows) for key, rows in groups}, label)
+
+
+def grid(row: str, cells: Mapping[tuple[Any, Any], object], label: Callable[..., str] = str) -> pd.DataFrame:
+    """Return cells in rows and columns, by their names in both."""
+    names, values = (dict.fromkeys(key[side] for key in cells) for side in (0, 1))
+    lines = [(name, *(cells.get((name, value), DASH) for value in values)) for name in names]
     return frame_of(lines, [row, *map(label, values)])

@@ -14,7 +14,7 @@ from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, T
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
-from contactbench.report.views import Cell, Mark, View, matrix
+from contactbench.report.views import Cell, Mark, View, grid, matrix
 from contactbench.results.contest import (
     COMPILED,
     CONTACT,
@@ -94,8 +94,7 @@ def cost_text(row: Cost, show: Callable[[float], str]) -> str:
     return f"{'≤ ' if row.bound else ''}{show(row.cost)}{' °' if row.fixed > 0.5 else ''}"
 
 
-def cost_cell(rows: pd.DataFrame, show: Callable[[float], str] = duration) -> Cell:
-    row = next(cost_rows(rows))
+def cost_cell(row: Cost, show: Callable[[float], str] = duration) -> Cell:
     return Cell(cost_text(row, show), None if math.isnan(row.cost) else row.cost, MARKS.get(row.verdict))
 
 
@@ -105,7 +104,7 @@ def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
     reached = reached[reached.groupby("scene")["cost"].transform("min").notna()]
 
     def cell(ranked: pd.DataFrame) -> Cell:
-        first = next(cost_rows(ranked))
+        first = cost_rows(ranked.head(1))[0]
         text = cost_text(first, duration if own.kind.timed else count)
         behind = ranked[ranked["family"] == CONTACT]["ratio"].min()
         factor = f" (contact {times(behind)})" if behind > 1 else ""
@@ -140,7 +139,8 @@ def costs_view(own: Contest, scene: str) -> View:
     here = own.standings[own.standings["scene"] == scene]
     here = here.sort_values(["method", "error"], ascending=[True, False])
     show = duration if own.kind.timed else count
-    frame = matrix(here, "method", "error", lambda rows: cost_cell(rows, show), error_label)
+    cells = {(row.method, row.error): cost_cell(row, show) for row in cost_rows(here)}
+    frame = grid("method", cells, error_label)
     return View(f"{own.kind.name}_{scene}", own.kind.title, frame, "", SOURCE)
 
 

@@ -11,8 +11,10 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal, Protocol, cast
 
+import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import (
@@ -112,8 +114,10 @@ class Cost(Protocol):
     verdict: str
 
 
-def cost_rows(frame: pd.DataFrame) -> Iterator[Cost]:
-    return cast("Iterator[Cost]", frame.itertuples())
+def cost_rows(frame: pd.DataFrame) -> list[Cost]:
+    columns = {name: frame[name].tolist() for name in Cost.__annotations__ if name in frame}
+    rows = (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True))
+    return [cast(Cost, SimpleNamespace(**row)) for row in rows]
 
 
 def contestants(work: pd.DataFrame) -> pd.DataFrame:
@@ -166,22 +170,23 @@ def _preference(row: Record) -> tuple[bool, float]:
 
 
 def _costs_on(rows: pd.DataFrame, kind: Kind, processes: float) -> Iterator[Record]:
-    every, rows = rows, rows[rows["status"] == "ok"]
-    errors, spent = (_floats(rows[name]) for name in ("solution_error", kind.cost))
+    ok = (rows["status"] == "ok").to_numpy(dtype=bool)
+    errors, spent = (_floats(rows[name])[ok].tolist() for name in ("solution_error", kind.cost))
     front = envelope(errors, spent)
     reached = interpolate(errors, spent, front, TARGETS)
-    reason = cut_off(every) if any(map(math.isnan, reached)) else ""
-    ratios = [max(r, 1 / r) for r in _floats(rows[kind.halves])] if kind.timed else [1.0] * len(rows)
-    halves = interpolate(errors, ratios, front, TARGETS)
-    shares = [math.nan] * len(rows)
+    reason = cut_off(rows) if any(map(math.isnan, reached)) else ""
+    halves = _floats(rows[kind.halves])[ok].tolist() if kind.timed else [1.0] * len(errors)
+    halves = interpolate(errors, [max(r, 1 / r) for r in halves], front, TARGETS)
+    shares = [math.nan] * len(errors)
     if kind.timed and not kind.resolved and "fixed_s" in rows:
-        shares = _floats(rows["fixed_s"] / rows["time_min_s"])
+        shares = (_floats(rows["fixed_s"]) / _floats(rows["time_min_s"]))[ok].tolist()
     loosest = max(errors, default=math.nan)
+    engine = rows["engine"].iloc[0] if errors else ""
     for target, cost, own in zip(TARGETS, reached, halves, strict=True):
         reach = [(c, s) for e, c, s in zip(errors, spent, shares, strict=True) if e <= target and c == c]
         yield {
             "error": target,
-            "engine": rows["engine"].iloc[0] if len(rows) else "",
+            "engine": engine,
             "cost": cost,
             "bound": target > loosest,
             "reason": reason if math.isnan(cost) else "",
@@ -193,14 +198,15 @@ def _costs_on(rows: pd.DataFrame, kind: Kind, processes: float) -> Iterator[Reco
 
 def cut_off(rows: pd.DataFrame) -> str:
     """Return the status of a finer setting that our own limit ended, or "": no finer one would be more accurate."""
-    done = rows[rows["status"] == "ok"].sort_values(["solution_error", "value"])
-    best = done["value"].iloc[0] if len(done) else math.inf
-    ended = rows[rows["status"].isin(CUT) & (rows["value"] < best)].sort_values(["value", "status"])
-    return str(ended["status"].iloc[-1]) if len(ended) else ""
+    settings = list(zip(rows["status"], _floats(rows["value"]), _floats(rows["solution_error"]), strict=True))
+    done = [(error, value) for status, value, error in settings if status == "ok"]
+    best = min(done, key=lambda one: (math.isnan(one[0]), *one), default=(0.0, math.inf))[1]
+    ended = [(value, str(status)) for status, value, _ in settings if status in CUT and value < best]
+    return max(ended, default=(0.0, ""))[1]
 
 
-def _floats(column: pd.Series) -> list[float]:
-    return list(column.to_numpy(dtype=float, na_value=math.nan).tolist())
+def _floats(column: pd.Series) -> np.ndarray:
+    return np.asarray(column.to_numpy(dtype=float, na_value=math.nan))
 
 
 def pair_margin(one: Cost, other: Cost) -> float:
@@ -219,7 +225,7 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
     ranked = []
     for _, part in costs.groupby(list(by), sort=False):
         part = part.sort_values("cost", kind="stable")
-        least = next(cost_rows(part))
+        least = cost_rows(part.head(1))[0]
         ratios = part["cost"] / least.cost
         margins = [pair_margin(row, least) if row.cost == row.cost else math.nan for row in cost_rows(part)]
         pairs = zip(ratios, margins, strict=True)
@@ -254,7 +260,7 @@ def contests(costs: pd.DataFrame, ours: Callable[[pd.DataFrame], pd.Series] = of
         for target, part in here.groupby("error", sort=False):
             part = part[part["cost"].notna()].sort_values("cost", kind="stable")
             own = ours(part)
-            pair = (next(cost_rows(part[side]), None) for side in (own, ~own))
+            pair = (next(iter(cost_rows(part[side].head(1))), None) for side in (own, ~own))
             rows.append({"scene": scene, "error": target} | _contest(*pair))
     names = "scene error ours our_cost other other_cost ratio margin winner"
     return pd.DataFrame(rows, columns=names.split())

@@ -61,6 +61,11 @@ LONG_PROGRAMS = (
     "gauss4",
     "gauss6",
 )
+#: others of a kind, by whose laws nothing is learnt on every scene: of pairs, multistep methods, maps without damping
+ALIKE = (
+    *("cvode-adams-fixed", "cvode-bdf", "cyrk-lsoda", "cyrk-radau", "cyrk-tsit5", "cyrk-vern8", "ias15"),
+    *("rk8", "rk8-7", "rkn8-6", "rkn12-10", "gauss4", "gauss6", "sprk-5", "sprk-10", "quinlan-tremaine12"),
+)
 #: driven scenes beside two that have everything
 MORE_DRIVEN = ("detest_e1", "detest_e3", "lane_emden_0", "lane_emden_1", "duffing")
 
@@ -95,6 +100,9 @@ LEFT = (
     ),  # 50 digits by iteration
     Left(("laws",), LONG_PROGRAMS, ("pendulum_ring",)),
     Left(
+        ("laws",), ALIKE, apart=(*TIMED_DEAR, "central", "kepler", "forced_oscillator", "quadratic_damping")
+    ),
+    Left(
         ("laws", "convergence"), scenes=MORE_DRIVEN, but=(*EVERYWHERE, "contact-bm4", "contact-rkn8", "rkn12")
     ),
     Left(("scaling",), (*IMPLICIT, "cvode-bdf", "ias15"), ("fput", "linear_ring")),
@@ -114,9 +122,12 @@ def left_to_full(experiment: str, scene: Scene, method: str, profile: Profile) -
     )
 
 
-def affordable(rtols: Iterable[float], method: str, profile: Profile) -> list[float]:
-    """Return tolerances but for those that only the full profile gives a method."""
-    return [rtol for rtol in rtols if rtol >= DEAREST or method not in IMPLICIT or profile.reaches("full")]
+def affordable(rtols: list[float], method: str, profile: Profile) -> list[float]:
+    """Return tolerances, of what is dear every second one, but for those that only the full profile gives a method."""
+    dear = METHODS[method].engines[0] in DEAR and method in OWN
+    if not dear or profile.reaches("full"):
+        return rtols
+    return [rtol for rtol in rtols[1::2] if rtol >= DEAREST or method not in IMPLICIT]
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: Profile) -> list[str]:

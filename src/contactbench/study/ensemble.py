@@ -25,7 +25,7 @@ from contactbench.scene import Mechanical, Scene, State
 from contactbench.solution import keywords
 from contactbench.study.c_loops import SHAPES, ensemble_kernel
 from contactbench.study.choice import key
-from contactbench.study.experiment import Cell, Profile, Row, Timing, timed_experiment
+from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.study.timetable import last_cores
 
 if TYPE_CHECKING:
@@ -257,37 +257,48 @@ def member_deviation(
     return float(np.linalg.norm(y - alone, axis=0).max() / np.linalg.norm(alone, axis=0).max())
 
 
-def prepared_row(cell: Cell, exact: list[list[float]] | None) -> tuple[Row, Call | None]:
-    """Return the row of a cell without its times, and what is to be timed, if it can be run.
+def run_of(cell: Cell, share: float = 1.0) -> Made | str:
+    """Return the run of a share of a cell's trajectories."""
+    _, name, method, engine, variant, _, value, n, _ = cell
+    scene = cb.SCENES[name]
+    return prepared(scene, method, engine, variant, value, initial(scene, round(n * share)))
 
-    exact : the true final states of the first few trajectories, None for a row without errors.
-    """
+
+def errors(cell: Cell) -> Row:
+    """Return the row of a cell but for what is timed."""
     question, name, method, engine, variant, control, value, n, cores = cell
     scene = cb.SCENES[name]
     row = key(name, method, engine, control, value, variant)
     row |= {"question": question, "trajectories": n, "cores": cores}
-    made = prepared(scene, method, engine, variant, value, initial(scene, n))
+    made = run_of(cell)
     if isinstance(made, str):
-        return row | {"status": "unsupported", "message": made}, None
+        return row | {"status": "unsupported", "message": made}
     run, costs = made
     start = perf_counter()
     y = run()
     row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
     y, (steps, evaluations, kind) = np.asarray(y), costs()
-    if exact is not None:
-        row["solution_error"] = error(scene, y, np.asarray(exact))
+    if question != "arithmetic":
+        row["solution_error"] = error(scene, y, truth(name))
         short = 0 < (evaluations or steps or 0) * n < SINGLE_WORK
         if question == "error" and method in cb.METHODS and short:
             row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)
-    row |= {"steps": steps, "evaluations": evaluations, "evaluation_kind": kind}
-    if question not in ("error", "size"):
-        return row, Call(run)
-    fewer = prepared(scene, method, engine, variant, value, initial(scene, round(n * FEWER)))
-    assert not isinstance(fewer, str)
-    return row, Call(run, Part(fewer[0], FEWER, n))
+    return row | {"steps": steps, "evaluations": evaluations, "evaluation_kind": kind}
 
 
-@timed_experiment(ladder)
-def ensemble(cell: Cell, profile: Profile) -> Timing:
-    exact = None if cell[0] == "arithmetic" else truth(cell[1]).tolist()
-    return Timing(ENSEMBLE_TABLE, prepared_row, (cell, exact), last_cores(cell[-1]))
+def call(cell: Cell) -> tuple[Row, Call]:
+    """Return what is timed of a cell that can be run, beside fewer trajectories where they are told apart."""
+    shares = (1.0, FEWER) if cell[0] in ("error", "size") else (1.0,)
+    made = [run_of(cell, share) for share in shares]
+    run, *fewer = [each[0] for each in made if not isinstance(each, str)]
+    return {}, Call(run, Part(fewer[0], FEWER, cell[-2]) if fewer else None)
+
+
+@experiment(ladder)
+def ensemble_errors(cell: Cell, profile: Profile) -> Recorded:
+    yield ENSEMBLE_TABLE, errors(cell)
+
+
+@timed_experiment(ladder, ensemble_errors)
+def ensemble(cell: Cell, profile: Profile, row: Row) -> Timing:
+    return Timing(ENSEMBLE_TABLE, call, (cell,), last_cores(cell[-1]))

@@ -84,7 +84,7 @@ class Experiment:
     name: str
     cells: Callable[[Profile], list[Cell]]
     rows: Callable[[Cell, Profile], Recorded] = lambda cell, profile: iter(())
-    timing: Callable[[Cell, Profile], Timing] | None = None
+    timing: Callable[[Cell, Profile, Row], Timing] | None = None
     errors: Experiment | None = None
 
     @property
@@ -113,12 +113,12 @@ def experiment(
 
 def timed_experiment(
     cells: Callable[[Profile], list[Cell]], errors: Experiment | None = None
-) -> Callable[[Callable[[Cell, Profile], Timing]], Experiment]:
-    """Make an experiment, of its name, of the function that says what is timed of a cell."""
+) -> Callable[[Callable[[Cell, Profile, Row], Timing]], Experiment]:
+    """Make an experiment, of its name, of the function that says what is timed of a cell and its row."""
     return lambda timing: add(timing, cells=cells, timing=timing, errors=errors)
 
 
-def add(function: Callable[[Cell, Profile], object], **given: Any) -> Experiment:
+def add(function: Callable[..., object], **given: Any) -> Experiment:
     question = function.__module__.rpartition(".")[2]
     EXPERIMENTS.append(Experiment(question, function.__name__, **given))
     return EXPERIMENTS[-1]

@@ -17,7 +17,7 @@ from contactbench.measure.clock import Call
 from contactbench.numbers.dual import Dual
 from contactbench.results.tables import GRADIENTS
 from contactbench.study.choice import key
-from contactbench.study.experiment import Cell, Profile, Row, Timing, timed_experiment
+from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.truth.engines import NEVER, Stopwatch, extrapolate
 
 if TYPE_CHECKING:
@@ -145,20 +145,29 @@ def rungs(name: str, method: str, how: str, end: float) -> list[tuple[float, flo
     return found
 
 
-def reached(cell: Cell) -> tuple[Row, Call]:
-    """Return the row of a cell but for its times, and the call that is timed."""
-    from contactbench.xla import jax
-
+def errors(cell: Cell) -> Row:
+    """Return the row of a cell but for what is timed."""
     name, method, how, end, asked = cell
     each = rungs(name, method, FORWARD if how == ALONE else how, end)
     setting, error, steps = next((rung for rung in each if rung[1] <= asked), each[-1])
-    run, given = program(PARTICLE, method, how), jax.device_put(arguments(name, end, setting))
     row = key(name, method, "jax", cb.METHODS[method].control, setting) | {"mode": how, "t_end": end}
     row |= {"error_asked": asked, "gradient_error": error, "steps": steps, "status": "ok", "message": ""}
-    memory: Any = run.memory_analysis()
-    return row | {"memory_kB": memory.temp_size_in_bytes / 1e3}, Call(partial(run, *given))
+    memory: Any = program(PARTICLE, method, how).memory_analysis()
+    return row | {"memory_kB": memory.temp_size_in_bytes / 1e3}
 
 
-@timed_experiment(ladder)
-def gradients(cell: Cell, profile: Profile) -> Timing:
-    return Timing(GRADIENTS, reached, (cell,))
+def call(cell: Cell, setting: float) -> tuple[Row, Call]:
+    from contactbench.xla import jax
+
+    name, method, how, end, _ = cell
+    return {}, Call(partial(program(PARTICLE, method, how), *jax.device_put(arguments(name, end, setting))))
+
+
+@experiment(ladder)
+def gradients_errors(cell: Cell, profile: Profile) -> Recorded:
+    yield GRADIENTS, errors(cell)
+
+
+@timed_experiment(ladder, gradients_errors)
+def gradients(cell: Cell, profile: Profile, row: Row) -> Timing:
+    return Timing(GRADIENTS, call, (cell, row["value"]))

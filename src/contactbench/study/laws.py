@@ -1,4 +1,4 @@
-"""Who keeps the laws?  One cell: a method on a scene at three steps or four tolerances."""
+"""Who keeps the laws?  One cell: a method on a scene at three steps or up to four tolerances."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from contactbench.study.experiment import Cell, Profile, Recorded, Row, experime
 from contactbench.study.settings import halving_steps, times
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
+#: the one at which laws are shown along time
+SHOWN = RTOLS[1]
 #: components from which on the map of an adaptive solver is not differentiated, by runs or equations for each of them
 MANY = 32
 
@@ -22,10 +24,9 @@ MANY = 32
 @experiment(lambda profile: pairs(profile, "laws", methods_of(profile)))
 def laws(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
-    values = {"step": halving_steps(scene, 6)[::2], "rtol": affordable(RTOLS, method.name, profile)}.get(
-        method.control, [0.0]
-    )
-    shown = values[1:2] or values
+    steps, rtols = halving_steps(scene, 6)[::2], affordable(RTOLS, method.name, profile)
+    values = {"step": steps, "rtol": rtols}.get(method.control, [0.0])
+    shown = {"step": steps[1:2], "rtol": [SHOWN]}.get(method.control, values)
     if method.refuses(scene) is not None:  # one row says why
         values = values[:1]
     each = f"{scene.motion} components, with runs for each"

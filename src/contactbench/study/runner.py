@@ -122,7 +122,8 @@ class Run:
         Where there is none its row has no times.
         """
         if (timing := task.experiment.timing) is not None:
-            return self.prepare(task, timing(task.cell, self.profile), timetable)
+            row = self.untimed(task)
+            return self.prepare(task, row, timing(task.cell, self.profile, row), timetable)
         rows: list[tuple[Table, Row]] = []
         finished = False
         try:
@@ -144,13 +145,15 @@ class Run:
             raise BadInput(f"table {table.name!r}: status {row['status']} without a message")
         return row
 
-    def prepare(self, task: Task, timing: Timing, timetable: Timetable | None) -> Entry | None:
-        row, again = self.untimed(task), None
+    def prepare(self, task: Task, row: Row, timing: Timing, timetable: Timetable | None) -> Entry | None:
         call: Call | Remote | None = None
-        if timing.cores and timetable is not None:
+        again = None
+        if row.get("status", "ok") != "ok":
+            pass
+        elif timing.cores and timetable is not None:
             call = timetable.remote(timing.cores, timing.cores, timing)
             row |= call.prepared.result()[1]
-        elif row.get("status", "ok") == "ok":
+        else:
             more, call = timing.prepare(*timing.arguments)
             row |= more
         row = self.complete(task, timing.table, row)

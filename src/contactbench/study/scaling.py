@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import numba
 import numpy as np
@@ -19,12 +18,13 @@ import numpy as np
 import contactbench as cb
 from contactbench.measure.clock import Call
 from contactbench.measure.isolation import usable_cores
+from contactbench.methods.prepared import Prepared
 from contactbench.results.tables import SCALING
 from contactbench.scene.many import Many
 from contactbench.solution import keywords
 from contactbench.study.c_loops import ring_kernel
 from contactbench.study.choice import EVERYWHERE, key, left_to_full, methods_of, outcome
-from contactbench.study.experiment import Cell, Profile, Row, Timing, timed_experiment
+from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.study.search import Question, Search, step_at
 from contactbench.study.settings import ENDS, times
 from contactbench.study.timetable import last_cores
@@ -127,43 +127,60 @@ def resident(which: str) -> int:
 
 
 # -- rows ------------------------------------------------------------------------------------------
-def loop(scene: Many, cores: int, chosen: float) -> tuple[Row, Callable[[], np.ndarray] | None]:
-    """Return the row of the C loop and its run, None where there is no compiler."""
+def loop(scene: Many, chosen: float) -> tuple[Row, Callable[[], np.ndarray] | None]:
+    """Return how the C loop ends and its run, None where there is no compiler."""
     assert isinstance(scene, cb.Lattice)
-    row = key(scene.name, LOOP, "c", "step", chosen, STEPS_OF) | {"n": scene.n, "cores": cores}
     made = ring_kernel(STEPS_OF, scene, chosen)
     if isinstance(made, str):
-        return row | {"status": "unsupported", "message": made, "evaluations": None}, None
+        return {"status": "unsupported", "message": made, "evaluations": None}, None
     run, evaluations = made
     counts = {"steps": round(scene.t_end / chosen), "evaluations": evaluations, "evaluation_kind": "gradient"}
-    return row | counts | {"status": "ok", "message": "", "memory_MB": peak_memory(run) / 1e6}, run
+    return {"status": "ok", "message": ""} | counts, run
 
 
-def prepared(cell: Cell, chosen: float, exact: np.ndarray) -> tuple[Row, Call | None]:
-    """Return the row of a cell without its times, and what is to be timed, if it ends well."""
+def prepared(cell: Cell, chosen: float) -> Prepared:
     name, method, engine, n, cores = cell
     numba.set_num_threads(cores)  # it saw all of them if it was loaded before this process was bound to one
-    scene = sized(name, n)
+    scene, setting = sized(name, n), keywords(cb.METHODS[method].control, chosen)
+    return cb.prepare(scene, method, save_at=[scene.t_end], carry=(), engine=engine, **setting)
+
+
+def errors(cell: Cell) -> Row:
+    """Return the row of a cell but for what is timed."""
+    name, method, _, n, cores = cell
+    chosen, scene = value(name, method, n), sized(name, n)
     if method == LOOP:
-        row, run = loop(scene, cores, chosen)
+        row = key(name, LOOP, "c", "step", chosen, STEPS_OF) | {"n": n, "cores": cores}
+        ended, run = loop(scene, chosen)
+        row |= ended
+        if run is None:
+            return row
+        row["memory_MB"], y = peak_memory(run) / 1e6, run()
     else:
-        options: dict[str, Any] = {"save_at": [scene.t_end], "carry": (), "engine": engine}
-        options |= keywords(cb.METHODS[method].control, chosen)
-        made = cb.prepare(scene, method, **options)
+        made = prepared(cell, chosen)
         solution = made()
         row = outcome(solution) | {"n": n, "cores": cores, "compile_s": made.compile_s}
-        run = partial(made.bare, made.start) if solution.ok else None
-        if run:
-            peak = peak_memory(lambda: cb.prepare(scene, method, **options)())
-            row["memory_MB"] = max(peak - solution.y[-1].nbytes, 0.0) / 1e6
-    if run is None:
-        return row, None
-    y = run() if method == LOOP else solution.y[-1]
+        if not solution.ok:
+            return row
+        y = solution.y[-1]
+        peak = peak_memory(lambda: prepared(cell, chosen)())
+        row["memory_MB"] = max(peak - y.nbytes, 0.0) / 1e6
+    exact = truth(name).y
     copies = 2 * n // exact.shape[1]
     true = np.tile(exact[-1].reshape(2, -1), copies).ravel()
     start = scene.pack(scene.initial(()))
     size = max(math.sqrt(copies) * np.linalg.norm(exact, axis=1).max(), np.linalg.norm(start))
-    return row | {"solution_error": float(np.linalg.norm(y - true) / size)}, Call(run)
+    return row | {"solution_error": float(np.linalg.norm(y - true) / size)}
+
+
+def call(cell: Cell, chosen: float) -> tuple[Row, Call]:
+    name, method, _, n, _ = cell
+    if method == LOOP:
+        run = loop(sized(name, n), chosen)[1]
+        assert run is not None  # else its row says so
+        return {}, Call(run)
+    made = prepared(cell, chosen)
+    return {}, Call(partial(made.bare, made.start))
 
 
 def shares(row: Row) -> Row:
@@ -173,8 +190,11 @@ def shares(row: Row) -> Row:
     return found | ({"reach_s": time} if row["solution_error"] <= ERROR else {})
 
 
-@timed_experiment(ladder)
-def scaling(cell: Cell, profile: Profile) -> Timing:
-    name, method, _, n, cores = cell
-    arguments = cell, value(name, method, n), truth(name).y
-    return Timing(SCALING, prepared, arguments, last_cores(cores), shares)
+@experiment(ladder)
+def scaling_errors(cell: Cell, profile: Profile) -> Recorded:
+    yield SCALING, errors(cell)
+
+
+@timed_experiment(ladder, scaling_errors)
+def scaling(cell: Cell, profile: Profile, row: Row) -> Timing:
+    return Timing(SCALING, call, (cell, row["value"]), last_cores(cell[-1]), shares)

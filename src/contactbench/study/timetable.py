@@ -27,8 +27,9 @@ from contactbench.study.experiment import Row, Timing
 
 #: cells of every engine that a second process times too
 SAMPLE = 40
-#: seconds from which a call is in every second sweep alone: what lasts so long is rarely interrupted all along
-SLOW = 0.02
+#: sweeps from a call's visit to its next, by the seconds that it lasts more than: what lasts long is dear to repeat,
+#: and no contest is close to it
+SPARED = {0.1: 4, 0.02: 2}
 #: the calls that a second process has prepared
 PREPARED: list[Call] = []
 
@@ -47,6 +48,10 @@ def warm_up(number: int, cores: Iterable[int]) -> float:
 
 def visit(number: int, rounds: int) -> Visit:
     return PREPARED[number].visit(rounds)
+
+
+def sweeps_between(lasts: float) -> int:
+    return next((sweeps for seconds, sweeps in SPARED.items() if lasts > seconds), 1)
 
 
 def last_cores(count: int) -> list[int]:
@@ -122,16 +127,14 @@ class Timetable(AbstractContextManager["Timetable"]):
         return self.remote([core for core in cores if core not in mine][:1] or mine, mine, timing)
 
     def go(self) -> None:
-        """Visit all of them in turns, slow ones half as often; each is recorded with its last visit."""
+        """Visit all of them in turns, slow ones less often; each is recorded with its last visit."""
         pairs = [(entry, call) for entry in self.entries for call in (entry.call, entry.again) if call]
-        slow = [call.warm_up() > SLOW for _, call in pairs]
+        between = [sweeps_between(call.warm_up()) for _, call in pairs]
         race = Race([call for _, call in pairs])
         visits = {id(call): made for (_, call), made in zip(pairs, race.visits, strict=True)}
-        wanted = {
-            id(call): -(-self.visits // (1 + late)) for (_, call), late in zip(pairs, slow, strict=True)
-        }
+        wanted = {id(call): -(-self.visits // apart) for (_, call), apart in zip(pairs, between, strict=True)}
         for sweep in tqdm(range(self.visits), "timing", unit="sweep", disable=None):
-            for i in race.sweep(some=[i for i, late in enumerate(slow) if not (late and sweep % 2)]):
+            for i in race.sweep(some=[i for i, apart in enumerate(between) if sweep % apart == 0]):
                 entry = pairs[i][0]
                 calls = [call for call in (entry.call, entry.again) if call]
                 if all(len(visits[id(call)]) == wanted[id(call)] for call in calls):

@@ -144,11 +144,11 @@ def runs(cell: Cell, budget: int | None) -> tuple[Row, Call]:
     run, shorter = (prepared(cell, budget, [t]) for t in (end, end / ENDS))
     # arrays that an engine has moved to its device ahead of the call
     bare, part = partial(run.bare, run.start), partial(shorter.bare, shorter.start)
-    call = Call(bare)
+    call = Call(bare, Part(part, 1 / ENDS, end))
     call.warm_up()
     once = call.once[0]
-    if "python" not in cell[2] or once < LONG_CALLBACK:
-        call = Call(bare, Part(part, 1 / ENDS, end))
+    if "python" in cell[2] and once > LONG_CALLBACK:
+        call = call.without_part()
     if once >= SHORT:
         return {}, call
     beside = Part(bare, 0.0, 1.0)
@@ -177,5 +177,5 @@ def work_precision_errors(cell: Cell, profile: Profile) -> Recorded:
 
 
 @timed_experiment(ladder, errors=work_precision_errors)
-def work_precision(cell: Cell, profile: Profile) -> Timing:
+def work_precision(cell: Cell, profile: Profile, row: Row) -> Timing:
     return Timing(WORK_PRECISION, runs, (cell, budget_of(cell, profile)))
