@@ -15,7 +15,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import combinations_with_replacement
 from math import prod
 from pathlib import Path
@@ -254,17 +254,30 @@ def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any, loop: Repe
     return Factors(grown, pushed, shrunk, way, far, -xp.expm1(-whole))
 
 
-def exponentials(nodes: Sequence[Fraction], whole: Arithmetic, xp: Namespace) -> list[Vector]:
+@cache
+def sums(nodes: tuple[Fraction, ...]) -> dict[Fraction, tuple[Fraction, ...]]:
+    """Return the nodes in order, each with two or three smaller ones that it is the sum of, if there are any."""
+    found: dict[Fraction, tuple[Fraction, ...]] = {Fraction(0): ()}
+    for c in sorted(set(nodes) - found.keys()):
+        tried = (
+            terms for n in (2, 3) for terms in combinations_with_replacement(found, n) if sum(terms) == c
+        )
+        found[c] = next(tried, ())
+    return found
+
+
+def exponentials(nodes: tuple[Fraction, ...], whole: Arithmetic, xp: Namespace) -> list[Vector]:
     """Return e^{cx} and e^{−cx} for some c, those of a sum of two or three others as products."""
     one = 1.0 + 0 * whole
-    found: dict[Fraction, Vector] = {Fraction(0): (one, one)}
-    for c in sorted(set(nodes) - found.keys()):
-        sums = (terms for n in (2, 3) for terms in combinations_with_replacement(found, n) if sum(terms) == c)
-        if (terms := next(sums, None)) is not None:
+    found: dict[Fraction, Vector] = {}
+    for c, terms in sums(nodes).items():
+        if terms:
             found[c] = tuple(prod(found[term][k] for term in terms) for k in (0, 1))
-        else:
+        elif c:
             grown = xp.exp(number(c, xp) * whole)
             found[c] = grown, 1 / grown
+        else:
+            found[c] = one, one
     return [found[c] for c in nodes]
 
 

@@ -167,15 +167,25 @@ class DualNumbers(ChoosingNumbers):
     arctan2 = atan2
 
 
+NESTED = (tuple, list)
+
+
 def leaves(x: object) -> list[Any]:
     """Return the numbers in nested tuples, lists and dual numbers, in their order; None has none."""
-    if x is None:
-        return []
-    if isinstance(x, Dual):
-        return leaves(x.a) + leaves(x.b)
-    if isinstance(x, tuple | list):
-        return [leaf for each in x for leaf in leaves(each)]
-    return [x]
+    found: list[Any] = []
+
+    def collect(x: Any) -> None:
+        if isinstance(x, NESTED):
+            for each in x:
+                collect(each)
+        elif isinstance(x, Dual):
+            collect(x.a)
+            collect(x.b)
+        elif x is not None:
+            found.append(x)
+
+    collect(x)
+    return found
 
 
 def rebuild[X](x: X, values: Sequence[object]) -> X:
@@ -183,14 +193,12 @@ def rebuild[X](x: X, values: Sequence[object]) -> X:
     supply = iter(values)
 
     def again(x: Any) -> Any:
-        if x is None:
-            return None
-        if isinstance(x, Dual):
-            return Dual(again(x.a), again(x.b))
-        if isinstance(x, tuple | list):
+        if isinstance(x, NESTED):
             inner = [again(each) for each in x]
             return type(x)(*inner) if hasattr(x, "_fields") else type(x)(inner)
-        return next(supply)
+        if isinstance(x, Dual):
+            return Dual(again(x.a), again(x.b))
+        return None if x is None else next(supply)
 
     made: X = again(x)
     return made

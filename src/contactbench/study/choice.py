@@ -47,7 +47,7 @@ TIMED_DEAR = ("oscillator", "particle", "rigid_body")
 FORCED = ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
 DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
 #: where stiffness asks for implicit solvers
-STIFF = ("overdamped", "critical", "underflow", "stiff_spring", "steep_wall", "large_step", "kepler_close")
+STIFF = ("overdamped", "critical", "underflow", "stiff_spring", "steep_wall", "large_step")
 #: those of which a run takes seconds: elsewhere CyRK's and CVODE's, compiled, stand for them
 IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
 #: compiling their maps takes seconds on the scene of the most components

@@ -23,7 +23,9 @@ from contactbench.study.experiment import Cell, Profile, Recorded, Row, experime
 SCENE = cb.SCENES["duffing"]
 PERIOD = 2 * math.pi / SCENE.parameters["drive"]
 FIXED = ("contact-strang", "contact-rkn4", "contact-rkn6", "herglotz2", "rk4")
-ADAPTIVE = ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5", "cvode-adams")
+ADAPTIVE = ("cyrk-dop853", "cyrk-vern8", "cvode-adams")
+#: in the full profile alone: of lower order than the others, it takes the most evaluations
+FULL = ("cyrk-tsit5",)
 #: multistep: the variational equations begin anew after every orthonormalisation
 WITHOUT_TANGENTS = ("cvode-adams",)
 #: evaluations in a period that fixed steps are chosen for, and tolerances
@@ -99,10 +101,14 @@ def row(
     return made | {"evaluations_per_time": float(spent[0]), "jacobians_per_time": float(spent[1])}
 
 
-# the smoke profile has one that has rows of every kind
-@experiment(
-    lambda profile: [(SCENE.name, m) for m in ((*FIXED, *ADAPTIVE) if not profile.brief else FIXED[1:2])]
-)
+def cells(profile: Profile) -> list[Cell]:
+    every = (*FIXED, *ADAPTIVE, *(FULL if profile.reaches("full") else ()))
+    return [
+        (SCENE.name, method) for method in (FIXED[1:2] if profile.brief else every)
+    ]  # with rows of every kind
+
+
+@experiment(cells)
 def long_time(cell: Cell, profile: Profile) -> Recorded:
     method = cb.METHODS[cell[1]]
     rows = []
