@@ -98,6 +98,7 @@ LEFT = (
     Left(
         ("convergence",), ("gauss6", "contact-gauss6"), apart=(*TIMED_DEAR, "central")
     ),  # 50 digits by iteration
+    Left(("laws",), ("diffrax-kvaerno5",), apart=("particle",)),  # seconds of compilation each
     Left(("laws",), LONG_PROGRAMS, ("pendulum_ring",)),
     Left(
         ("laws",), ALIKE, apart=(*TIMED_DEAR, "central", "kepler", "forced_oscillator", "quadratic_damping")
