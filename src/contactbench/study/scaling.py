@@ -140,7 +140,8 @@ def loop(scene: Many, chosen: float) -> tuple[Row, Callable[[], np.ndarray] | No
 
 def prepared(cell: Cell, chosen: float) -> Prepared:
     name, method, engine, n, cores = cell
-    numba.set_num_threads(cores)  # it saw all of them if it was loaded before this process was bound to one
+    # it saw all of them if it was loaded before this process was bound to one, and only that if it was loaded after
+    numba.set_num_threads(min(cores, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
     scene, setting = sized(name, n), keywords(cb.METHODS[method].control, chosen)
     return cb.prepare(scene, method, save_at=[scene.t_end], carry=(), engine=engine, **setting)
 
