@@ -71,7 +71,7 @@ def test_a_round_takes_as_long_as_it_should_however_slow_the_first_calls_were(ma
 
 def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
     calls = Counter()
-    slow = machine(2 * clock.DEAR)
+    slow = machine(2 * clock.LONG)
     call = Call(lambda: (calls.update(["run"]), slow()))
     call.warm_up()
     assert len(call.visit().whole) == 1
@@ -79,10 +79,10 @@ def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
 
 
 def test_a_call_without_its_part_is_as_warm(machine):
-    call = Call(machine(2 * clock.DEAR), Part(machine(clock.DEAR), share=0.5, span=1.0))
+    call = Call(machine(2 * clock.LONG), Part(machine(clock.LONG), share=0.5, span=1.0))
     call.warm_up()
     whole, before = call.without_part(), machine.now[0]
-    assert whole.warm_up() == pytest.approx(2 * clock.DEAR)
+    assert whole.warm_up() == pytest.approx(2 * clock.LONG)
     assert machine.now[0] == before
     assert whole.visit().part == ()
 

@@ -19,10 +19,9 @@ import numpy as np
 VISITS, MOST_VISITS = 8, 24
 #: rounds of a visit, and the seconds a round takes at least, so that the clock's resolution plays no part
 ROUNDS, ROUND_SECONDS = 3, 3e-4
-#: seconds from which a call has one round a visit: the next would meet the same phase of the machine
-LONG = 1e-3
-#: seconds from which a first call is not repeated to warm up: cold caches cost it hardly anything
-DEAR = 5e-3
+#: seconds from which a call has one round a visit, the next would meet the same phase of the machine, and no warm-up:
+#: cold caches cost it hardly anything
+LONG = 5e-3
 SEED = 20
 
 
@@ -61,7 +60,7 @@ class Call:
         if not self.once:
             for run in self.runs:
                 once = seconds(run, 1)
-                self.once.append(once if once > DEAR else min(once, seconds(run, self.calls_a_round(once))))
+                self.once.append(once if once > LONG else min(once, seconds(run, self.calls_a_round(once))))
         return sum(max(self.round_seconds, once) for once in self.once)
 
     def without_part(self) -> Call:
