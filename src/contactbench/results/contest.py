@@ -181,7 +181,7 @@ def _costs_on(rows: pd.DataFrame, kind: Kind, processes: float) -> Iterator[Reco
     if kind.timed and not kind.resolved and "fixed_s" in rows:
         shares = (_floats(rows["fixed_s"]) / _floats(rows["time_min_s"]))[ok].tolist()
     loosest = max(errors, default=math.nan)
-    engine = rows["engine"].iloc[0] if errors else ""
+    engine = rows["engine"][ok].iloc[0] if errors else ""
     for target, cost, own in zip(TARGETS, reached, halves, strict=True):
         reach = [(c, s) for e, c, s in zip(errors, spent, shares, strict=True) if e <= target and c == c]
         yield {

@@ -140,8 +140,7 @@ def loop(scene: Many, chosen: float) -> tuple[Row, Callable[[], np.ndarray] | No
 
 def prepared(cell: Cell, chosen: float) -> Prepared:
     name, method, engine, n, cores = cell
-    # it saw all of them if it was loaded before this process was bound to one, and only that if it was loaded after
-    numba.set_num_threads(min(cores, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+    numba.set_num_threads(cores)  # it saw all of them if it was loaded before this process was bound to one
     scene, setting = sized(name, n), keywords(cb.METHODS[method].control, chosen)
     return cb.prepare(scene, method, save_at=[scene.t_end], carry=(), engine=engine, **setting)
 
@@ -158,13 +157,18 @@ def errors(cell: Cell) -> Row:
             return row
         row["memory_MB"], y = peak_memory(run) / 1e6, run()
     else:
-        made = prepared(cell, chosen)
+        there: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+        own = (
+            *cell[:-1],
+            min(cores, there),
+        )  # this process may have one core; a result does not depend on it
+        made = prepared(own, chosen)
         solution = made()
         row = outcome(solution) | {"n": n, "cores": cores, "compile_s": made.compile_s}
         if not solution.ok:
             return row
         y = solution.y[-1]
-        peak = peak_memory(lambda: prepared(cell, chosen)())
+        peak = peak_memory(lambda: prepared(own, chosen)())
         row["memory_MB"] = max(peak - y.nbytes, 0.0) / 1e6
     exact = truth(name).y
     copies = 2 * n // exact.shape[1]
