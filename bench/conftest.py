@@ -125,12 +125,9 @@ def full_disk() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
-    """The timed cells of a file, visited in turns when the last of them is prepared; None in a run without times."""
+def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable]:
+    """The timed cells of a file, visited in turns when the last of them is prepared."""
     run, items = request.config.run, request.session.items
-    if not run.timed:
-        yield None
-        return
     with run.timetable(
         task_of(i) for i in items if i.module is request.module and task_of(i).experiment.timed
     ) as table:

@@ -108,6 +108,9 @@ def test_another_process_prepares_and_times_what_it_is_told():
     with Timetable({}, 8) as table:
         call = table.remote([], [], Timing(ENSEMBLE_TABLE, ensemble.call, (cell,)))
         assert call.prepared.result()[1] == {}
+        assert ensemble.errors(cell)["status"] == "ok"
+        y = np.asarray(ensemble.run_of(cell)[0]())
+        assert ensemble.error(cb.SCENES["particle"], y, ensemble.truth("particle")) < 0.1
         call.warm_up()
         visit = call.visit(2)
         assert len(visit.whole) == 2

@@ -24,6 +24,7 @@ def test_a_method_has_the_same_steps_and_the_same_error_at_every_size():
     assert 5e-7 < short["solution_error"] <= 1e-6
     assert long["solution_error"] == pytest.approx(short["solution_error"], rel=1e-6)
     assert [long[name] for name in ("n", "value", "steps")] == [128, short["value"], short["steps"]]
+    assert scaling.call(("fput", "contact-strang", "numba", 128, 1), long["value"])[1].warm_up() > 0
 
 
 @pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6"])

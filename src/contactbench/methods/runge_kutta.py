@@ -256,9 +256,9 @@ def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any, loop: Repe
 
 @cache
 def sums(nodes: tuple[Fraction, ...]) -> dict[Fraction, tuple[Fraction, ...]]:
-    """Return the nodes in order, each with two or three smaller ones that it is the sum of, if there are any."""
-    found: dict[Fraction, tuple[Fraction, ...]] = {Fraction(0): ()}
-    for c in sorted(set(nodes) - found.keys()):
+    """Return the nodes but zero in order, each with two or three before it that it is the sum of, if there are any."""
+    found: dict[Fraction, tuple[Fraction, ...]] = {}
+    for c in sorted({*nodes} - {Fraction(0)}):
         tried = (
             terms for n in (2, 3) for terms in combinations_with_replacement(found, n) if sum(terms) == c
         )
@@ -269,15 +269,13 @@ def sums(nodes: tuple[Fraction, ...]) -> dict[Fraction, tuple[Fraction, ...]]:
 def exponentials(nodes: tuple[Fraction, ...], whole: Arithmetic, xp: Namespace) -> list[Vector]:
     """Return e^{cx} and e^{−cx} for some c, those of a sum of two or three others as products."""
     one = 1.0 + 0 * whole
-    found: dict[Fraction, Vector] = {}
+    found: dict[Fraction, Vector] = {Fraction(0): (one, one)}
     for c, terms in sums(nodes).items():
         if terms:
             found[c] = tuple(prod(found[term][k] for term in terms) for k in (0, 1))
-        elif c:
+        else:
             grown = xp.exp(number(c, xp) * whole)
             found[c] = grown, 1 / grown
-        else:
-            found[c] = one, one
     return [found[c] for c in nodes]
 
 

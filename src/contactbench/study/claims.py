@@ -9,11 +9,8 @@ from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.study.experiment import Cell, Profile, Recorded, experiment
 
 #: claims that take longer than a second, which the smoke profile leaves out
-LONG = (
-    {f"C{n:02d}" for n in (1, 3, 4, 5, 12, 15, 18, 20, 22, 24, 26, 33, 34, 37, 39, 41)}
-    | {f"C{n}" for n in (44, 45, 47, 48)}
-    | {"X02", "X03"}
-)
+NUMBERS = (1, 3, 4, 5, 12, 15, 18, 20, 22, 24, 26, 33, 34, 37, 39, 41, 44, 45, 47, 48)
+LONG = {f"C{n:02d}" for n in NUMBERS} | {"X02", "X03"}
 
 
 def some(names: Iterable[str], profile: Profile) -> list[Cell]:

@@ -59,13 +59,13 @@ PROFILES = {
 class Timing:
     """What is timed of a cell, and the table its row goes to.
 
-    prepare : gives, of the arguments, what the row says beside its times, and the call, None where it cannot be run;
+    prepare : gives, of the arguments, what the row says beside its times, and the call;
     another process may be asked for both.  cores : where the call runs, if not on the one of this process.
     derived : columns that follow from the row with its times.
     """
 
     table: Table
-    prepare: Callable[..., tuple[Row, Call | None]]
+    prepare: Callable[..., tuple[Row, Call]]
     arguments: tuple[object, ...]
     cores: Sequence[int] = ()
     derived: Callable[[Row], Row] = lambda row: {}
@@ -76,8 +76,8 @@ class Experiment:
     """Cells of one kind, and how each is measured.
 
     question : its module; when all cells of a question are done, other rows of its tables go.  rows : of a cell in a
-    profile, each with its table.  timing : instead, what is timed.  errors : the experiment of the same cells that
-    makes their rows without times; a run without a clock leaves this one out.
+    profile, each with its table.  timing : instead, what is timed, of a cell and its row without times.  errors : of
+    what is timed, the experiment of the same cells that makes those rows; a run without a clock has it alone.
     """
 
     question: str
@@ -112,7 +112,7 @@ def experiment(
 
 
 def timed_experiment(
-    cells: Callable[[Profile], list[Cell]], errors: Experiment | None = None
+    cells: Callable[[Profile], list[Cell]], errors: Experiment
 ) -> Callable[[Callable[[Cell, Profile, Row], Timing]], Experiment]:
     """Make an experiment, of its name, of the function that says what is timed of a cell and its row."""
     return lambda timing: add(timing, cells=cells, timing=timing, errors=errors)

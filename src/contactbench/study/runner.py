@@ -27,7 +27,7 @@ from contactbench.results import cells as journal
 from contactbench.results import provenance
 from contactbench.results.schema import TABLES, Table
 from contactbench.results.store import OldTable, check, read
-from contactbench.study.experiment import Cell, Experiment, Profile, Row, Timing, experiments
+from contactbench.study.experiment import Cell, Experiment, Profile, Row, experiments
 from contactbench.study.timetable import Entry, Remote, Timetable
 
 
@@ -85,7 +85,7 @@ class Run:
 
     def tasks_of(self, experiment: Experiment) -> list[Task]:
         """Return the cells of an experiment; none of what adds times alone in a run without times."""
-        cells = [] if experiment.errors and not self.timed else experiment.cells(self.profile)
+        cells = [] if experiment.timed and not self.timed else experiment.cells(self.profile)
         if self.own:
             own = brought()
             cells = [cell for cell in cells if not own.isdisjoint(cell)]
@@ -117,13 +117,9 @@ class Run:
 
     # -- one cell ----------------------------------------------------------------------------------
     def measure(self, task: Task, timetable: Timetable | None = None) -> Entry | None:
-        """Measure a cell and keep its rows, those before a failure too; one that is to be timed joins a timetable.
-
-        Where there is none its row has no times.
-        """
-        if (timing := task.experiment.timing) is not None:
-            row = self.untimed(task)
-            return self.prepare(task, row, timing(task.cell, self.profile, row), timetable)
+        """Measure a cell and keep its rows, those before a failure too; one that is to be timed joins a timetable."""
+        if timetable is not None:
+            return self.prepare(task, timetable)
         rows: list[tuple[Table, Row]] = []
         finished = False
         try:
@@ -145,15 +141,16 @@ class Run:
             raise BadInput(f"table {table.name!r}: status {row['status']} without a message")
         return row
 
-    def prepare(self, task: Task, row: Row, timing: Timing, timetable: Timetable | None) -> Entry | None:
+    def prepare(self, task: Task, timetable: Timetable) -> Entry | None:
+        """Return a cell's entry of a timetable; None where its run ends badly, which leaves nothing to time."""
+        assert task.experiment.timing is not None
+        row = self.untimed(task)
+        timing = task.experiment.timing(task.cell, self.profile, row)
         call: Call | Remote | None = None
-        again = None
-        if row.get("status", "ok") != "ok":
-            pass
-        elif timing.cores and timetable is not None:
+        if row["status"] == "ok" and timing.cores:
             call = timetable.remote(timing.cores, timing.cores, timing)
             row |= call.prepared.result()[1]
-        else:
+        elif row["status"] == "ok":
             more, call = timing.prepare(*timing.arguments)
             row |= more
         row = self.complete(task, timing.table, row)
@@ -162,11 +159,11 @@ class Run:
             times = columns | (timing.derived(row | columns) if columns else {})
             self.cells.save([(timing.table, self.complete(task, timing.table, row | times))], task.key)
 
-        if timetable is not None:
-            timetable.ahead.discard(task.key)
-        if call is None or timetable is None:
+        timetable.ahead.discard(task.key)
+        if call is None:
             keep({})
             return None
+        again = None
         if not timing.cores:
             call.warm_up()
             if task.key in timetable.sample:
@@ -175,10 +172,9 @@ class Run:
         return timetable.entries[-1]
 
     def untimed(self, task: Task) -> Row:
-        """Return the row that a timed cell adds its times to, as measured in this run or now; empty for none."""
+        """Return the row that a timed cell adds its times to, as measured in this run or now."""
         errors = task.experiment.errors
-        if errors is None:
-            return {}
+        assert errors is not None
         if known := self.cells.rows(Task(errors, task.cell, task.name).key):
             return dict(known[0][1])
         return dict(next(errors.rows(task.cell, self.profile))[1])

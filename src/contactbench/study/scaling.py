@@ -157,11 +157,9 @@ def errors(cell: Cell) -> Row:
             return row
         row["memory_MB"], y = peak_memory(run) / 1e6, run()
     else:
-        there: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-        own = (
-            *cell[:-1],
-            min(cores, there),
-        )  # this process may have one core; a result does not depend on it
+        # this process may have one core; no result depends on how many there are
+        most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+        own = (*cell[:-1], min(cores, most))
         made = prepared(own, chosen)
         solution = made()
         row = outcome(solution) | {"n": n, "cores": cores, "compile_s": made.compile_s}

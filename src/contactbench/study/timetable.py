@@ -27,8 +27,8 @@ from contactbench.study.experiment import Row, Timing
 
 #: cells of every engine that a second process times too
 SAMPLE = 40
-#: sweeps from a call's visit to its next, by the seconds that it lasts more than: what lasts long is dear to repeat,
-#: and no contest is close to it
+#: sweeps from a call's visit to its next, by the seconds that it lasts more than: what lasts so long is rarely
+#: interrupted all along
 SPARED = {0.1: 4, 0.02: 2}
 #: the calls that a second process has prepared
 PREPARED: list[Call] = []
