@@ -61,10 +61,11 @@ LONG_PROGRAMS = (
     "gauss4",
     "gauss6",
 )
-#: others of a kind, by whose laws nothing is learnt on every scene: of pairs, multistep methods, maps without damping
+#: others of a kind, by whose laws nothing is learnt on every scene: of pairs, multistep methods, maps without damping.
+#: None of them is closest to the true energy on a scene where it is left out, which would be said of another then
 ALIKE = (
-    *("cvode-adams-fixed", "cvode-bdf", "cyrk-lsoda", "cyrk-radau", "cyrk-tsit5", "cyrk-vern8", "ias15"),
-    *("rk8", "rk8-7", "rkn8-6", "rkn12-10", "gauss4", "gauss6", "sprk-5", "sprk-10", "quinlan-tremaine12"),
+    *("cvode-adams-fixed", "cvode-bdf", "cyrk-lsoda", "cyrk-tsit5", "cyrk-vern8", "ias15", "rk8-7", "rkn8-6"),
+    *("rkn12-10", "gauss4", "gauss6", "sprk-5", "sprk-10", "quinlan-tremaine12"),
 )
 #: driven scenes beside two that have everything
 MORE_DRIVEN = ("detest_e1", "detest_e3", "lane_emden_0", "lane_emden_1", "duffing")
