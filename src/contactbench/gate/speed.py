@@ -63,7 +63,7 @@ class Cell:
 
     scene: str
     method: str = "contact-rkn6"
-    engine: str = "numba"
+    engine: str = "llvm"
     control: str = "step"
     value: float = 0.1
     carry: tuple[str, ...] = ()
@@ -85,8 +85,7 @@ class Cell:
 SHORT, STEPS = "particle", 12
 #: what a user calls, on standard scenes; references on those where they take little: in closed form, and live
 PUBLIC = [Cell(SHORT, value=SCENES[SHORT].t_end / STEPS, call=call) for call in ("run()", "run(q=…)", "bare")]
-PUBLIC += [Cell("linear_ring", "contact-strang", call="run()")]
-PUBLIC += [Cell("particle", call=call) for call in ("solve", "new scene", "ensemble", "import")]
+PUBLIC += [Cell("particle", call=call) for call in ("solve", "new scene", "import")]
 PUBLIC += [Cell(scene, call="reference") for scene in ("oscillator", "saddle_edge")]
 
 

@@ -369,8 +369,7 @@ class ToleranceRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        #: component by component
-        self.scene: Scene = r.scene.unrolled().recorded() if r.scene.by_sites else r.scene
+        self.scene: Scene = r.scene
         self.sensitivity_source = self.method_.derivative
         margins = ((time, ROUNDINGS * exact) for time, exact in self.breaks)
         breaks = [end for time, margin in margins for end in (time - margin, time + margin)]
@@ -379,7 +378,7 @@ class ToleranceRun(Prepared):
         self.spans = np.diff(ends, prepend=0.0)
         self.settings = self.method_.settings(r, r.step)
         self.tables: Loop | None = None
-        self.run = self.compiled() if r.engine == "numba" else self.in_python()
+        self.run = self.compiled() if r.engine == "llvm" else self.in_python()
         self.divide(r.step)
 
     def divide(self, step: float | None) -> None:
@@ -524,7 +523,7 @@ class RungeKuttaPair(Adaptive):
     order: int
     about: str
     form: Explicit[Any]
-    engines: tuple[str, ...] = ("numba", "python")
+    engines: tuple[str, ...] = ("llvm", "python")
     family: str = "established"
     largest: int = 32
     derivative = "forward-mode AD through the steps taken"
@@ -539,8 +538,6 @@ class RungeKuttaPair(Adaptive):
         return len(self.form.tableau.nodes)
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.by_sites:
-            return f"{self.name} has no loop over sites; scene {scene.name!r} has many"
         return refusal(self.name, self.form.tableau, scene)
 
     def prepare(self, request: Request) -> Prepared:

@@ -86,7 +86,7 @@ class Logarithmic(Method):
     order: int
     composition: Composition
     about: str
-    engines: tuple[str, ...] = ("numba", "python")
+    engines: tuple[str, ...] = ("llvm", "python")
     family: str = "contact"
     symmetric: bool = True
     kind: str = "gradient"
@@ -102,15 +102,13 @@ class Logarithmic(Method):
 
     def refuses(self, scene: Any) -> str | None:
         V = math.nan
-        if scene.kind not in ("mechanical", "many") or scene.nonlinear_damping:
+        if scene.kind != "mechanical" or scene.nonlinear_damping:
             needs = f"{self.name} needs forces that depend on q alone and damping Γ = γ s"
             return f"{needs}, which scene {scene.name!r} does not have"
         with their_code(f"scene {scene.name!r}"), suppress(*NO_NUMBER):
             V = scene.potential_at(scene.initial(()))
         if not V < 0:
             return f"{self.name} needs V < 0 along the motion; scene {scene.name!r} starts at V = {V:.6g}"
-        if scene.by_sites and scene.motion > 2 * self.largest:
-            return f"{self.name} takes {self.largest} components at most; scene {scene.name!r} has more"
         own: str | None = scene.own_equations
         return own
 

@@ -165,7 +165,7 @@ class Implicit(FixedStep):
     """A method whose step returns x and iterations; each : evaluations of an iteration, one more comes first."""
 
     each: int = field(kw_only=True)
-    engines: tuple[str, ...] = ("numba", "python")
+    engines: tuple[str, ...] = ("llvm", "python")
     iterates = True
     unsolved = "its iteration does not converge"
 

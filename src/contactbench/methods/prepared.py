@@ -427,7 +427,7 @@ def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
         return True
 
     data = [getattr(scene, name) for name in scene.initial_fields]
-    known = None if scene.by_sites else key(scene.identity, carry, *scene.numbers(), *data)
+    known = key(scene.identity, carry, *scene.numbers(), *data)
     _started.get(known, passes)
 
 

@@ -57,15 +57,9 @@ class Peer(Adaptive):
     takes_atol: bool = True
     costs: Mapping[str, float] = field(default_factory=dict)
     largest: int = Adaptive.largest
-    #: components of a scene of many sites at most, and why no more
-    most: int = 0
-    reason: str = "has a dense Jacobian"
     own_time = True
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.by_sites and self.most and scene.motion > self.most:
-            size = f"scene {scene.name!r} has {scene.motion} components, more than {self.most}"
-            return f"{self.name} {self.reason}: {size}"
         return self.lacks(self.engines[0])
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:
@@ -139,8 +133,7 @@ class PeerRun(Prepared):
         super().__post_init__()
         self.call = self.method_.call(self.method_, self.request)
         self.compile_s, self.bare = self.call.seconds, self.call.last  # type: ignore[method-assign]
-        varies = self.call.first_order and not self.request.scene.by_sites
-        equations = "variational equations, a run of its own" if varies else ""
+        equations = "variational equations, a run of its own" if self.call.first_order else ""
         self.sensitivity_source = self.call.derivative or equations
 
     def __call__(self, **data: object) -> Solution:
@@ -264,9 +257,6 @@ class Variational(System):
     motion = property(lambda self: self.base.motion)
     canonical = property(lambda self: self.base.canonical)
 
-    def unrolled(self) -> Self:
-        return self
-
     def initial(self, carry: Sequence[str], **data: object) -> Bundle:
         x = self.base.initial(carry, **data)
         return Bundle(x, tuple(self.base.tangents(x)))
@@ -371,7 +361,7 @@ class Callback(Call):
     def __init__(self, method: Peer, request: Request) -> None:
         super().__init__(method, request)
         scene, carry = self.scene, request.carry
-        recorded = None if scene.by_sites else record_function(scene, "rhs", carry)
+        recorded = record_function(scene, "rhs", carry)
         self.slopes = recorded or (lambda t, y: scene.slopes(t, y, carry))
         self.nowhere = [math.nan] * len(scene.without_clock(scene.labels(carry)))
         self.jacobian: Rates | None = None

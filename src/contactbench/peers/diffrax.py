@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
-from contactbench.methods.jax_engine import Xla
 from contactbench.methods.prepared import Request
 from contactbench.peers.base import Call, Ending, Peer
+from contactbench.peers.jax_program import Xla
 from contactbench.solution import Counts, Status
 
 if TYPE_CHECKING:
@@ -103,8 +103,6 @@ class Diffrax(Call):
         )
 
         def packed(y: Any, t: jax.Array) -> Any:
-            if r.scene.by_sites:
-                return y
             components = list(y.T) if as_array else list(y)
             return jnp.stack(scene.with_clock(components, start + t), axis=-1)
 
@@ -152,7 +150,6 @@ for _solver, _order, _stages, _implicit, _about in (
             implicit=_implicit,
             # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
             costs={"jax": 2} if _implicit else {},
-            most=1024 if _implicit else 0,
             largest=64,
         )
     )

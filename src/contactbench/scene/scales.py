@@ -34,8 +34,7 @@ def reach(scene: Any, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
     def size(vector: Any) -> Any:
         if all(isinstance(c, float) for c in vector):
             return max(map(abs, vector)) if sum(vector) == sum(vector) else np.nan
-        largest = reduce(np.maximum, map(np.abs, vector))
-        return largest.max(axis=0) if scene.by_sites else largest
+        return reduce(np.maximum, map(np.abs, vector))
 
     def pull(after: float | np.ndarray, q: Vector) -> Any:
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
@@ -57,7 +56,7 @@ def reach(scene: Any, x: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
         return change * span <= fast + force * span / 2
 
     longest = 0.0 * fast
-    if np.ndim(fast) == 1 and not scene.by_sites and SPANS * len(fast) <= FEW:
+    if np.ndim(fast) == 1 and SPANS * len(fast) <= FEW:
         each = np.array(spans)[:, None]
         longest = np.where(np.logical_and.accumulate(fits(each)), each, 0.0).max(axis=0)
     else:

@@ -193,9 +193,6 @@ def advance(
     run = runner((*opening, *inner, *closing, *joint), scene, h, xp, repeat)
     if not joint:
         return run(closing, repeat(n, lambda x: run(inner, x), run(opening, x)))
-    if repeat.joint_first:
-        x = repeat(n - 1, lambda x: run((*joint, *inner), x), run((*opening, *inner), x))
-        return run(closing, x)
     x = repeat(n - 1, lambda x: run((*inner, *joint), x), run(opening, x))
     return run((*inner, *closing), x)
 

@@ -107,8 +107,6 @@ LEFT = (
     Left(
         ("laws", "convergence"), scenes=MORE_DRIVEN, but=(*EVERYWHERE, "contact-bm4", "contact-rkn8", "rkn12")
     ),
-    Left(("scaling",), (*IMPLICIT, "cvode-bdf", "ias15"), ("fput", "linear_ring")),
-    Left(("scaling",), ("scipy-dop853", "diffrax-dopri8")),
 )
 #: the tightest tolerance of `IMPLICIT` where laws are measured, but for the full profile
 DEAREST = 1e-9

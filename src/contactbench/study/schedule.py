@@ -332,6 +332,5 @@ def halves(visits: list[Visit]) -> float:
 
 def differentiation_time(search: Search, attempt: Attempt) -> float:
     scene = search.question.scene
-    components = 0 if scene.by_sites else scene.motion
-    compilation = max(search.compile_s, CACHED) * (1 + (components / MANY) ** 3)
+    compilation = max(search.compile_s, CACHED) * (1 + (scene.motion / MANY) ** 3)
     return COMPILATIONS * compilation + RUNS * attempt.seconds

@@ -31,7 +31,6 @@ from contactbench.peers.compiled import (
     RHS_CALLS,
     TOO_MUCH_WORK,
     CFunctions,
-    FieldFunctions,
 )
 
 #: linear multistep methods, and integration tasks
@@ -56,7 +55,6 @@ SIGNATURES = {
     "CVodeGetNumStepSolveFails",
     "ippp": "CVodeSetLinearSolver",
     "ppip": "SUNNonlinSol_FixedPoint",
-    "ppiip": "SUNLinSol_SPGMR",
     "ipl": "CVodeSetMaxNumSteps",
     "ipd": "CVodeSetMinStep CVodeSetMaxStep CVodeSetStopTime",
     "ipdppi": "CVode",
@@ -200,16 +198,6 @@ def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: igno
 
 
 @kept
-def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    out = np.empty((len(starts), KNOWN + starts.shape[1]))
-    for k in range(len(starts)):
-        row = to_end(starts[k], memory, vector, y, data, clock, end, max_steps)
-        for i in range(len(row)):
-            out[k, i] = row[i]
-    return out
-
-
-@kept
 def on_to_times(saved, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     """Take so many more steps of a run that `at_times` has begun and that has saved some states, at most."""
     flag, now = np.int32(TOO_MUCH_WORK), np.zeros(1)
@@ -248,7 +236,7 @@ class Memory:
         self,
         method: str,
         newton: bool,
-        functions: CFunctions | FieldFunctions,
+        functions: CFunctions,
         data: np.ndarray,
         size: int,
         tolerances: tuple[float, float | np.ndarray],
@@ -262,8 +250,7 @@ class Memory:
         self.vector = library.N_VMake_Serial(size, self.y.ctypes.data, context)
         self.memory = memory = library.CVodeCreate(METHODS[method], context)
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
-        many = isinstance(functions, FieldFunctions)
-        solvers = self.choose(newton and not (many and method == "Adams"), many, size, context)
+        solvers = self.choose(newton, size, context)
         weakref.finalize(self, free, library, "CVodeFree", memory, solvers, self.vector, context)
         self.tolerate(*tolerances, context)
         check("CVodeSetUserData", memory, self.user.ctypes.data)
@@ -281,19 +268,16 @@ class Memory:
         check("CVodeSVtolerances", self.memory, rtol, given)  # which copies it
         library.N_VDestroy(given)
 
-    def choose(self, newton: bool, many: bool, size: int, context: c_void_p) -> dict[str, int]:
-        """Connect what solves for a step (no dense matrix of many sites), and return it by what frees it."""
+    def choose(self, newton: bool, size: int, context: c_void_p) -> dict[str, int]:
+        """Connect what solves for a step, and return it by what frees it."""
         if not newton:
             iteration = library.SUNNonlinSol_FixedPoint(self.vector, 0, context)
             check("CVodeSetNonlinearSolver", self.memory, iteration)
             return {"SUNNonlinSolFree": iteration}
-        if many:
-            matrix, linear = None, library.SUNLinSol_SPGMR(self.vector, 0, 0, context)
-        else:
-            matrix = library.SUNDenseMatrix(size, size, context)
-            linear = library.SUNLinSol_Dense(self.vector, matrix, context)
+        matrix = library.SUNDenseMatrix(size, size, context)
+        linear = library.SUNLinSol_Dense(self.vector, matrix, context)
         check("CVodeSetLinearSolver", self.memory, linear, matrix)
-        return {"SUNLinSolFree": linear} | ({"SUNMatDestroy": matrix} if matrix else {})
+        return {"SUNLinSolFree": linear, "SUNMatDestroy": matrix}
 
 
 def check(name: str, *arguments: object) -> None:
