@@ -352,8 +352,7 @@ def spent(y: np.ndarray) -> tuple[np.ndarray, int | None]:
 
 # -- by Python ---------------------------------------------------------------------------------------
 class Plain(StepLoop[Spans]):
-    """Plain Python floats: the loop that is compiled, or where it cannot be recorded the step map, ten times as slow.
-"""
+    """Plain Python floats: the loop that is compiled, or where it cannot be recorded the step map, ten times as slow."""
 
     program: Program | None = None
 

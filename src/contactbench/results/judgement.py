@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import pandas as pd
 
 from contactbench.measure.law import JUDGEMENT
-from contactbench.results.contest import LIMIT
 from contactbench.results.schema import Column, Rule, Table, numbers
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 
@@ -45,7 +44,7 @@ def law_rows(frames: Mapping[str, pd.DataFrame], law: str) -> pd.DataFrame:
     for name in JUDGED_TABLES:
         frame = frames.get(name)
         if frame is not None and len(frame) and law in frame:
-            rows = frame[(frame["status"] == "ok") & frame[law].notna() & (frame["family"] != LIMIT)]
+            rows = frame[(frame["status"] == "ok") & frame[law].notna()]
             limit = numbers(rows, f"{law}_bound")
             flags = {
                 f: rows[f"{law}_{f}"].fillna(False)
