@@ -229,7 +229,7 @@ def test_stages_start_from_the_last_steps_polynomial():
         assert counts.evaluations / counts.steps / 3 < most
 
 
-@pytest.mark.parametrize("engine", ["numba", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 @pytest.mark.parametrize(
     ("method", "scene", "step"),
     [
@@ -249,7 +249,7 @@ def test_a_motion_that_escapes_diverges(method):
     assert cb.solve("escape", method, step=0.0017).status is cb.Status.diverged
 
 
-@pytest.mark.parametrize("engine", ["numba", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 @pytest.mark.parametrize("gamma", [0.0, 0.3, 40.0])
 def test_where_the_fixed_point_iteration_stalls_newtons_finds_the_step(gamma, engine):
     """ωh = 50: undamped, the midpoint rule is Cayley's map; damped, the factor is that of the flow."""

@@ -105,7 +105,7 @@ RUNAWAYS += [(cb.Mechanical(**AT_REST, s=-3.0, kappa=1.0), "abc", 2 / 3, None)]
 RUNAWAYS += [(cb.GeneralDamping(**AT_REST, s=1.0, **FEEDING), "abc", 0.5, 1 / math.sqrt(1 - 0.8))]
 
 
-@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 @pytest.mark.parametrize(("scene", "method", "infinity", "grown"), RUNAWAYS)
 def test_blow_up_in_finite_time_ends_as_diverged_with_the_time(engine, scene, method, infinity, grown):
     times = [(0.8 if grown else 0.5) * infinity, 20.0]
@@ -162,7 +162,7 @@ def test_round_off_near_a_zero_of_the_damping_does_not_reach_the_factor(flow):
     assert cb.LAWS["own_factor_drift"](solution) < 1e-13
 
 
-@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 @both
 @pytest.mark.quick(scene="cubic")
 def test_it_runs_on_every_engine_and_keeps_its_own_factor(scene, engine):

@@ -352,7 +352,7 @@ def spent(y: np.ndarray) -> tuple[np.ndarray, int | None]:
 
 # -- by Python ---------------------------------------------------------------------------------------
 class Plain(StepLoop[Spans]):
-    """Plain Python floats: the loop that is compiled, or where it cannot be recorded the step map, ten times as slow."""
+    """Plain Python floats: the compiled loop run by Python, or the step map where it cannot be recorded."""
 
     program: Program | None = None
 
