@@ -108,11 +108,8 @@ class Canonical(Scene):
 
     def sizes(self, x: State, end: float) -> tuple[np.ndarray, np.ndarray]:
         far, fast = reach(self, x, end)
-        masses = tuple(1 / each for each in self.velocity(tuple(1.0 + 0 * c for c in x.p)))
-        flat = self.pack(State(x.q, tuple(fast * mass for mass in masses)))
-        momenta = np.array(np.broadcast_arrays(*flat), dtype=float)[len(flat) // 2 :]
-        places = np.broadcast_to(far, momenta.shape)
-        return np.concatenate([places, momenta]), in_order(far) * in_order(momenta.max(axis=0))
+        momenta = np.array([fast * (1 / each) for each in self.velocity((1.0,) * len(x.p))])
+        return np.concatenate([np.full(len(x.q), far), momenta]), in_order(far) * in_order(momenta.max())
 
     @property
     def rate_changes(self) -> bool:  # type: ignore[override]
