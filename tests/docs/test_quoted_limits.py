@@ -4,10 +4,8 @@ from pathlib import Path
 
 import pytest
 
-import contactbench as cb
 from contactbench.gate import compare, speed
 from contactbench.measure import clock, law, statistics
-from contactbench.methods.many import SHARED
 from contactbench.scene.many import ALL_TANGENTS
 from contactbench.study import timetable
 from contactbench.study.compare import BUDGET
@@ -24,11 +22,6 @@ QUOTED = {
         f"by {compare.SLOPE}; slopes",
         f"by {compare.VALUE:.0%}",
         f"above {speed.LIMIT}",
-    ],
-    "many.md": [
-        f"From {SHARED // 1000} 000 sites on",
-        f"more than {cb.METHODS['scipy-radau'].most} components",
-        f"more than {ALL_TANGENTS} numbers",
     ],
     "mathematics.md": [f"up to {ALL_TANGENTS} numbers"],
     "project.md": [f"at most {1e3 * speed.LONGEST:.0f} ms"],
