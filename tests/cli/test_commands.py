@@ -39,12 +39,12 @@ def test_an_error_that_nobody_foresaw_is_one_line_with_its_place(monkeypatch, ca
 
 def test_it_prints_tables_and_writes_only_what_it_is_told(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main([*RACE, "--csv", "out.csv", "--html", "out.html", "--plot", "out.svg"]) == 0
+    assert main([*RACE, "--csv", "out.csv", "--plot", "out.svg"]) == 0
     out, err = capsys.readouterr()
     assert out.startswith("Compiled")
     assert "at round-off" in out
     assert err == ""  # no terminal, no progress
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.csv", "out.html", "out.svg"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.csv", "out.svg"]
     rows = pd.read_csv("out.csv")
     assert list(rows["method"]) == ["rk4", "rk4", "contact-strang", "contact-strang"]
     assert (rows["status"] == "ok").all()
@@ -129,7 +129,6 @@ OPTIONS = [
     ("solve particle rk4 --step 0.1", "--out", ".csv"),
     ("solve particle rk4 --step 0.1", "--plot", ".svg"),
     ("compare particle rk4", "--csv", ".csv"),
-    ("compare particle rk4", "--html", ".html"),
     ("compare particle rk4", "--plot", ".png"),
 ]
 

@@ -1,7 +1,5 @@
 """What the tables to read say, on small tables made by hand; views, numbers and their markdown; a comparison."""
 
-import base64
-import json
 import math
 import re
 
@@ -205,31 +203,23 @@ def test_the_glossary_has_every_method_scene_and_column():
     assert all(f"`{column}`" in text for each in TABLES.values() for column in each.columns)
 
 
-def test_infinite_numbers_sort_beyond_all_others_and_missing_ones_are_dashes():
+def test_infinite_numbers_have_their_sign_and_missing_ones_are_dashes():
     assert as_cell(float("inf")).text == "∞"
-    assert as_cell(float("inf")).value > as_cell(1e300).value
     assert as_cell(pd.NA).text == "—"
 
 
-# -- A comparison on one scene as text, page and plot ----------------------------------------------
+# -- A comparison on one scene as text and plot -----------------------------------------------------
 @pytest.fixture(scope="module")
 def frame():
     return cb.compare("oscillator", ["contact-strang", "rk4", "contact-exact"], (1e-2, 1e-4), budget=60.0)
 
 
-def test_text_and_page_have_every_time_and_law_and_the_plot_every_kind(frame):
-    text, page = race.text(frame), race.html(frame)
+def test_text_has_every_time_and_the_plot_every_kind(frame):
+    text = race.text(frame)
     for run in frame[frame["status"] == "ok"].itertuples():
-        assert run.method in page
         assert f"{run.setting}, {run.error_reached:.1e}" in text
     assert "contact-exact: unsupported" in text
-    assert "who is cheapest?" in page
     assert [panel.title for panel in race.figure(frame).panels] == ["Compiled", "Evaluations"]
-    drawn = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
-    assert [b"<svg" in base64.b64decode(each) for each in drawn] == [True] * 2  # costs, and the motion
-    laws = json.loads(re.search(r'id="data">(.*)</script>', page)[1])["race_laws"]
-    assert "contact drift" in [label for label, *_ in laws["heads"]]
-    assert len(laws["rows"]) == int((frame["status"] == "ok").sum())
 
 
 def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
@@ -258,4 +248,4 @@ def test_a_run_that_ended_well_shows_its_error_and_another_how_it_ended():
     ]
     found = [ending(pd.Series({"solution_error": math.nan, "blow_up_time": math.nan} | run)) for run in runs]
     assert [cell.value for cell in found] == [1e-3, None, None]
-    assert [cell.mark for cell in found[1:]] == [Mark.right, Mark.bad]
+    assert [cell.text for cell in found[1:]] == ["diverged", "budget"]
