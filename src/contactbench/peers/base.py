@@ -99,10 +99,6 @@ class Call(ABC):
     3. ``last(y0)`` is the library's own call, by its fastest way: packed state to packed final state, unchecked.
     """
 
-    #: how the library differentiates its map, in `sensitivity(y0, tangents)`; empty: variational equations do
-    derivative = ""
-    #: whether it runs equations of first order, as the variational ones are
-    first_order = True
     #: spent on recording and compiling
     seconds = 0.0
 
@@ -120,10 +116,6 @@ class Call(ABC):
     def last(self, y0: np.ndarray) -> np.ndarray:
         """Run from a packed state to the last one, and nothing else."""
 
-    def sensitivity(self, y0: np.ndarray, tangents: list[np.ndarray]) -> np.ndarray:
-        """Return the derivative of the saved states along tangents, (k, d, m), where `derivative` says how."""
-        raise NotImplementedError
-
     @property
     def spent(self) -> str:
         return f"max_steps = {self.request.max_steps} spent"
@@ -139,9 +131,6 @@ class PeerRun(Prepared):
         super().__post_init__()
         self.call = self.method_.call(self.method_, self.request)
         self.compile_s, self.bare = self.call.seconds, self.call.last  # type: ignore[method-assign]
-        varies = self.call.first_order and not self.request.scene.by_sites
-        equations = "variational equations, a run of its own" if varies else ""
-        self.sensitivity_source = self.call.derivative or equations
 
     def __call__(self, **data: object) -> Solution:
         """Run as `Prepared` does; an atol that is not the user's follows the scale of the motion."""
@@ -167,18 +156,6 @@ class PeerRun(Prepared):
         if np.ndim(r.scales):
             request = request.to_scale(self.method_.takes_atol)
         return replace(self, request=request)
-
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if self.call.derivative:
-            return y, self.call.sensitivity(y0, self.tangents(y0))
-        scene, d, run = self.request.scene, len(y0), self.variational()
-        x = scene.unpack(tuple(y0.tolist()), self.request.carry)
-        start = run.request.scene.pack(Bundle(x, tangents := tuple(scene.tangents(x))))
-        y = run.integrate(np.array(start, dtype=float)).y
-        v = y[:, d:].reshape(len(y), len(tangents), -1)
-        if scene.clock is not None:
-            v = np.insert(v, scene.clock, np.where(np.isnan(y[:, :1]), np.nan, 0.0), axis=2)
-        return y[:, :d], np.moveaxis(v, 1, 2)
 
 
 @dataclass

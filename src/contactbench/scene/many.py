@@ -29,7 +29,6 @@ from contactbench.scene.mechanical import (
     damping_rate,
     drift,
     drift_damp,
-    drift_damp_log_factor,
 )
 from contactbench.trace.formula import Formula, formula
 from contactbench.trace.recording import reason_of
@@ -78,7 +77,7 @@ class Many(Canonical):
     flows: ClassVar[Mapping[str, Flow]] = {
         **Mechanical.flows,
         "drift": Flow(plain, many_drift, {}),
-        "drift_damp": Flow(time_and_damping, many_drift_damp, {}, drift_damp_log_factor),
+        "drift_damp": Flow(time_and_damping, many_drift_damp, {}),
     }
     parts: ClassVar[tuple[str, ...]] = ("kick", "drift_damp")
     state: ClassVar[type[AnyState]] = State
