@@ -291,11 +291,6 @@ class Solution:
         return self.run.differential(self.y0, self)
 
     @property
-    def composed(self) -> bool:
-        """Whether the run is a composition of contact maps, of whatever factors."""
-        return self.run is not None and self.run.composed
-
-    @property
     def sensitivity(self) -> np.ndarray:
         """Return the derivative of the saved states along the scene's m tangents at the start, (k, d, m).
 

@@ -213,7 +213,7 @@ def is_contact_map(solution: Solution) -> bool:
 
 def is_composed(solution: Solution) -> bool:
     """Whether the run is a composition of contact maps, of whatever factors."""
-    return solution.composed
+    return solution.run is not None and solution.run.composed
 
 
 @law(
@@ -271,17 +271,14 @@ def distribution_drift(solution: Solution) -> Deviation | float:
     return Deviation(across, error, attainable > whole)
 
 
-# -- pairs of Lyapunov exponents -------------------------------------------------------------------
-#: what the laws of pairs have in common
-PAIRS: dict[str, object] = {"applies": has_linear_damping, "gate": Gate.structure, "differentiates": True}
-
-
 @law(
     "max ‖σ_i σ_{2n+1−i} − e^{−γt}‖ / ‖e^{−γt}‖ over the n pairs of singular values of the tangent map of (q, p), "
     "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖",
     "pairing drift",
+    applies=has_linear_damping,
+    gate=Gate.structure,
+    differentiates=True,
     claimed=is_contact_map,
-    **PAIRS,
 )
 def pairing_drift(solution: Solution) -> Deviation | float:
     return pulled_deviation(solution, pairs(solution.differential, len(solution.start().q)))
