@@ -1,18 +1,4 @@
-"""What the solvers of other libraries have in common: their method, their run and its call, and their derivative.
-
-The derivative is that of the variational equations, a scene and its tangent vectors as one larger scene,
-
-    y' = f(y),   v_j' = Df(y) v_j   for every tangent vector v_j of the scene at the initial state,
-
-which any solver runs as it runs the scene itself, with the same tolerances.  The tangents are part of
-the error control, so the steps are those of the larger system and not those of the plain run.  The
-derivative belongs to the map of the larger run: contact form and drift are evaluated at the states of
-that run, which differ from the plain ones by as much as the tolerance allows (with the plain states
-the mismatch would be counted as drift; measured, up to five times the drift itself).
-
-Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995), doi:10.1016/0168-9274(95)00033-Q, §1;
-Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
-"""
+"""What the solvers of other libraries have in common: their method, their run and its call."""
 
 from __future__ import annotations
 
@@ -228,6 +214,12 @@ class Bundle(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Variational(System):
+    """A scene and tangent vectors as one larger scene: y' = f(y), v_j' = Df(y) v_j.
+
+    Any solver runs it as it runs the scene itself; the tangents are part of the error control.
+    Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995), doi:10.1016/0168-9274(95)00033-Q, §1.
+    """
+
     base: Scene
     count: int
 
