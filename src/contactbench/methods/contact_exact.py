@@ -31,6 +31,7 @@ class ExactRun(Prepared):
     loop: StepLoop[Any]
 
     sensitivity_source = "forward-mode AD through the closed form"
+    composed = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -39,13 +40,6 @@ class ExactRun(Prepared):
         self.ready = [self.loop.ready(*step) for step in self.steps]
         self.bare = self.loop.last(self.ready[-1])  # type: ignore
         self.compile_s = self.loop.seconds
-
-    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
-        rate: float = self.request.scene.conformal_rate
-        return -rate * self.request.save_at
-
-    def composed(self, y0: np.ndarray) -> bool:
-        return True
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         needed = len(self.later)

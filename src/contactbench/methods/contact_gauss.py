@@ -95,15 +95,15 @@ def extrapolated(slopes: Sequence[Lifted], nodes: Sequence[Arithmetic], r: Arith
     return tuple(found)
 
 
-Step = Callable[..., tuple[OwnState, Arithmetic, tuple[Lifted, ...], Arithmetic]]
+Step = Callable[..., tuple[OwnState, Arithmetic, tuple[Lifted, ...]]]
 
 
 def collocation(stages: int) -> Step:
-    """Return a step from x and the slopes to start with: x, evaluations, slopes to start the next with, and r₁."""
+    """Return a step from x and the slopes to start with: x, evaluations, and slopes to start the next with."""
 
     def step(
         scene: Any, x: OwnState, h: Arithmetic, xp: Namespace, slopes: tuple[Lifted, ...]
-    ) -> tuple[OwnState, Arithmetic, tuple[Lifted, ...], Arithmetic]:
+    ) -> tuple[OwnState, Arithmetic, tuple[Lifted, ...]]:
         A, b = gauss_tableau(stages, xp)
         nodes = [sum(row[1:], row[0]) for row in A]
         known = slopes[0].r is None
@@ -176,7 +176,7 @@ def collocation(stages: int) -> Step:
             p, s = tuple(keep * P - lose * P for P in z.P), None if z.s is None else keep * z.s - lose * z.s
         else:
             r, p, s = z.r, tuple(P / z.r for P in z.P), z.s
-        return found(state(z, p, s, 1), converged, xp), spent, extrapolated(slopes, nodes, r), r
+        return found(state(z, p, s, 1), converged, xp), spent, extrapolated(slopes, nodes, r)
 
     return step
 
@@ -197,22 +197,14 @@ class ContactGauss(Implicit):
     ) -> tuple[OwnState, Arithmetic]:
         def another(carried: tuple[OwnState, Arithmetic, Any]) -> tuple[OwnState, Arithmetic, Any]:
             x, spent, slopes = carried
-            x, more, slopes, _ = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
+            x, more, slopes = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
             return x, spent + more, slopes
 
         x, spent, _ = repeat(n, another, (x, 0 * leaves(x)[0] + 1.0, self.first(scene, x, xp)))
         return x, spent
 
-    def log_factor(self, scene: Scene, x: OwnState, h: float, n: int) -> float | None:
-        if self.refuses(scene) is not None:
-            return None
-        if scene.conformal_rate is not None:
-            return super().log_factor(scene, x, h, n)
-        total, slopes = 0.0, self.first(scene, x, math)
-        for _ in range(n):
-            x, _, slopes, r = self.step(scene, x, h, math, slopes)  # type: ignore[call-arg, misc]
-            total -= math.log(r) if r > 0 else math.nan
-        return total
+    def composed(self, scene: Scene) -> bool:
+        return scene.is_contact
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
         return n * TYPICAL * self.each + 1

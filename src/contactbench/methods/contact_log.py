@@ -96,8 +96,6 @@ class Logarithmic(Method):
     tolerance = FixedStep.tolerance
     #: the step of the first pilot: three to a revolution
     longest = 2.0
-    #: the run is differentiated by differences
-    derivative = ""
     failure = "a stage met V ≥ 0: V < 0 is needed all along the motion, and maybe a smaller step"
 
     def refuses(self, scene: Any) -> str | None:
@@ -161,7 +159,6 @@ class Logarithmic(Method):
         settings: Sequence[Arithmetic],
         xp: Any,
         repeat: Repeat = repeat,
-        plain: object = None,
     ) -> tuple[State, list[Any]]:
         """Return the state after a span, and what is beside it (`BESIDE`), in at most so many trials of the run."""
         size = len(beside) - BESIDE

@@ -97,12 +97,9 @@ class FixedStep(Method):
             factor = xp.exp(-scene.conformal_rate * h)
         return factor
 
-    def log_factor(self, scene: Scene, x: AnyState, h: float, n: int) -> float | None:
-        """Log of the conformal factor of n steps of size h from x; None: no contact maps; nan: a negative one."""
-        factor = self.conformal_factor(scene, h)
-        if factor is None:
-            return None
-        return n * math.log(factor) if factor > 0 else math.nan
+    def composed(self, scene: Scene) -> bool:
+        """Return whether steps on a scene that is not refused are contact maps, of whatever factors."""
+        return scene.conformal_rate is not None and (self.contact or self.factor is not None)
 
     def modified_hamiltonian(self, scene: Scene, x: AnyState, h: float) -> Arithmetic | None:
         """H̃ at x of which steps of size h are the flow, up to a power of h; None where none is known."""

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 
 class Diffrax(Call):
-    derivative = "forward-mode AD, accepted steps frozen"
-
     def __init__(self, method: Peer, request: Request) -> None:
         super().__init__(method, request)
         r, self.saves = request, len(request.save_at)
@@ -40,11 +38,6 @@ class Diffrax(Call):
         from contactbench.xla import jnp
 
         return jnp.concatenate([jnp.ravel(part) for part in self._solve(y0, fixed)])
-
-    def sensitivity(self, y0: np.ndarray, tangents: list[np.ndarray]) -> np.ndarray:
-        states = lambda y0, fixed: self._solve(y0, fixed)[0]  # noqa: E731
-        columns = [self.xla.derivative(states, y0, v, self.xla.fixed) for v in tangents]
-        return np.stack(columns, axis=-1)[: self.saves]
 
     def _solve(self, y0: jax.Array, fixed: jax.Array) -> tuple[jax.Array, ...]:
         import diffrax

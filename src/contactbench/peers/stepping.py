@@ -91,8 +91,8 @@ class Stepper(Method):
     def step_cost(self, scene: Scene, engine: str) -> float | None:
         return 3 * self.stages if engine in CALLBACKS else None
 
-    def log_factor(self, scene: Any, x: object, h: float, n: int) -> float | None:
-        return -scene.gamma * h * n if self.contact else None
+    def composed(self, scene: Scene) -> bool:
+        return self.contact
 
     def modified_hamiltonian(self, scene: Scene, x: object, h: float) -> None:
         return None

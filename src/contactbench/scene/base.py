@@ -462,8 +462,6 @@ class Scene(System):
     rate_changes: ClassVar[bool] = False
     #: J' = −Γ'(s) J
     has_momentum_law: ClassVar[bool] = False
-    #: one component of J obeys J' = −γJ + torque instead, at a constant γ
-    has_torque: ClassVar[bool] = False
     #: its states lie on a manifold that methods may drift off: see `departure`
     constrained: ClassVar[bool] = False
     #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion

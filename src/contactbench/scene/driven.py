@@ -116,8 +116,8 @@ class Driven(Mechanical):
     state: ClassVar[type[AnyState]] = DrivenState
     flows: ClassVar[Mapping[str, Flow]] = {
         **Mechanical.flows,
-        "damp": Flow(plain, driven_damp, {}, driven_log_factor),
-        "drift_damp": Flow(_driven_constants, driven_drift_damp, {}, driven_log_factor),
+        "damp": Flow(plain, driven_damp, {}),
+        "drift_damp": Flow(_driven_constants, driven_drift_damp, {}),
     }
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "t", "s")
     checks: ClassVar[dict[str, Check]] = {
@@ -193,7 +193,6 @@ class Driven(Mechanical):
 
     #: ∂∇V/∂t is not asked for: solvers difference
     has_jacobian = False
-    has_torque = False
     has_hamiltonian_law = False
     may_gain_energy = True
     bounds_energy = False

@@ -20,7 +20,7 @@ from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import AnyState, DrivenState, State, Vector, cross, dot, norm, scaled, times
 from contactbench.scene.base import Check, Numeric, OwnState, Scene, named_numbers, optional
 from contactbench.scene.contact_system import on_metric
-from contactbench.scene.flow import Constants, Flow, damped_time, damping, linear_log_factor, plain
+from contactbench.scene.flow import Constants, Flow, damped_time, damping, plain
 from contactbench.scene.scales import in_order, reach
 from contactbench.trace.formula import Formula, formula
 
@@ -200,12 +200,6 @@ def _over_D(x: State, half_kappa: Arithmetic, xp: Namespace) -> Arithmetic:
     return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
 
 
-def damp_log_factor(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    if not scene.nonlinear_damping:
-        return -scene.gamma * h
-    return -scene.gamma * h - 2 * xp.log1p(scene.kappa * x.s * damped_time(scene.gamma, h, xp) / 2)
-
-
 def _drift_damp_constants(scene: Canonical, h: Arithmetic, xp: Namespace) -> Constants:
     phi = damped_time(scene.gamma, h, xp)
     half_kappa = (scene.kappa * phi / 2,) if scene.nonlinear_damping else ()
@@ -290,14 +284,6 @@ def _pinney_of_any_sign(
     return a, choose(alive, 1 / choose(alive, y, 1.0, xp), xp.inf, xp), path
 
 
-def drift_damp_log_factor(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    linear = linear_log_factor(scene, x, h, xp)
-    if not scene.nonlinear_damping:
-        return linear
-    _, over_y, _ = _pinney(scene, x, _drift_damp_constants(scene, h, xp), xp)
-    return linear + xp.log(over_y)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Mechanical(Canonical):
     """Describe a point mass in a potential: H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
@@ -376,8 +362,8 @@ class Mechanical(Canonical):
         "kick": Flow(plain, kick, {"gradient": 1}),
         "force_gradient": Flow(plain, force_gradient, {"gradient": 2}),
         "drift": Flow(plain, drift, {}),
-        "damp": Flow(_damp_constants, damp, {}, damp_log_factor),
-        "drift_damp": Flow(_drift_damp_constants, drift_damp, {}, drift_damp_log_factor),
+        "damp": Flow(_damp_constants, damp, {}),
+        "drift_damp": Flow(_drift_damp_constants, drift_damp, {}),
     }
     parts: ClassVar[tuple[str, ...]] = ("kick", "drift_damp")
 
@@ -502,10 +488,6 @@ class Mechanical(Canonical):
     @property
     def has_momentum_law(self) -> bool:  # type: ignore[override]
         return self.rotation_invariant and len(self.q) in (2, 3)
-
-    @property
-    def has_torque(self) -> bool:  # type: ignore[override]
-        return len(self.q) == 2 and not self.rotation_invariant and not self.nonlinear_damping
 
     def momentum_terms(self, x: State) -> Numeric:
         return norm(x.q) * norm(x.p)

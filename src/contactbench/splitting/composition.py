@@ -17,7 +17,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import accumulate, chain, groupby
-from itertools import repeat as repeated
 from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
@@ -239,20 +238,6 @@ def runner(
         return repeat(len(stages) // period, another, (x, 0))[0]
 
     return run
-
-
-def log_factor(
-    composition: Composition, scene: Scene, x: OwnState, h: Arithmetic, n: int, xp: Namespace
-) -> Arithmetic:
-    """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
-    flows, steps = scene.flows, plan(composition, scene)
-    total: Arithmetic = 0.0
-    rounds = chain.from_iterable(repeated((*steps.inner, *steps.joint), n - 1))
-    for name, coefficient in chain(steps.opening, rounds, steps.inner, steps.closing):
-        flow, span = flows[name], number(coefficient, xp) * h
-        total = total + flow.log_factor(scene, x, span, xp)
-        x = flow.apply(scene, x, flow.constants(scene, span, xp), xp)
-    return total
 
 
 def shortest_period(names: list[str]) -> int:

@@ -58,7 +58,7 @@ COMPILATIONS, RUNS = 2.0, 100.0
 #: seconds that compiling a derivative takes at least, where the method itself was found compiled
 CACHED = 0.2
 #: measures of a run that are no laws, or that another one covers
-LEFT_OUT = ("solution_error", "energy_law_relative", "energy_increases", "own_factor_drift")
+LEFT_OUT = ("solution_error", "energy_increases")
 #: components from which on compiling it takes longer, as their cube
 MANY = 20
 
@@ -317,7 +317,7 @@ class Schedule:
 
 def unraced(law: str) -> bool:
     """Return whether a race does not measure a law, of this name."""
-    return law in LEFT_OUT or law.endswith("_frozen")
+    return law in LEFT_OUT
 
 
 def waits(method: Method, errors: Sequence[float]) -> bool:
