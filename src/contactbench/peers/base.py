@@ -101,8 +101,6 @@ class Call(ABC):
 
     #: how the library differentiates its map, in `sensitivity(y0, tangents)`; empty: variational equations do
     derivative = ""
-    #: whether it runs equations of first order, as the variational ones are
-    first_order = True
     #: spent on recording and compiling
     seconds = 0.0
 
@@ -139,8 +137,7 @@ class PeerRun(Prepared):
         super().__post_init__()
         self.call = self.method_.call(self.method_, self.request)
         self.compile_s, self.bare = self.call.seconds, self.call.last  # type: ignore[method-assign]
-        varies = self.call.first_order and not self.request.scene.by_sites
-        equations = "variational equations, a run of its own" if varies else ""
+        equations = "" if self.request.scene.by_sites else "variational equations, a run of its own"
         self.sensitivity_source = self.call.derivative or equations
 
     def __call__(self, **data: object) -> Solution:

@@ -142,10 +142,3 @@ for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
             costs={"c+python": 2},
         )
     )
-METHODS.add(
-    Peer(
-        "cvode-adams-fixed",
-        "variable-order Adams–Moulton, fixed-point iteration: cheaper steps, more evaluations",
-        *(cvode, ("c",), (ROUNDING, 1e-1), "Adams", "sksundae"),
-    )
-)
