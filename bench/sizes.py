@@ -43,7 +43,9 @@ def sizes() -> Counter[str]:
     found: Counter[str] = Counter({"fmt: skip": skips})
     for room, paths in SIZES["rooms"].items():
         inside = [ROOT / path for path in paths]
-        found[room] = sum(n for path, n in lines.items() if any(path == i or i in path.parents for i in inside))
+        found[room] = sum(
+            n for path, n in lines.items() if any(path == i or i in path.parents for i in inside)
+        )
     for name, paths in SIZES["kilobytes"].items():
         found[name] = round(sum(path.stat().st_size for path in tracked(*paths)) / 1000)
     for name, paths in SIZES["lines"].items():

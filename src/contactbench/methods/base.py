@@ -118,13 +118,11 @@ class Method(ABC):
     #: whether steps are equal not in time but in a variable that follows the motion: as many as that takes lead to a
     #: saved time, to which a part of the last one is taken
     follows: bool = False
-    #: whether a step iterates until nothing changes: what it costs is counted as it runs (see implicit.py), and
+    #: whether a step iterates until nothing changes: what it costs is counted as it runs (see contact_gauss.py), and
     #: `counts` is what it typically costs
     iterates: ClassVar[bool] = False
     #: what a run says that fails where a step is the solution of equations which are not solved; else it has diverged
     unsolved: ClassVar[str] = ""
-    #: whether only the profile `full` runs it
-    appendix: bool = False
     #: what is imported for it; blank where this package runs it by itself
     package: str = ""
 

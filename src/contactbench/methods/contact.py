@@ -22,7 +22,7 @@ from contactbench.splitting.composition import (
     run_stages,
 )
 from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
-from contactbench.splitting.tables import APPENDIX, COMPOSITIONS
+from contactbench.splitting.tables import COMPOSITIONS
 
 #: evaluations of a first step and of each one more, by method, kind of scene, and whether R is carried
 _costs: dict[tuple[ContactMethod, str, bool], tuple[int, int]] = {}
@@ -84,7 +84,6 @@ def contact_method(composition: Composition) -> ContactMethod:
         contact=True,
         symmetric=composition.palindromic,
         composition=composition,
-        appendix=composition in APPENDIX,
     )
 
 

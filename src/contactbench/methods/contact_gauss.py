@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from contactbench.methods.base import METHODS, unfit
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.implicit import (
     LOST,
     TYPICAL,
-    Implicit,
     bare,
     eliminated,
     fixed_point,
@@ -161,11 +161,11 @@ def collocation(stages: int) -> Step:
                 )
 
             first = (slope_at(scene, x, 1.0, known),) * stages
-            slopes, converged, turns = fixed_point(improved, first, xp, patient=True, moves=abs(h), lost=lost)
+            slopes, converged, turns = fixed_point(improved, first, xp, moves=abs(h), lost=lost)
             return slopes, converged, stages * turns + (size + 2)
 
         size, lost = len(components(start)), LOST * sum(map(abs, leaves(start)))
-        slopes, converged, turns = fixed_point(update, slopes, xp, patient=True, moves=abs(h), lost=lost)
+        slopes, converged, turns = fixed_point(update, slopes, xp, moves=abs(h), lost=lost)
         spent = stages * turns
         if stages * size <= ELIMINATED:
             slopes, converged, spent = otherwise((slopes, converged, spent), newton, xp)
@@ -182,8 +182,16 @@ def collocation(stages: int) -> Step:
 
 
 @dataclass(frozen=True)
-class ContactGauss(Implicit):
-    """Collocation on the symplectisation; a run starts from the slope at its beginning, one evaluation."""
+class ContactGauss(FixedStep):
+    """Collocation on the symplectisation; a run starts from the slope at its beginning, one evaluation.
+
+    each : evaluations of an iteration.
+    """
+
+    each: int = field(kw_only=True)
+    engines: tuple[str, ...] = ("llvm", "python")
+    iterates = True
+    unsolved = "its iteration does not converge"
 
     def refuses(self, scene: Scene) -> str | None:
         return unfit(self, scene, scene.canonical, "canonical coordinates (q, p, s)")
@@ -192,9 +200,16 @@ class ContactGauss(Implicit):
         known = scene.damped_within(x, 0.0, xp) is not None
         return (slope_at(scene, x, 1.0, known),) * self.each
 
+    def advance(
+        self, scene: Scene, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> OwnState:
+        return self.advance_counted(scene, x, h, n, xp, repeat)[0]
+
     def advance_counted(
         self, scene: Scene, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> tuple[OwnState, Arithmetic]:
+        """Return the state after n steps and the evaluations they took."""
+
         def another(carried: tuple[OwnState, Arithmetic, Any]) -> tuple[OwnState, Arithmetic, Any]:
             x, spent, slopes = carried
             x, more, slopes = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
@@ -207,6 +222,7 @@ class ContactGauss(Implicit):
         return scene.is_contact
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        """Return what n steps typically cost."""
         return n * TYPICAL * self.each + 1
 
 

@@ -33,7 +33,7 @@ from contactbench.numbers.protocol import Arithmetic, Condition, abilities, has_
 from contactbench.scene import Mechanical, Scene, State, dot
 from contactbench.scene.flow import damped_time
 from contactbench.splitting.composition import Composition
-from contactbench.splitting.tables import BM4, BM6, O8, STRANG
+from contactbench.splitting.tables import O8
 
 #: what follows the packed state: another one, where the last whole step ends, and at it E e^{−γt} and what its sum has
 #: lost, the time left and what that has lost, h e^{−γt}; trials, those that found a time, time not covered
@@ -270,6 +270,5 @@ class Logarithmic(Method):
         return z, z.width / (scene.kinetic(z.x.p) + base.depth + z.depth)
 
 
-for _order, _composition in ((2, STRANG), (4, BM4), (6, BM6), (8, O8)):
-    _about = f"flows of the logarithmic Hamiltonian with damping, V < 0; coefficients: {_composition.source}"
-    METHODS.add(Logarithmic(f"contact-log{_order}", _order, _composition, _about))
+_about = f"flows of the logarithmic Hamiltonian with damping, V < 0; coefficients: {O8.source}"
+METHODS.add(Logarithmic("contact-log8", O8.order, O8, _about))

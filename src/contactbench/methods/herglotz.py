@@ -108,5 +108,5 @@ class SecondHerglotz(Herglotz):
 _first = "discrete Herglotz recursion s + h L(q, q⁺, s); the paper, §5.1, eq. (79)"
 _second = "Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767"
 _both: dict[str, Any] = {"kind": "gradient", "family": "variational"}
-METHODS.add(Herglotz("herglotz1", 1, herglotz1, about=_first, factor=factor1, appendix=True, **_both))
+METHODS.add(Herglotz("herglotz1", 1, herglotz1, about=_first, factor=factor1, **_both))
 METHODS.add(SecondHerglotz("herglotz2", 2, herglotz2, about=_second, symmetric=True, factor=factor2, **_both))

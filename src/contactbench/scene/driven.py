@@ -87,7 +87,7 @@ class Driven(Mechanical):
         Increasing times at which force or damping changes abruptly or a pulse sits, such as (13.3,); of a pulse its
         middle and both ends.  No step of any method straddles one: each starts afresh there, a few roundings behind
         it, so that it does not matter what a function returns at its jump.  Substeps that lead far out of a step do
-        see the other side: processors (contact-rkn8) and contact-yoshida6 are of order two over a jump (measured).
+        see the other side: a processor (contact-rkn8) is of order two over a jump (measured).
     span
         ``(t, h, xp, **parameters) -> (G, φ)`` where it is known in closed form: G = ∫_t^{t+h} γ and
         φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.  By default both come

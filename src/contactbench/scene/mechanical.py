@@ -15,7 +15,6 @@ from contactbench.blame import is_ours, their_code
 from contactbench.checks import finite, function, positive, switch, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
-from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import AnyState, DrivenState, State, Vector, cross, dot, norm, scaled, times
 from contactbench.scene.base import Check, Numeric, OwnState, Scene, named_numbers, optional
@@ -147,27 +146,6 @@ def kick(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> State:
     """B: p −= h ∇V(q), s −= h V(q)."""
     p = tuple(p - h * g for p, g in zip(x.p, scene.gradient_at(x), strict=True))
     return x._replace(p=p, s=None if x.s is None else x.s - h * scene.potential_at(x))
-
-
-def force_gradient(scene: Canonical, x: Any, h: Arithmetic, xp: Namespace) -> OwnState:
-    """The kick of V − (g²/48) {V, {V, T + Γ}}, {V, {V, T + Γ}} = ‖∇V‖²/m + κV², for h = ⅔ g, the part Chin's 4A has.
-
-    V'' ∇V/m is the derivative of the gradient along ∇V/m, by dual numbers.
-    """
-    gradient, share, kappa = tuple(scene.gradient_at(x)), 3 * h * h / 32, scene.kappa
-    way = scene.velocity(gradient)
-    lifted = {"t": Dual(x.t, 0 * x.t)} if "t" in x._fields else {}
-    there = x._replace(q=tuple(map(Dual, x.q, way)), **lifted)
-    turn = [slope(each) for each in scene.gradient_at(there)]
-    V = scene.potential_at(x) if scene.nonlinear_damping or x.s is not None else 0.0
-    if scene.nonlinear_damping:
-        turn = [a + kappa * V * b for a, b in zip(turn, gradient, strict=True)]
-    p = tuple(p - h * (a - share * b) for p, a, b in zip(x.p, gradient, turn, strict=True))
-    if x.s is None:
-        return x._replace(p=p)
-    square = scene.product(gradient, way)
-    square = square + kappa * V * V if scene.nonlinear_damping else square
-    return x._replace(p=p, s=x.s - h * (V - share / 2 * square))
 
 
 def drift(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> State:
@@ -360,7 +338,6 @@ class Mechanical(Canonical):
     canonical = separable = True
     flows: ClassVar[Mapping[str, Flow]] = {
         "kick": Flow(plain, kick, {"gradient": 1}),
-        "force_gradient": Flow(plain, force_gradient, {"gradient": 2}),
         "drift": Flow(plain, drift, {}),
         "damp": Flow(_damp_constants, damp, {}),
         "drift_damp": Flow(_drift_damp_constants, drift_damp, {}),

@@ -31,8 +31,6 @@ Stage = tuple[str, Fraction]
 #: a state, and the stage or the clock it is at
 Clocked = tuple[BodyState, Any]
 HALF, ONE = Fraction(1, 2), Fraction(1)
-#: the flow with second derivatives of V, which lets all coefficients be positive
-FORWARD = "force_gradient"
 
 
 @dataclass(frozen=True)
@@ -118,11 +116,6 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
         return f"{composition.name} needs parts with exact flows; scene {scene.name!r} has none{scene.lacks}"
     if composition.nystrom and "drift_damp" not in scene.flows:
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
-    if FORWARD in dict(composition.stages):
-        if FORWARD not in scene.flows:
-            return f"{composition.name} needs the kick of ‖∇V‖²/m; scene {scene.name!r} has none"
-        if floats := scene.functions_of_floats:
-            return f"{composition.name} needs the derivative of the {floats[0]} of scene {scene.name!r}, of floats only"
     return scene.own_equations
 
 

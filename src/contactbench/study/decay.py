@@ -12,7 +12,7 @@ from contactbench.results.tables import DECAY_LAWS
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
-from contactbench.study.choice import contestants, methods_of, outcome, small, step_budget
+from contactbench.study.choice import contestants, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import times
@@ -29,7 +29,7 @@ def ladder(profile: Profile) -> list[Cell]:
         (scene.name, method, cost)
         for scene in scenes_of("decay_laws")
         if scene.name in FEW or scene.experiments
-        for method in contestants("decay_laws", scene, methods_of(profile), profile)
+        for method in contestants("decay_laws", scene, cb.METHODS, profile)
         for cost in (COSTS[:1] if profile.brief else COSTS)
         if not profile.brief or small(scene.name, method)
     ]

@@ -11,7 +11,7 @@ from contactbench.measure.law import relative_deviation
 from contactbench.measure.laws import LAWS, energies, row
 from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
 from contactbench.solution import Solution, keywords
-from contactbench.study.choice import affordable, methods_of, outcome, pairs, step_budget
+from contactbench.study.choice import affordable, outcome, pairs, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.settings import halving_steps, times
 
@@ -22,7 +22,7 @@ SHOWN = RTOLS[1]
 MANY = 32
 
 
-@experiment(lambda profile: pairs(profile, "laws", methods_of(profile)))
+@experiment(lambda profile: pairs(profile, "laws", cb.METHODS))
 def laws(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     steps, rtols = halving_steps(scene, 6)[::2], affordable(RTOLS, method.name, profile)

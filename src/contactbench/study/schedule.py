@@ -323,7 +323,7 @@ def unraced(law: str) -> bool:
 def waits(method: Method, errors: Sequence[float]) -> bool:
     """Return whether a method of this package is not expected to lead: it is begun when all others are done."""
     low = not method.adaptive and (method.order or MIDDLE) <= LOW_ORDER and max(errors) <= HIGH_ERROR
-    return is_fixed(method) and not method.package and (method.appendix or low)
+    return is_fixed(method) and not method.package and low
 
 
 def halves(visits: list[Visit]) -> float:

@@ -30,7 +30,6 @@ LOW, MIDDLE, HIGH = (0.8, 0.56, 0.4, 0.28, 0.2, 0.14, 0.1, 0.07), (1.6, 1.1, 0.8
 STEPS = {
     "contact-strang": LOW,
     "herglotz2": LOW,
-    "contact-bm4": MIDDLE,
     "contact-rkn4": MIDDLE,
     "contact-rkn6": MIDDLE,
     "contact-rkn8": (*HIGH, *MIDDLE[1:]),
@@ -68,8 +67,8 @@ FEW = ("contact-strang", "contact-rkn4", "rk4", "cyrk-vern8")
 #: starts of a run, and the probability that the true median lies in its interval
 STARTS, AMPLITUDE, SEED, CONFIDENCE = 16, 1e-2, 1, 0.95
 TRUTH, BESIDE = ("contact-rkn8", {"step": 0.2}), ("cyrk-vern8", {"rtol": 1e-8})
-#: methods without long runs
-BRIEF = {"contact-bm4", "contact-rkn8"}
+#: the method without long runs
+BRIEF = {"contact-rkn8"}
 MOST_STEPS = 10**8
 #: what is timed is so much of a run
 TIMED = 500.0

@@ -41,7 +41,7 @@ PATTERNS = ("libsundials_cvode-*", "libsundials_cvode.so*", "libsundials_cvode*.
 #: the functions used, by their signatures as words; n is the type SUNDIALS counts with
 SIGNATURES = {
     "iip": "SUNContext_Create",
-    "ip": "SUNContext_ClearErrHandlers SUNContext_Free SUNLinSolFree SUNNonlinSolFree",
+    "ip": "SUNContext_ClearErrHandlers SUNContext_Free SUNLinSolFree",
     "vp": "N_VDestroy SUNMatDestroy CVodeFree",
     "pp": "N_VGetArrayPointer SUNDenseMatrix_Data",
     "pnpp": "N_VMake_Serial",
@@ -51,10 +51,9 @@ SIGNATURES = {
     "ippdp": "CVodeInit",
     "ipdd": "CVodeSStolerances",
     "ipdp": "CVodeReInit CVodeSVtolerances",
-    "ipp": "CVodeSetNonlinearSolver CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails "
+    "ipp": "CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails "
     "CVodeGetNumStepSolveFails",
     "ippp": "CVodeSetLinearSolver",
-    "ppip": "SUNNonlinSol_FixedPoint",
     "ipl": "CVodeSetMaxNumSteps",
     "ipd": "CVodeSetMinStep CVodeSetMaxStep CVodeSetStopTime",
     "ipdppi": "CVode",
@@ -235,7 +234,6 @@ class Memory:
     def __init__(
         self,
         method: str,
-        newton: bool,
         functions: CFunctions,
         data: np.ndarray,
         size: int,
@@ -250,11 +248,11 @@ class Memory:
         self.vector = library.N_VMake_Serial(size, self.y.ctypes.data, context)
         self.memory = memory = library.CVodeCreate(METHODS[method], context)
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
-        solvers = self.choose(newton, size, context)
+        solvers = self.choose(size, context)
         weakref.finalize(self, free, library, "CVodeFree", memory, solvers, self.vector, context)
         self.tolerate(*tolerances, context)
         check("CVodeSetUserData", memory, self.user.ctypes.data)
-        if functions.jacobian and "SUNMatDestroy" in solvers:
+        if functions.jacobian:
             check("CVodeSetJacFn", memory, _jacobian.address)
         check("CVodeSetMinStep", memory, bounds[0])
         check("CVodeSetMaxStep", memory, bounds[1])
@@ -268,12 +266,8 @@ class Memory:
         check("CVodeSVtolerances", self.memory, rtol, given)  # which copies it
         library.N_VDestroy(given)
 
-    def choose(self, newton: bool, size: int, context: c_void_p) -> dict[str, int]:
+    def choose(self, size: int, context: c_void_p) -> dict[str, int]:
         """Connect what solves for a step, and return it by what frees it."""
-        if not newton:
-            iteration = library.SUNNonlinSol_FixedPoint(self.vector, 0, context)
-            check("CVodeSetNonlinearSolver", self.memory, iteration)
-            return {"SUNNonlinSolFree": iteration}
         matrix = library.SUNDenseMatrix(size, size, context)
         linear = library.SUNLinSol_Dense(self.vector, matrix, context)
         check("CVodeSetLinearSolver", self.memory, linear, matrix)
