@@ -22,7 +22,7 @@ import contactbench as cb
 
 ROOT = Path(__file__).parent.parent
 #: pages whose code is run, block after block
-RUN = ("tutorial.md", "gallery.md", "api.md", "timing.md")
+RUN = ("tutorial.md", "gallery.md", "api.md")
 BLOCK = re.compile(r"^```python\n(.*?)^```\n", re.S | re.M)
 #: q += … as one sign
 ASSIGNED = re.compile(r"<mo><mrow><mo>([^<]*)</mo></mrow></mo><mo>&#x0003D;</mo>")

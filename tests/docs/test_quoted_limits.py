@@ -21,10 +21,10 @@ QUOTED = {
         f"by {compare.SLOPE}; slopes",
         f"by {compare.VALUE:.0%}",
         f"above {speed.LIMIT}",
+        f"at most {1e3 * speed.LONGEST:.0f} ms",
     ],
-    "project.md": [f"at most {1e3 * speed.LONGEST:.0f} ms"],
-    "reading.md": [f"more than {law.WRECKED:.0%}"],
-    "timing.md": [
+    "reading.md": [
+        f"more than {law.WRECKED:.0%}",
         f"visited {clock.VISITS} times",
         f"{clock.ROUNDS} rounds of at least {1e3 * clock.ROUND_SECONDS} ms",
         f"more than {1e3 * clock.LONG:.0f} ms",
