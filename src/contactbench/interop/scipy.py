@@ -44,7 +44,7 @@ class Run:
 
     def __init__(self, one: OneStep, h: float, start: np.ndarray) -> None:
         try:
-            if not COMPILES or one.many or len(one.start) > LARGEST:
+            if not COMPILES or len(one.start) > LARGEST:
                 raise CannotRecord
             pieces = [compiled(one, h, which) for which in range(4)]
         except CannotRecord:
@@ -90,15 +90,15 @@ def compiled(step: OneStep, h: float, which: int) -> Callable[[np.ndarray], np.n
 
 
 def plain(step: OneStep, h: float, which: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a piece of a run as it is written, on floats; of many sites on arrays."""
-    scene, xp = step.scene, np if step.many else math
+    """Return a piece of a run as it is written, on floats."""
+    scene = step.scene
     piece = step.method.pieces(scene, whole=False)[which]
     if piece is None:
         return lambda y: y
 
     def apply(y: np.ndarray) -> np.ndarray:
         x = scene.unpack(scene.entries(y), step.carry)
-        return np.array(scene.pack(piece(scene, x, h, xp, repeat)), dtype=float)
+        return np.array(scene.pack(piece(scene, x, h, math, repeat)), dtype=float)
 
     return apply
 
@@ -220,13 +220,12 @@ class ContactSolver(OdeSolver):
             return self.last[1]
         scene, carry, first = self.step_map.scene, self.step_map.carry, self.rhs(t, y)
         found = [y, first]
-        if not self.step_map.many:
-            dual = list(map(Dual, y.tolist(), first.tolist()))
-            try:
-                second = scene.slopes(Dual(float(t), 1.0), dual, carry)
-                found.append(np.array([slope(x) for x in second], dtype=float))
-            except (TypeError, AttributeError, *NO_NUMBER):  # a function of plain numbers
-                pass
+        dual = list(map(Dual, y.tolist(), first.tolist()))
+        try:
+            second = scene.slopes(Dual(float(t), 1.0), dual, carry)
+            found.append(np.array([slope(x) for x in second], dtype=float))
+        except (TypeError, AttributeError, *NO_NUMBER):  # a function of plain numbers
+            pass
         self.last = t, found
         return found
 
@@ -236,8 +235,8 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
 
     ``max_step`` is the longest step: as in `cb.solve` the span is divided into the fewest equal steps that are not
     longer, so that none is cut off at its end.  The last state is that of ``cb.solve(scene, method, step=max_step,
-    save_at=[t])`` to the bit where numba compiles it, but on bodies with isotropic damping, on many sites and by
-    Herglotz's recursion; there, and before, states agree to round-off: the kernel of a processed method goes on, what
+    save_at=[t])`` to the bit where numba compiles it, but on bodies with isotropic damping and by Herglotz's
+    recursion; there, and before, states agree to round-off: the kernel of a processed method goes on, what
     is shown is postprocessed.  ``t_span`` may run backwards.
 
     Events and dense output are SciPy's, by a Hermite interpolant of degree five, whose error falls as h⁶ (three and
@@ -279,12 +278,11 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     if step.scene.breaks_until(math.inf):
         why = "equal steps end at none of its breaks; leave them out, and go from one to the next"
         raise BadInput(f"scene {step.scene.name!r}: {why}")
-    made, carried, many = step.scene, step.carry, step.many
+    made, carried = step.scene, step.carry
 
     def rhs(t: float, y: ArrayLike) -> np.ndarray:
         """Return the scene's slope at time t and state y, the state less the time."""
-        entries = np.asarray(y, dtype=float) if many else np.asarray(y, dtype=float).tolist()
-        return np.array(made.slopes(float(t), entries, carried), dtype=float)
+        return np.array(made.slopes(float(t), np.asarray(y, dtype=float).tolist(), carried), dtype=float)
 
     own = {
         "step_map": step,
