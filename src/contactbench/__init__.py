@@ -37,12 +37,11 @@ if TYPE_CHECKING:
     from contactbench.ensembles.lyapunov import Lyapunov, lyapunov
     from contactbench.interop import diffrax, scipy
     from contactbench.measure.own_composition import composition
-    from contactbench.study.advice import advise
     from contactbench.study.compare import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "ContactSystem", "Counts", "Driven", "Ensemble"]
 __all__ += ["Equations", "GeneralDamping", "HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles"]
-__all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "advise", "compare", "composition"]
+__all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "compare", "composition"]
 __all__ += [
     "ensemble",
     "fixed_step",
@@ -60,7 +59,7 @@ __version__ = "0.1.0"
 #: what not every program needs, and where it is imported from when first asked for
 LATER = dict.fromkeys(("Ensemble", "ensemble"), "ensembles")
 LATER |= dict.fromkeys(("Lyapunov", "lyapunov"), "ensembles.lyapunov")
-LATER |= {"composition": "measure.own_composition", "compare": "study.compare", "advise": "study.advice"}
+LATER |= {"composition": "measure.own_composition", "compare": "study.compare"}
 #: parts that are modules, named as the library that they go with
 PARTS = ("diffrax", "scipy")
 
