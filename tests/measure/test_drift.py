@@ -28,7 +28,7 @@ CENTRAL = cb.SCENES["central"]
 VARIATIONAL = ("scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "heyoka-taylor")
 #: the same of their kind; the map with its step choice is not among their tests: where a step of cyrk-vern8 is
 #: nearly rejected, its differences at rtol = 1e-8 are uncertain by their own size
-CYRK = ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5", "cyrk-lsoda", "cyrk-radau")
+CYRK = ("cyrk-dop853", "cyrk-vern8", "cyrk-lsoda", "cyrk-radau")
 DIFFRAX = ("diffrax-tsit5", "diffrax-dopri8")
 FIXED = [name for name, method in cb.METHODS.items() if isinstance(method, FixedStep)]
 

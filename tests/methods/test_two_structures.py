@@ -69,7 +69,7 @@ PAIRS = {
 ON_JAX = [(what, "contact-strang") for what in ("order of the inertias", "sign of kappa")]
 ON_JAX += [("fields", "diffrax-tsit5")]
 ENGINES = [(name, "numba") for name in ("contact-strang", "contact-exact")]
-ENGINES += [("cvode-bdf", "c"), ("cyrk-tsit5", "c++"), ("heyoka-taylor", "llvm")]
+ENGINES += [("cvode-bdf", "c"), ("cyrk-dop853", "c++"), ("heyoka-taylor", "llvm")]
 ENGINES += [("contact-strang", "jax"), ("diffrax-tsit5", "jax")]
 
 
