@@ -296,7 +296,7 @@ def consistent(composition):
     """Whether each part of the Hamiltonian acts for one whole step."""
     total = {}
     for name, coefficient in run(composition, 1):
-        for part in name.replace("force_gradient", "kick").split("_"):
+        for part in name.split("_"):
             total[part] = total.get(part, 0) + coefficient
     return total == {"kick": 1, "drift": 1, "damp": 1}
 

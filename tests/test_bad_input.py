@@ -15,6 +15,7 @@ from contactbench.cli import main
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import definition
 from contactbench.testing import check_method, check_scene
+from own_scenes import LANE_EMDEN_0
 from properties import GENERAL
 
 PARTICLE = cb.SCENES["particle"]
@@ -117,8 +118,8 @@ CALLS = [
     # step and tolerance
     (solve(), "step is missing: rk4 has a fixed step; give step, or rtol"),
     (
-        solve(method="sprk-10", rtol=1e-6),
-        "rtol = 1e-06: no step of sprk-10 is chosen from a tolerance; give step",
+        solve(method="quinlan-tremaine12", rtol=1e-6),
+        "rtol = 1e-06: no step of quinlan-tremaine12 is chosen from a tolerance; give step",
     ),
     (rk4(rtol=1e-3), "step = 0.1 and rtol = 0.001: rk4 takes one of them"),
     (rk4(atol=1e-3), "atol = 0.001: rk4 has a fixed step and takes no atol"),
@@ -188,9 +189,9 @@ CALLS = [
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
     (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
-    (changed("lane_emden_0", kappa=0.1), "without time"),
-    (changed("lane_emden_0", gamma=0.1), "has it in it"),
-    (changed("lane_emden_0", rate=None), "its rate is missing"),
+    (changed(LANE_EMDEN_0, kappa=0.1), "without time"),
+    (changed(LANE_EMDEN_0, gamma=0.1), "has it in it"),
+    (changed(LANE_EMDEN_0, rate=None), "its rate is missing"),
     (changed(q=(1.0,)), "q has 1 components and p 2"),
     (changed(gama=0.1), "did you mean 'gamma'?"),
     (changed(BODY, inertia=(1.0, -2.0, 3.0)), "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),

@@ -20,6 +20,7 @@ from contactbench.blame import FUNCTIONS, SEVERAL
 from contactbench.cli import main
 from contactbench.measure.laws import LAWS, laws_of
 from contactbench.numbers import functions
+from own_scenes import scene_of
 
 SOURCE = Path(cb.__file__).parent
 WITH_EXAMPLES = [
@@ -183,7 +184,7 @@ def test_the_command_line_writes_run_and_plot_and_prints_laws(tmp_path, capsys, 
 
 @pytest.mark.parametrize("scene", ["particle", "rigid_body", "forced_pulsating", "quadratic_damping"])
 def test_a_solution_is_drawn(scene):
-    solution = cb.solve(scene, "contact-strang", step=0.1)
+    solution = cb.solve(scene_of(scene), "contact-strang", step=0.1)
     figure = solution.plot()
     motion, portrait, energies = figure.axes
     first = solution.M if solution.q is None else solution.q

@@ -210,7 +210,7 @@ def test_times_are_held_to_a_fresh_run_by_their_ratios(root, tmp_path):
     def timed(path, **factors):
         rows = [
             made_up.row(name, f"step={2.0**-k}", time_min_s=factors.get(name, 1) * 2.0**k / 1e6)
-            for name in ("rk4", "contact-rkn6", "contact-bm4")
+            for name in ("rk4", "contact-rkn6", "contact-rkn4")
             for k in range(3)
         ]
         merge(TABLES["work_precision"], rows, path)
@@ -220,7 +220,7 @@ def test_times_are_held_to_a_fresh_run_by_their_ratios(root, tmp_path):
     commit(root, "times")
     git(root, "switch", "-q", "-C", "change")
     run = fresh(root, tmp_path / "fresh")
-    timed(run, **dict.fromkeys(("rk4", "contact-rkn6", "contact-bm4"), 1 / 3))
+    timed(run, **dict.fromkeys(("rk4", "contact-rkn6", "contact-rkn4"), 1 / 3))
 
     def judged(*changed):
         commit(root, "harmless")

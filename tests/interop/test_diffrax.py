@@ -9,6 +9,7 @@ from jax.flatten_util import ravel_pytree
 
 import contactbench as cb
 from contactbench.xla import jax, jnp
+from own_scenes import scene_of
 
 
 @cache
@@ -18,7 +19,7 @@ def terms_of(scene):
 
 
 def solve(scene, method, t_end=2.0, dt0=0.1, **options):
-    scene, terms = cb.SCENES[scene], terms_of(scene)
+    scene, terms = scene_of(scene), terms_of(scene)
     t0, start = getattr(scene, "t", 0.0), options.pop("y0", (jnp.array(scene.q), jnp.array(scene.p)))
     constant = {"stepsize_controller": diffrax.ConstantStepSize()} | options
     return diffrax.diffeqsolve(terms, cb.diffrax.Contact(method), t0, t0 + t_end, dt0, start, **constant)
@@ -38,7 +39,7 @@ def test_a_run_is_that_of_solve(scene, method):
     Measured: 3.3e-15 at most over runs twice as long.
     """
     for t_end, saved in ((2.0, [2.0]), (1.95, [0.1, 0.195, 1.95])):
-        expected = cb.solve(scene, method, step=0.1, save_at=saved, carry=()).y[-1]
+        expected = cb.solve(scene_of(scene), method, step=0.1, save_at=saved, carry=()).y[-1]
         found = end(solve(scene, method, t_end))
         np.testing.assert_allclose(found, expected[: len(found)], rtol=0, atol=1e-14)
 
@@ -85,7 +86,7 @@ def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum(
 def test_back_in_time_it_takes_its_steps_back(scene):
     """To the start, for the steps are palindromic; between them, its cubics are those of the way there."""
     times = jnp.array([1.75, 0.5])
-    t0 = getattr(cb.SCENES[scene], "t", 0.0)
+    t0 = getattr(scene_of(scene), "t", 0.0)
     there = solve(scene, "contact-rkn6", saveat=diffrax.SaveAt(ts=t0 + times[::-1], t1=True)).ys
     constant = {
         "stepsize_controller": diffrax.ConstantStepSize(),
@@ -93,7 +94,7 @@ def test_back_in_time_it_takes_its_steps_back(scene):
     }
     given = t0 + 2.0, t0, -0.1, tuple(part[-1] for part in there)
     back = diffrax.diffeqsolve(terms_of(scene), cb.diffrax.Contact("contact-rkn6"), *given, **constant).ys
-    for found, on_the_way, start in zip(back, there, (cb.SCENES[scene].q, cb.SCENES[scene].p), strict=True):
+    for found, on_the_way, start in zip(back, there, (scene_of(scene).q, scene_of(scene).p), strict=True):
         np.testing.assert_allclose(found[-1], start, rtol=0, atol=1e-13)
         np.testing.assert_allclose(found[:-1], on_the_way[1::-1], rtol=0, atol=1e-13)
 
@@ -116,7 +117,7 @@ def derivative(scene, method, adjoint, t_end=4.0, dt0=0.1, mode="grad", **args):
         options = {"args": args, "adjoint": adjoint, "y0": y0}
         return solve(scene, method, t_end, dt0, **options).ys[0][-1, 0]
 
-    y0 = jnp.array(cb.SCENES[scene].q), jnp.array(cb.SCENES[scene].p)
+    y0 = jnp.array(scene_of(scene).q), jnp.array(scene_of(scene).p)
     given = {name: jnp.asarray(x) for name, x in args.items()}
     return jax.jit(getattr(jax, mode)(last, argnums=(0, 1))).lower(given, y0).compile(), (given, y0)
 

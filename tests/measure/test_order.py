@@ -15,6 +15,7 @@ from contactbench.splitting.tables import COMPOSITIONS
 from contactbench.study.search import Attempt, Question, Search
 from contactbench.study.settings import ENDS, carry_of, steps, times, tolerances
 from contactbench.truth import decimal_context
+from own_scenes import scene_of
 
 H = [0.8 / 2**k for k in range(9)]
 
@@ -224,14 +225,14 @@ def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six
     assert steps(particle, cb.METHODS["contact-strang"]) == pytest.approx([0.8 / 2**k for k in range(9)])
     counts = [particle.t_end / step for step in steps(particle, cb.METHODS["contact-rkn6"])]
     assert counts == pytest.approx([5, 10, 20, 25, 35, 50, 70, 100, 140, 200])
-    longest, *_, shortest = steps(particle, cb.METHODS["stormer12"])  # of one evaluation a step
+    longest, *_, shortest = steps(particle, cb.METHODS["quinlan-tremaine12"])  # of one evaluation a step
     assert (longest, shortest) == pytest.approx((0.4, 0.4 / 32), rel=0.03)
 
 
 # -- two libraries of numbers of many digits -------------------------------------------------------
 MANY = [
     *(("particle", name) for name in ("contact-rkn8", "rkn12", "rk8", "contact-gauss6")),
-    *(("forced_pulsating", name) for name in ("contact-o8", "gauss6")),
+    *(("forced_pulsating", name) for name in ("contact-o8", "contact-gauss6")),
     *(
         ("thermostat", "rk8"),
         ("double_pendulum", "rk8"),
@@ -247,7 +248,7 @@ def test_numbers_of_gmpy2_step_as_those_of_mpmath(
 ) -> None:
     pytest.importorskip("gmpy2")
     context = decimal_context(DIGITS)
-    given = cb.METHODS[method], cb.SCENES[scene], context.mpf("0.1"), 3, context
+    given = cb.METHODS[method], scene_of(scene), context.mpf("0.1"), 3, context
     fast = of_steps.march(*given)
     monkeypatch.setattr(of_steps, "fastest", lambda context: context)
     slow = of_steps.march(*given)

@@ -146,10 +146,10 @@ def test_one_program_serves_all_compositions_parameters_and_steps():
         return loop_of(cb.METHODS[method], scene, ("s",))
 
     for part in ("run", "setup"):
-        bm4, rkn6, o8 = (getattr(loop(f"contact-{name}"), part) for name in ("bm4", "rkn6", "o8"))
-        assert bm4 is rkn6 is o8
+        rkn4, rkn6, o8 = (getattr(loop(f"contact-{name}"), part) for name in ("rkn4", "rkn6", "o8"))
+        assert rkn4 is rkn6 is o8
     assert loop("contact-rkn6", PARTICLE.with_(gamma=0.3, coupling=0.2, mass=2.0)) is loop("contact-rkn6")
-    ends = {m: cb.solve(PARTICLE, m, step=0.5).y[-1] for m in ("contact-bm4", "contact-rkn6")}
+    ends = {m: cb.solve(PARTICLE, m, step=0.5).y[-1] for m in ("contact-rkn4", "contact-rkn6")}
     assert not np.array_equal(*ends.values())
 
 
@@ -204,7 +204,7 @@ def test_what_cannot_be_recorded_is_named(name):
 # -- the cache -------------------------------------------------------------------------------------
 SECOND = """
 import contactbench as cb, sys
-run = cb.prepare("central", "contact-bm4", step=0.1)
+run = cb.prepare("central", "contact-rkn4", step=0.1)
 from contactbench.trace.compiled import machine
 print(machine().compiled, run().y[-1].tolist())
 assert "numba" not in sys.modules, "it takes as long to import as all else"

@@ -57,7 +57,7 @@ def test_it_has_its_order_in_steps_of_tau(method):
     assert order(method) == pytest.approx(method.order, abs=0.12)
 
 
-@pytest.mark.parametrize("method", METHODS[1:], ids=lambda method: method.name)
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 def test_a_wrong_coefficient_has_another_order(method):
     stages = list(method.composition.stages)
     stages[1] = stages[1][0], stages[1][1] * Fraction(101, 100)
@@ -122,7 +122,7 @@ def test_angular_momentum_decays_exactly_and_the_rest_does_not(method):
 
 
 def test_at_given_times_it_is_no_contact_map():
-    solution = cb.solve(KEPLER, "contact-log4", step=0.3, save_at=[8.0])
+    solution = cb.solve(KEPLER, "contact-log8", step=0.8, save_at=[8.0])
     assert 1e-8 < cb.LAWS["contact_drift"](solution) < 1e-2
 
 
@@ -130,19 +130,19 @@ def test_the_error_of_the_energy_does_not_grow():
     """Over 600 revolutions of an orbit that does not close; Runge–Kutta's grows with the time and more."""
     scene = BENT.with_(gamma=1e-4, t_end=3000.0)
     grown = {}
-    for name, step in (("contact-log6", 0.3), ("rk4", 0.02)):
+    for name, step in (("contact-log8", 0.3), ("rk4", 0.02)):
         solution = cb.solve(scene, name, step=step, save_at=np.arange(1, 601) * 5.0)
         H = scene.hamiltonian(solution.states()) * np.exp(scene.gamma * solution.t)
         off = np.abs(H - scene.hamiltonian(scene.initial(("s",))))
         assert off[:60].max() > 1e-8  # no round-off
         grown[name] = off.max() / off[:60].max()
-    assert grown["contact-log6"] < 3
+    assert grown["contact-log8"] < 3
     assert grown["rk4"] > 10
 
 
 def test_steps_do_not_depend_on_the_saved_times():
-    one = cb.solve(DRAG, "contact-log4", step=0.2, save_at=[40.0])
-    many = cb.solve(DRAG, "contact-log4", step=0.2, save_at=np.arange(1, 401) / 10)
+    one = cb.solve(DRAG, "contact-log8", step=0.2, save_at=[40.0])
+    many = cb.solve(DRAG, "contact-log8", step=0.2, save_at=np.arange(1, 401) / 10)
     np.testing.assert_allclose(many.y[-1], one.y[-1], rtol=0, atol=1e-11)
     assert cb.LAWS["momentum_law"](many) < 1e-12
     assert abs(many.counts.steps - 400 - (one.counts.steps - 1)) <= 1
@@ -151,7 +151,7 @@ def test_steps_do_not_depend_on_the_saved_times():
 @pytest.mark.parametrize("carry", [(), ("s",)])
 def test_engines_agree_and_count_the_same(carry):
     runs = [
-        cb.solve(BENT, "contact-log6", step=0.2, save_at=[2.0, 6.0], carry=carry, engine=engine)
+        cb.solve(BENT, "contact-log8", step=0.2, save_at=[2.0, 6.0], carry=carry, engine=engine)
         for engine in ("llvm", "python")
     ]
     np.testing.assert_allclose(runs[0].y, runs[1].y, rtol=0, atol=1e-12)
@@ -170,10 +170,10 @@ def test_every_evaluation_is_counted(method):
 
 
 def test_other_initial_data_are_what_a_run_prepared_for_them_takes():
-    run = cb.prepare(KEPLER, "contact-log4", step=0.2, save_at=[5.0])
+    run = cb.prepare(KEPLER, "contact-log8", step=0.2, save_at=[5.0])
     moved = {"q": (0.5, 0.2), "p": (-0.3, 1.1)}
     assert np.array_equal(
-        run(**moved).y, cb.solve(KEPLER.with_(**moved), "contact-log4", step=0.2, save_at=[5.0]).y
+        run(**moved).y, cb.solve(KEPLER.with_(**moved), "contact-log8", step=0.2, save_at=[5.0]).y
     )
     assert np.array_equal(run().y, run().y)
 
@@ -184,13 +184,13 @@ def test_the_step_has_no_dimension(scale):
     times = scale**1.5 * np.array([3.0, 8.0])
     q, p = (scale * c for c in KEPLER.q), (c / math.sqrt(scale) for c in KEPLER.p)
     other = KEPLER.with_(q=tuple(q), p=tuple(p), gamma=1e-3 / scale**1.5, t_end=float(times[-1]))
-    first = cb.solve(KEPLER, "contact-log4", step=0.2, save_at=[3.0, 8.0], carry=())
-    second = cb.solve(other, "contact-log4", step=0.2, save_at=times, carry=())
+    first = cb.solve(KEPLER, "contact-log8", step=0.2, save_at=[3.0, 8.0], carry=())
+    second = cb.solve(other, "contact-log8", step=0.2, save_at=times, carry=())
     np.testing.assert_allclose(second.q / scale, first.q, rtol=0, atol=1e-12)
     assert first.counts.steps == second.counts.steps
 
 
-@pytest.mark.parametrize("method", METHODS[1:], ids=lambda method: method.name)
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8])
 def test_a_tolerance_chooses_the_step(method, rtol):
     solution = cb.solve(DRAG, method, rtol=rtol, save_at=[10.0, 20.0])
@@ -200,12 +200,12 @@ def test_a_tolerance_chooses_the_step(method, rtol):
 
 def test_what_it_does_not_take_is_refused_in_one_line():
     for name in ("oscillator", "rigid_body", "duffing", "quadratic_damping"):
-        solution = cb.solve(name, "contact-log4", step=0.1)
+        solution = cb.solve(name, "contact-log8", step=0.1)
         assert solution.status is cb.Status.unsupported
-        assert "contact-log4 needs" in solution.message
+        assert "contact-log8 needs" in solution.message
         assert "\n" not in solution.message
     with pytest.raises(cb.BadInput, match="takes one, of τ"):
-        cb.solve(KEPLER, "contact-log4", step=[0.1, 0.2], save_at=[0.3])
+        cb.solve(KEPLER, "contact-log8", step=[0.1, 0.2], save_at=[0.3])
 
 
 WELL = cb.Mechanical(name="well", potential=lambda q: q[0] ** 2 / 2 - 1, q=(1.0,), p=(1.5,), t_end=10.0)
@@ -213,19 +213,19 @@ WELL = cb.Mechanical(name="well", potential=lambda q: q[0] ** 2 / 2 - 1, q=(1.0,
 
 @pytest.mark.parametrize("engine", ["llvm", "python"])
 def test_a_run_that_leaves_the_well_fails_and_says_why(engine):
-    solution = cb.solve(WELL, "contact-log4", step=0.02, engine=engine)
+    solution = cb.solve(WELL, "contact-log8", step=0.02, engine=engine)
     assert solution.status is cb.Status.failed
     assert "V ≥ 0" in solution.message
     edge = math.asin(math.sqrt(2 / 3.25)) - math.atan(1 / 1.5)  # 1.5 sin t + cos t = √2
     assert 0.7 * edge < solution.end_time < edge  # steps are long where V is small
-    begins = cb.prepare(WELL, "contact-log4", step=0.02, engine=engine)(q=(1.6,))
+    begins = cb.prepare(WELL, "contact-log8", step=0.02, engine=engine)(q=(1.6,))
     assert begins.status is cb.Status.failed
     assert begins.end_time == 0
 
 
 def test_no_run_takes_more_steps_than_allowed():
     for setting in ({"step": 0.1}, {"rtol": 1e-8}):
-        solution = cb.solve(DRAG, "contact-log4", max_steps=50, **setting)
+        solution = cb.solve(DRAG, "contact-log8", max_steps=50, **setting)
         assert solution.status is cb.Status.budget
         assert "50" in solution.message
         assert np.isnan(solution.y[-1]).all()

@@ -22,7 +22,7 @@ PRODUCT = [
     for case in method_cases(method)
 ]
 LABELS = [f"{method.name}-{engine}-{scene.name}" for method, engine, scene, _ in PRODUCT]
-BODY_METHODS = ("contact-exact", "contact-bm4", "cvode-bdf", "cyrk-dop853")
+BODY_METHODS = ("contact-exact", "contact-rkn4", "cvode-bdf", "cyrk-dop853")
 
 
 @pytest.mark.parametrize(("method", "engine", "scene", "first"), PRODUCT, ids=LABELS)

@@ -14,6 +14,7 @@ from contactbench.peers import jax_program
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 from contactbench.xla import jax
+from own_scenes import DETEST_E3
 
 PARTICLE = CASES[0]
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep)]
@@ -53,7 +54,7 @@ def test_a_linear_scene_scales_to_the_last_bit(method, gamma):
         np.testing.assert_array_equal(other.y, one.y * [scale, scale, scale**2])
 
 
-FORCED = cb.SCENES["detest_e3"].with_(q=(1e-9,), t_end=6.0)
+FORCED = DETEST_E3.with_(q=(1e-9,), t_end=6.0)
 ON_FORCED = [m for m in cb.METHODS.values() if m.refuses(FORCED) is None]
 
 

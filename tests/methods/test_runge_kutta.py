@@ -15,6 +15,7 @@ from contactbench.measure.order import order_at
 from contactbench.methods.by_tolerance import Explicit, RungeKuttaPair
 from contactbench.methods.runge_kutta import read_tableau, runge_kutta
 from contactbench.solution import Status
+from own_scenes import scene_of
 from trees import defects
 
 TABLEAUX = {name: read_tableau(name) for name in ("rk4", "rk8", "rk8-7", "rkn8-6", "rkn12-10")}
@@ -91,7 +92,7 @@ def test_a_changed_coefficient_is_noticed(name):
 def test_the_order_is_measured(name, scene):
     """At 50 digits, with s; γ constant and γ(t)."""
     method = cb.METHODS[name]
-    assert order_at(method, cb.SCENES[scene], 1.0, 10) == pytest.approx(method.order, abs=0.1)
+    assert order_at(method, scene_of(scene), 1.0, 10) == pytest.approx(method.order, abs=0.1)
 
 
 @pytest.mark.parametrize("name", ["rkn8-6", "rkn12-10"])
@@ -109,9 +110,10 @@ def test_the_embedded_formula_has_its_order(name):
     "scene", ["oscillator", "forced_oscillator", "forced_pulsating", "lane_emden_1", "central"]
 )
 def test_undamped_coordinates_solve_the_equations(name, scene):
-    chosen = {"rtol": 1e-12} if "-" in name else {"step": cb.SCENES[scene].t_end / 400}
-    solution = cb.solve(scene, name, save_at=[cb.SCENES[scene].t_end], **chosen)
-    reference = cb.reference(cb.SCENES[scene], [cb.SCENES[scene].t_end])
+    scene = scene_of(scene)
+    chosen = {"rtol": 1e-12} if "-" in name else {"step": scene.t_end / 400}
+    solution = cb.solve(scene, name, save_at=[scene.t_end], **chosen)
+    reference = cb.reference(scene, [scene.t_end])
     assert np.abs(solution.y - reference.y).max() < 1e-8 * np.abs(reference.y).max(), "q, p and s"
 
 

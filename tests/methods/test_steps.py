@@ -135,7 +135,7 @@ RTOLS = {1: (1e-3,), 2: (1e-3, 1e-5)}
 
 @pairs(FIXED, [cb.SCENES[name] for name in ("oscillator", "particle", "central", "rigid_body")])
 @pytest.mark.quick(scene="oscillator")
-@pytest.mark.quick(scene="rigid_body", method="contact-bm4")
+@pytest.mark.quick(scene="rigid_body", method="contact-rkn4")
 def test_error_is_within_the_tolerance_at_a_few_times_the_cost_of_the_longest_step(method, scene):
     """Pilots are part of the cost: of the longest steps that would do, at least as many as the first pilot's."""
     for rtol in RTOLS.get(method.order, (1e-3, 1e-6, 1e-8)):
@@ -249,7 +249,7 @@ STEP = 0.1
 
 
 def test_it_is_pure():
-    step = cb.step_map("particle", "contact-bm4")
+    step = cb.step_map("particle", "contact-rkn4")
     once = step(step.start, STEP)
     step(once, STEP, gamma=3.0)
     assert step(step.start, STEP) == once
@@ -315,7 +315,7 @@ def test_a_pilot_that_is_not_finite_is_followed_by_finer_ones(monkeypatch):
         return found._replace(y=found.y * np.nan) if len(steps) == 3 else found
 
     monkeypatch.setattr(ChosenStep, "pilot", broken)
-    run = cb.solve("oscillator", "gauss4", rtol=1e-6)
+    run = cb.solve("oscillator", "contact-gauss4", rtol=1e-6)
     assert run.ok
     assert run.step < steps[2]
     assert cb.LAWS["solution_error"](run) < 1e-6
@@ -357,5 +357,5 @@ def test_a_wall_into_which_pilots_fly_is_no_end():
 @pytest.mark.parametrize("size", [1e200, np.inf, np.nan])
 def test_pilots_beyond_any_scale_are_infinitely_far_apart(size):
     pilots = [Pilot(n, 1.0, 1.0, n, np.array([[size, x]])) for n, x in ((4, 0.0), (8, size))]
-    run = cb.prepare("oscillator", "gauss4", rtol=1e-6)
+    run = cb.prepare("oscillator", "contact-gauss4", rtol=1e-6)
     assert run.distance(*pilots) == np.inf

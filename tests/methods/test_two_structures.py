@@ -68,7 +68,7 @@ PAIRS = {
 #: compiled by XLA for seconds
 ON_JAX = [("fields", "diffrax-tsit5")]
 ENGINES = [(name, "llvm") for name in ("contact-strang", "contact-exact")]
-ENGINES += [("cvode-bdf", "c"), ("cyrk-tsit5", "c++"), ("heyoka-taylor", "llvm")]
+ENGINES += [("cvode-bdf", "c"), ("cyrk-dop853", "c++"), ("heyoka-taylor", "llvm")]
 ENGINES += [("diffrax-tsit5", "jax")]
 
 

@@ -43,7 +43,7 @@ SOME = {
     "laws": [judged("central", "contact-a", 0.1)],
     "decay_laws": [row("rigid_body", "rk4", 0.1, cost=30.0, rhs_equivalents=800.0, contact_drift=1e-9)],
     "convergence": [order("contact-a", 2.0, 2)],
-    "stability": [row("critical", "rk4", 0.1, solution_error=1e-3, rhs_equivalents=10.0)],
+    "stability": [row("large_step", "rk4", 0.1, solution_error=1e-3, rhs_equivalents=10.0)],
     "stability_limits": [LIMIT],
     "damping_rates": [row("overdamped", "rk4", 0.1, evaluations=10, rate_error=1e-3, **CREEP)],
     "structure_buys": [row("chaotic_ring", m, 0.1, **RING) for m in ("contact-a", "rk4")],
@@ -85,7 +85,7 @@ def test_every_table_but_that_of_definitions_is_read_by_a_chapter():
 
 
 # -- a contradicting row changes the answer --------------------------------------------------------
-RIGHT = row("critical", "contact-a", 0.1, solution_error=1e-3)
+RIGHT = row("large_step", "contact-a", 0.1, solution_error=1e-3)
 ESCAPED = row("escape", "rk4", 0.1, status="diverged", blow_up_time=1.5)
 BROKEN = judged("needle", "contact-b", 0.4, drift=2e-4)
 #: chapter → its table's rows, a row that contradicts them, and how the counts without and with it begin
@@ -129,7 +129,7 @@ def test_a_broken_law_is_a_row_with_what_breaks_it():
 
 
 @pytest.mark.parametrize(
-    ("costs", "named"), [((1, 1, 4), "rk4 ×1.00, ×1.80"), ((4, 4, 4), "gauss6 ×1.00, ×1.00")]
+    ("costs", "named"), [((1, 1, 4), "rk4 ×1.00, ×1.80"), ((4, 4, 4), "rk8 ×1.00, ×1.00")]
 )
 def test_a_kind_of_problem_names_the_method_of_least_mean_regret(costs, named):
     known = {
@@ -156,7 +156,7 @@ def test_a_kind_of_problem_names_the_method_of_least_mean_regret(costs, named):
             "status": "ok",
         }
         | {"evaluations": float(cost)}
-        for name, each in (("rk4", costs), ("gauss6", (2, 2, 2)))
+        for name, each in (("rk4", costs), ("rk8", (2, 2, 2)))
         for i, cost in enumerate(each)
     ]
     text = markdown.document(

@@ -93,9 +93,9 @@ def test_the_cheapest_is_named_with_the_factor_of_the_best_contact_method():
 # -- hard scenes -----------------------------------------------------------------------------------
 def test_a_setting_that_was_not_run_is_no_ending_and_escaping_as_the_motion_does_is_right():
     rows = [
-        row("critical", "rk4", 0.1, status="budget", end_time=1.0),
-        row("critical", "rk4", 0.01, status="budget"),
-        row("critical", "rk4", 0.001, status="unsupported"),
+        row("large_step", "rk4", 0.1, status="budget", end_time=1.0),
+        row("large_step", "rk4", 0.01, status="budget"),
+        row("large_step", "rk4", 0.001, status="unsupported"),
     ]
     rows += [row("escape", "rk4", 0.1, status=s, end_time=1.0, blow_up_time=1.5) for s in ("diverged", "ok")]
     assert started_runs(table("stability", rows))["right"].tolist() == [False, True, False]

@@ -18,6 +18,7 @@ from contactbench.testing.method import with_counter
 from contactbench.truth import decimal_context
 from contactbench.xla import jax, jnp
 from decimals import pullback
+from own_scenes import FORCED_PULSATING
 
 m = cb.math
 
@@ -47,7 +48,6 @@ METHODS = {"contact-gauss2": 2, "contact-gauss4": 4, "contact-gauss6": 6}
 PEERS = (
     "rk4",
     "rk8-7",
-    "gauss6",
     "scipy-radau",
     "cvode-bdf",
     "cyrk-dop853",
@@ -153,16 +153,16 @@ def test_orders_at_fifty_digits(method, scene):
     assert found == pytest.approx(METHODS[method], abs=0.06)  # measured: within 0.03
 
 
-@pytest.mark.quick(scene="rough", method=("contact-gauss4", "gauss4"))
+@pytest.mark.quick(scene="rough", method=("contact-gauss4", "rk4"))
 @by_name(SCENES)
-@pytest.mark.parametrize("method", [*METHODS, "gauss4"])
+@pytest.mark.parametrize("method", [*METHODS, "rk4"])
 def test_a_step_is_a_contact_map_whatever_h(method, scene):
-    """At 150 digits: Φ*η is c η for a number c, which Gauss's method on (q, p, s) misses by its error."""
+    """At 150 digits: Φ*η is c η for a number c, which a Runge–Kutta method misses by its error."""
     pulled, form = pullback(cb.METHODS[method], scene.recorded(), "0.1", 1)
     context = decimal_context(150)
     c = sum(a * b for a, b in zip(pulled, form, strict=True)) / sum(b * b for b in form)
     off = context.norm([a - c * b for a, b in zip(pulled, form, strict=True)]) / context.norm(form)
-    if method == "gauss4":
+    if method == "rk4":
         assert off > 1e-12
         return
     assert off < 1e-90
@@ -175,7 +175,7 @@ def test_a_step_of_doubles_is_one_to_round_off(method, scene):
     assert max(map(cb.LAWS["distribution_drift"], steps)) < 3e-15  # measured: 1e-15
 
 
-@by_name([PENDULUM, POLAR, cb.SCENES["central"], cb.SCENES["forced_pulsating"]])
+@by_name([PENDULUM, POLAR, cb.SCENES["central"], FORCED_PULSATING])
 @pytest.mark.parametrize("method", ["contact-gauss4"])
 def test_where_the_rate_is_known_the_factor_is_that_of_the_flow(method, scene):
     solution = cb.solve(scene, method, step=0.25, save_at=[2.0])
@@ -186,12 +186,11 @@ def test_where_the_rate_is_known_the_factor_is_that_of_the_flow(method, scene):
 
 
 def test_strong_damping_does_not_slow_the_iteration_down():
-    """Where r is known the equations of (q, P) have no damping in them; gauss4 does not converge."""
+    """Where r is known the equations of (q, P) have no damping in them."""
     counts = [
         cb.solve(PENDULUM.with_(gamma=g), "contact-gauss4", step=0.05).counts.evaluations for g in (0.1, 50)
     ]
     assert counts[1] < 1.1 * counts[0]
-    assert not cb.solve(PENDULUM.with_(gamma=50.0), "gauss4", step=0.05).ok
 
 
 def test_a_wrong_coefficient_costs_the_structure(monkeypatch):
@@ -228,23 +227,14 @@ def test_stages_start_from_the_last_steps_polynomial():
 
 
 @pytest.mark.parametrize("engine", ["llvm", "python"])
-@pytest.mark.parametrize(
-    ("method", "scene", "step"),
-    [
-        ("contact-gauss4", "kepler_drag", 0.125),
-        ("gauss6", "overdamped", 0.5),
-        ("discrete-gradient", "stiff_spring", 0.05),
-    ],
-)
-def test_a_step_without_a_solution_fails_and_says_so(method, scene, step, engine):
-    solution = cb.solve(scene, method, step=step, save_at=[step * 4], engine=engine)
+def test_a_step_without_a_solution_fails_and_says_so(engine):
+    solution = cb.solve("kepler_drag", "contact-gauss4", step=0.125, save_at=[0.5], engine=engine)
     assert solution.status is cb.Status.failed
-    assert f"does not converge at t = 0, of a step of {step}" in solution.message
+    assert "does not converge at t = 0, of a step of 0.125" in solution.message
 
 
-@pytest.mark.parametrize("method", ["contact-gauss4", "gauss4", "discrete-gradient"])
-def test_a_motion_that_escapes_diverges(method):
-    assert cb.solve("escape", method, step=0.0017).status is cb.Status.diverged
+def test_a_motion_that_escapes_diverges():
+    assert cb.solve("escape", "contact-gauss4", step=0.0017).status is cb.Status.diverged
 
 
 @pytest.mark.parametrize("engine", ["llvm", "python"])

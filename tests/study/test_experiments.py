@@ -18,7 +18,7 @@ from contactbench.results.store import read
 from contactbench.results.tables import DEFINITIONS, WORK_PRECISION
 from contactbench.scenes import scenes_of
 from contactbench.study import choice
-from contactbench.study.choice import DEAR, SMOKE, methods_of
+from contactbench.study.choice import DEAR, SMOKE
 from contactbench.study.claims import LONG
 from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
 from contactbench.study.experiment import PROFILES, Timing, experiments
@@ -114,9 +114,8 @@ def test_the_smoke_profile_visits_every_scene_method_figure_and_soon_measured_cl
     everything = {("scene", name) for name in cb.SCENES} | {("method", name) for name in cb.METHODS}
     assert set(visited("definition")) == everything
     timed = {cell[:2] for cell in visited("work_precision_errors")}
-    shown = {name: method for name, method in cb.METHODS.items() if not method.appendix}
-    assert {name for scene, name in timed if scene == "particle"} == set(shown)
-    soon = {name for name, method in shown.items() if method.engines[0] not in DEAR}
+    assert {name for scene, name in timed if scene == "particle"} == set(cb.METHODS)
+    soon = {name for name, method in cb.METHODS.items() if method.engines[0] not in DEAR}
     assert {cell[1] for cell in visited("laws")} == soon
     hard = {cell[0] for cell in visited("stability")}
     assert hard == {scene.name for scene in scenes_of("stability")}
@@ -279,16 +278,9 @@ def test_costs_are_equal_within_a_tenth_and_settings_the_same_every_time(name, c
 
 
 def test_steps_end_at_the_saved_times_and_rotations_count_half():
-    for name in ("contact-strang", "contact-bm4"):
+    for name in ("contact-strang", "contact-rkn4"):
         method, body = cb.METHODS[name], cb.SCENES["rigid_body"]
         h = step_at(method, body, 600.0, SAVES)
         n = round(body.t_end / h)
         assert n % SAVES == 0
         assert method.counts(body, n) / 2 == pytest.approx(600, rel=0.1)
-
-
-def test_the_appendix_is_run_by_the_full_profile_alone():
-    appendix = {name for name, method in cb.METHODS.items() if method.appendix}
-    assert {"contact-yoshida6", "contact-rkn6a", "contact-rkn8b", "herglotz1", "stormer12"} <= appendix
-    for name, profile in PROFILES.items():
-        assert (appendix <= {*methods_of(profile)}) == (name == "full")

@@ -157,7 +157,7 @@ def test_pilots_do_not_agree_on_a_motion_that_is_lost(method):
     assert solution.q[-1, 0] == pytest.approx(math.exp(-5 * slow), rel=2e-5)
 
 
-@pytest.mark.parametrize("method", ["gauss4", "gauss6"])
+@pytest.mark.parametrize("method", ["contact-gauss4", "contact-gauss6"])
 def test_an_implicit_step_at_rest_has_converged(method):
     """q and p have decayed, s has come to rest: its slope is rounding, which no iteration makes any smaller."""
     scene = draw(SEED, "quadratic-damping", 7).scene

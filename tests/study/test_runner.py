@@ -77,11 +77,14 @@ def test_a_cell_that_takes_its_process_down_or_fails_costs_itself(tmp_path, monk
     monkeypatch.setattr(runner, "attempt", planted.attempt)
     run = Run(tmp_path, PROFILES["smoke"], "some", timed=False)
     assert (
-        runner.work(run, "definition and method and (contact-strang or rk4 or scipy or method-gauss4)") == 2
+        runner.work(
+            run, "definition and method and (contact-strang or rk4 or scipy or method-contact-gauss4)"
+        )
+        == 2
     )
     told = capsys.readouterr().err
     assert "definition[method-rk4]: the solver took its process down (signal 9)" in told
-    assert "definition[method-gauss4]: ValueError in planted.py" in told
+    assert "definition[method-contact-gauss4]: ValueError in planted.py" in told
     names = {name for name in cb.METHODS if "contact-strang" in name or "scipy" in name}
     assert set(read(DEFINITIONS, tmp_path)["method"]) == names
     assert len(run.cells.done()) == len(names)

@@ -45,11 +45,7 @@ def stored(name):
 
 
 # -- the frozen files ------------------------------------------------------------------------------
-#: those that take longest
-DEAR = ("weak_damping_particle", "pendulum_ring")
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in DEAR)) for n in ENTRIES])
+@pytest.mark.parametrize("name", ENTRIES)
 def test_every_stored_number_is_computed_again(name):
     """A changed number whose digest is put right, anywhere in a file; by one precision of one engine.
 

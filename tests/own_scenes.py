@@ -1,0 +1,149 @@
+"""Scenes for properties that no registered scene has: γ(t) of all kinds, a torus, what fades beyond the numbers."""
+
+import contactbench as cb
+from contactbench.numbers import functions as xm
+from contactbench.scene import DrivenState, dot
+from contactbench.scenes.driven import FORCED_OSCILLATOR, spherical, spherical_span, with_action
+
+
+# -- γ(t) without a closed form of its integral, and one that changes its sign -------------------------------
+def pulsating(t, friction, depth, pulse, **parameters):
+    """γ = γ₀ (1 + a sin νt); φ is no elementary function."""
+    return friction * (1 + depth * xm.sin(pulse * t))
+
+
+FORCED_PULSATING = cb.Driven(
+    name="forced_pulsating",
+    potential=lambda q, t, omega, force, drive, **damping: (
+        omega * omega * q[0] * q[0] / 2 - force * q[0] * xm.cos(drive * t)
+    ),
+    gradient=lambda q, t, omega, force, drive, **damping: (omega * omega * q[0] - force * xm.cos(drive * t),),
+    rate=pulsating,
+    q=(1.0,),
+    p=(0.0,),
+    t_end=20.0,
+    parameters={**FORCED_OSCILLATOR.parameters, "friction": 0.1, "depth": 1.5, "pulse": 1.3},
+)
+
+
+# -- Lane–Emden of index 0 and 1, and the Bessel equation of order ½, in closed form ---------------------------
+def lane_emden_0(scene, t, mp):
+    """q = C + D/t − t²/6, with 1 − t²/6 among them."""
+    t0, v0 = scene.t, scene.p[0]
+    D = -(v0 + t0 / 3) * t0**2
+    C = scene.q[0] - D / t0 + t0**2 / 6
+
+    def area(t):  # ∫ −½ t² q
+        return -C * t**3 / 6 - D * t**2 / 4 + t**5 / 60
+
+    return with_action(scene, t, lambda t: (C + D / t - t**2 / 6, -D / t**2 - t / 3), area)
+
+
+def spreading_wave(scene, t, a):
+    """Return u/tᵃ, u'' = −u, the motion under γ = 2a/t; s − ½ q p falls as 1/t²ᵃ, the potential being quadratic."""
+    t0, now = scene.t, scene.t + t
+    u0 = t0**a * scene.q[0]
+    w0 = t0**a * (scene.p[0] + a * scene.q[0] / t0)
+    sin, cos = xm.sin(t), xm.cos(t)
+    u, w = u0 * cos + w0 * sin, w0 * cos - u0 * sin
+    q, p = u / now**a, (w - a * u / now) / now**a
+    rest = (t0 / now) ** (2 * a) * (scene.s - scene.q[0] * scene.p[0] / 2)
+    return DrivenState((q,), (p,), now, q * p / 2 + rest)
+
+
+LANE_EMDEN_0 = cb.Driven(
+    name="lane_emden_0",
+    potential=lambda q, t: q[0],
+    gradient=lambda q, t: (1.0 + 0 * q[0],),
+    rate=spherical,
+    span=spherical_span,
+    exact=lane_emden_0,
+    q=(0.94,),
+    p=(-0.2,),
+    t=0.6,
+    t_end=2.0,
+)
+LANE_EMDEN_1 = cb.Driven(
+    name="lane_emden_1",
+    potential=lambda q, t: q[0] * q[0] / 2,
+    gradient=lambda q, t: (q[0],),
+    rate=spherical,
+    span=spherical_span,
+    exact=lambda scene, t, mp: spreading_wave(scene, t, mp.mpf(1)),
+    q=(0.8414709848078965,),
+    p=(-0.30116867893975674,),
+    t=1.0,
+    t_end=20.0,
+)
+
+
+def cylindrical_span(t, h, xp):
+    """γ = 1/t: ∫γ = log(1 + h/t), φ = t log(1 + h/t)."""
+    spent = xp.log1p(h / t)
+    return spent, t * spent
+
+
+#: problems E1, the Bessel equation of order ½ (its x + 1 the time), and E3 of DETEST: Hull, Enright, Fellen, Sedgwick,
+#: SIAM J. Numer. Anal. 9, 603 (1972), doi:10.1137/0709052
+DETEST_E1 = cb.Driven(
+    name="detest_e1",
+    potential=lambda q, t: (1 - 1 / (4 * t * t)) * q[0] * q[0] / 2,
+    gradient=lambda q, t: ((1 - 1 / (4 * t * t)) * q[0],),
+    rate=lambda t: 1 / t,
+    span=cylindrical_span,
+    exact=lambda scene, t, mp: spreading_wave(scene, t, mp.mpf(1) / 2),
+    q=(0.6713967071418031,),
+    p=(0.09540051444747454,),
+    t=1.0,
+    t_end=20.0,
+)
+DETEST_E3 = cb.Driven(
+    name="detest_e3",
+    potential=lambda q, t, softness, force, drive: (
+        q[0] * q[0] / 2 - q[0] ** 4 / (4 * softness) - force * q[0] * xm.sin(drive * t)
+    ),
+    gradient=lambda q, t, softness, force, drive: (
+        q[0] - q[0] * q[0] * q[0] / softness - force * xm.sin(drive * t),
+    ),
+    parameters={"softness": 6.0, "force": 2.0, "drive": 2.78535},
+    q=(0.0,),
+    p=(0.0,),
+    t_end=20.0,
+)
+
+
+# -- many spheres, a pole that is passed closely, and numbers that underflow ------
+def hanging_ring(q, weight, coupling):
+    """V = Σ w q_i₂ − c q_i·q_{i+1}: plane pendulums on one axle, each twisted against the next."""
+    return sum(weight * a[1] - coupling * dot(a, b) for a, b in zip(q, (*q[1:], q[0]), strict=True))
+
+
+#: of length one as decimals: 3-4-5 and 5-12-13 have powers that are
+_STARTS = ((0.6, -0.8), (0.28, -0.96), (0.0, -1.0), (-0.28, -0.96))
+_STARTS += ((-0.6, -0.8), (-0.8, -0.6), (-0.352, -0.936), (0.8, -0.6))
+#: points on a torus of 16 circles
+PENDULUM_RING = cb.Spheres(
+    name="pendulum_ring",
+    potential=hanging_ring,
+    parameters={"weight": 1.0, "coupling": 0.5},
+    gamma=0.2,
+    q=_STARTS * 2,
+    p=tuple((-0.5 * y, 0.5 * x) for x, y in _STARTS) + ((0.0, 0.0),) * 8,
+    t_end=5.0,
+)
+#: 4° from the upright pole, slowly turning: it swings back up to near the pole time and again
+UPRIGHT_PENDULUM = cb.SCENES["spherical_pendulum"].with_(
+    name="upright_pendulum", gamma=1e-3, q=(0.07584, 0.0, 0.99712), p=(0.0, 0.1, 0.0), t_end=50.0
+)
+
+#: e^{−γT} = e^{−1000}: momentum and energy fall below the smallest number there is, the attitude stays of size one
+UNDERFLOW = cb.SCENES["rigid_body"].with_(name="underflow", gamma=5.0, t_end=200.0)
+
+#: those with time in them
+TIMED = (FORCED_PULSATING, LANE_EMDEN_0, LANE_EMDEN_1, DETEST_E1, DETEST_E3)
+
+
+def scene_of(name):
+    """Return a scene by its name, one of these or a registered one."""
+    own = {scene.name: scene for scene in TIMED}
+    return own.get(name) or cb.SCENES[name]
