@@ -73,6 +73,12 @@ def test_the_best_contact_methods_race_where_others_lead(planted):
     assert beside(field.field(OSCILLATOR, [1e-6])) == ["contact-rkn8", "rkn12"]
 
 
+def test_implicit_methods_race_where_damping_is_stronger_than_of_any_random_problem():
+    implicit = {"cyrk-radau", "cvode-bdf"}
+    assert implicit < {*field.field(cb.SCENES["overdamped"].with_(gamma=30.0), [1e-6])}
+    assert not implicit & {*field.field(OSCILLATOR, [1e-6])}
+
+
 def test_a_method_of_ones_own_always_races(planted, registries):
     @cb.fixed_step("my-own", order=2)
     def my_own(scene, x, h, xp):
