@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from contactbench.scene.base import OwnState
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Function, execute, lines
+from contactbench.trace.native_call import Native
 from contactbench.trace.program import Program, Watch, record
 
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
@@ -196,34 +197,26 @@ class Loop:
         #: spent on recording and compiling
         self.seconds = seconds
         self._rows: Cache[tuple[np.ndarray, np.ndarray]] = Cache(KEPT)
+        self._calls: Cache[Callable[[np.ndarray], Any]] = Cache(2 * KEPT)
 
-    def compiled(self, function: Function, **options: int) -> Callable[..., int]:
+    def compiled(self, function: Function, **options: bool) -> Native:
         elapsed = stopwatch()
-        made: Callable[..., int] = compile_function(function, **options)
+        made = compile_function(function, **options)
         self.seconds += elapsed()
         return made
 
     @cached_property
-    def run(self) -> Callable[..., int]:
+    def run(self) -> Native:
         return self.compiled(self.program.run)
 
     @cached_property
-    def setup(self) -> Callable[..., int]:
+    def setup(self) -> Native:
         return self.compiled(self.program.setup, fused=False)
 
     @cached_property
     def setup_in_python(self) -> Callable[..., None]:
         made: Callable[..., None] = execute(self.program.setup)
         return made
-
-    @cached_property
-    def lanes(self) -> int:
-        """Return how many trajectories `many` integrates side by side."""
-        return LANES if sum(1 for _ in lines(self.program.many.body)) <= LONG_PROGRAM else FEW_LANES
-
-    @cached_property
-    def many(self) -> Callable[..., int]:
-        return self.compiled(self.program.many, lanes=self.lanes)
 
     @cached_property
     def size(self) -> int:
@@ -251,6 +244,23 @@ class Loop:
         rows = w, np.concatenate([self.program.shape, which])
         return self._rows.get(given if w.size + len(n) <= FEW else None, lambda: rows)
 
+    def on(
+        self,
+        d: int,
+        w: np.ndarray,
+        shape: np.ndarray,
+        size: int,
+        part: tuple[int, int | None],
+        flagged: bool = False,
+    ) -> Callable[[np.ndarray], Any]:
+        """Return `run` as a function of the start, see `Native.bind`; one for all calls with the same rows."""
+        given = id(w), id(shape), d, size, part, flagged  # the function keeps both arrays
+
+        def make() -> Callable[[np.ndarray], Any]:
+            return self.run.bind(d, w, shape, size, slice(*part), flagged)
+
+        return self._calls.get(given if w.size + size <= FEW else None, make)
+
     def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
         """Return the rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
         program = self.program
@@ -274,16 +284,6 @@ class Loop:
             self.execute(y0, w, shape, y[part].reshape(-1), total(n[part]))  # a view
             y0 = y[part][-1]
         return y
-
-    def side_by_side(self, y0: np.ndarray, w: np.ndarray, shape: np.ndarray) -> np.ndarray:
-        """Return the states after each interval, (k, d, m), of m trajectories of one scene."""
-        m = y0.shape[1]
-        if m % self.lanes:  # the last trajectory again and again
-            y0 = np.pad(y0, ((0, 0), (0, -m % self.lanes)), mode="edge")
-        y0 = np.ascontiguousarray(y0)
-        after = np.empty((len(shape) - len(self.program.shape), *y0.shape))
-        self.many(y0, w, shape, after, np.array([0, y0.shape[1] // self.lanes]))
-        return after[..., :m]
 
 
 _loops: Cache[Loop] = Cache(1024)
@@ -310,7 +310,7 @@ class Recorded(StepLoop[Rows]):
 
     def __init__(self, method: Steps, request: Request) -> None:
         super().__init__(method, request)
-        self.numbers = np.array(self.scene.numbers())
+        self.numbers, self.size = np.array(self.scene.numbers()), len(self.scene.labels(self.carry))
         self.loop = loop_of(method, self.scene, self.carry, counted=self.counted)
         self.loop.run  # noqa: B018, compiled now
         if request.step is None:  # chosen at every call: the time is divided often
@@ -338,31 +338,19 @@ class Recorded(StepLoop[Rows]):
         _, n, rows = ready
         if rows is None or self.counted:
             return super().last(ready)
-        run, empty, k = self.loop.run, np.empty, len(n)
-        w, shape = rows
-
-        def last(y0: np.ndarray) -> np.ndarray:
-            d = len(y0)
-            after = empty(k * d)
-            run(y0, w, shape, after)
-            return after if k == 1 else after[-d:]
-
-        return last
+        size = len(n) * self.size
+        return self.loop.on(self.size, *rows, size, (size, size + self.size))
 
     def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
         _, n, rows = ready
         if rows is None or self.counted or not self.loop.program.watched or self.loop.is_long(steps):
             return None
-        run, empty, saves = self.loop.run, np.empty, len(n) + starts
-        w, shape = rows
+        d, saves = self.size, len(n) + starts
+        run = self.loop.on(d, *rows, len(n) * d, (0 if starts else d, None), flagged=True)
 
         def watched(y0: np.ndarray) -> tuple[np.ndarray, bool]:
-            d = len(y0)
-            after = y = empty(saves * d)
-            if starts:
-                y[:d], after = y0, y[d:]
-            fine = run(y0, w, shape, after) < 0
-            return y.reshape(saves, d), fine
+            y, bad = run(y0)
+            return y.reshape(saves, d), bad < 0
 
         return watched
 

@@ -24,12 +24,12 @@ import numpy as np
 from contactbench.methods.base import METHODS, ROUNDING, unfit
 from contactbench.methods.prepared import NO_NUMBER, Request
 from contactbench.peers.base import Peer
+from contactbench.peers.by_numba import entry
 from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, Compiled, Connection
 from contactbench.peers.stepping import LibrarySteps, Stepper
 from contactbench.scene import Mechanical, Scene, State, norm
 from contactbench.scene.many import Many, Particles
 from contactbench.solution import Counts, Status
-from contactbench.trace.compiled import entry
 
 #: of all masses so much at least is one body's
 DOMINANT = 0.9

@@ -24,12 +24,12 @@ from contactbench.methods.prepared import NO_NUMBER, Request
 from contactbench.numbers import functions as math
 from contactbench.numbers.protocol import Arithmetic
 from contactbench.peers.base import Rates, Variational, record_function
+from contactbench.peers.by_numba import entry
 from contactbench.peers.compiled import c_functions
 from contactbench.peers.stepping import LibrarySteps, Stepper
 from contactbench.scene import System, Vector, dot, key, scaled
 from contactbench.scene.many import Many
 from contactbench.scene.mechanical import Canonical
-from contactbench.trace.compiled import entry
 
 if TYPE_CHECKING:
     from contactbench.peers.abi.arkode import Memory
