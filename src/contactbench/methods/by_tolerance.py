@@ -394,7 +394,7 @@ class ToleranceRun(Prepared):
         def part(of: tuple[int, int]) -> Callable[[np.ndarray], np.ndarray]:
             """Return the function of a start that gives a part of the start and the states after it."""
             if isinstance(run, Native):
-                return self.loop().on(d, w, shape, size, of)
+                return self.loop().on(d, (w, shape), of)
 
             def plain(y0: np.ndarray) -> np.ndarray:
                 y = np.append(y0, np.empty(size))
@@ -410,7 +410,7 @@ class ToleranceRun(Prepared):
             y[self._clock] = y0[self._clock] + self._end
             return y
 
-        self.states, self.bare = states, bare if self._clock is None else dated  # type: ignore[method-assign]
+        self.states, self.bare = states, bare if self._clock is None else dated  # type: ignore
 
     def arguments(self, loop: Loop | None) -> tuple[Any, Any]:
         """Return what a recorded loop takes beside states."""

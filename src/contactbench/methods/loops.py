@@ -245,21 +245,17 @@ class Loop:
         return self._rows.get(given if w.size + len(n) <= FEW else None, lambda: rows)
 
     def on(
-        self,
-        d: int,
-        w: np.ndarray,
-        shape: np.ndarray,
-        size: int,
-        part: tuple[int, int | None],
-        flagged: bool = False,
+        self, d: int, rows: tuple[np.ndarray, np.ndarray], part: tuple[int, int], flagged: bool = False
     ) -> Callable[[np.ndarray], Any]:
-        """Return `run` as a function of the start, see `Native.bind`; one for all calls with the same rows."""
-        given = id(w), id(shape), d, size, part, flagged  # the function keeps both arrays
+        """Return `run` as a function of a start, d doubles; one for all calls with the same rows: see `Native.bind`."""
+        w, shape = rows
 
         def make() -> Callable[[np.ndarray], Any]:
+            size = (len(shape) - len(self.program.shape)) * self.program.size
             return self.run.bind(d, w, shape, size, slice(*part), flagged)
 
-        return self._calls.get(given if w.size + size <= FEW else None, make)
+        # what is kept keeps w, so that no other array has its id
+        return self._calls.get((id(w), part, flagged) if w.size + len(shape) <= FEW else None, make)
 
     def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
         """Return the rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
@@ -310,7 +306,7 @@ class Recorded(StepLoop[Rows]):
 
     def __init__(self, method: Steps, request: Request) -> None:
         super().__init__(method, request)
-        self.numbers, self.size = np.array(self.scene.numbers()), len(self.scene.labels(self.carry))
+        self.numbers = np.array(self.scene.numbers())
         self.loop = loop_of(method, self.scene, self.carry, counted=self.counted)
         self.loop.run  # noqa: B018, compiled now
         if request.step is None:  # chosen at every call: the time is divided often
@@ -338,15 +334,15 @@ class Recorded(StepLoop[Rows]):
         _, n, rows = ready
         if rows is None or self.counted:
             return super().last(ready)
-        size = len(n) * self.size
-        return self.loop.on(self.size, *rows, size, (size, size + self.size))
+        d = self.loop.program.size
+        return self.loop.on(d, rows, (len(n) * d, len(n) * d + d))
 
     def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
         _, n, rows = ready
         if rows is None or self.counted or not self.loop.program.watched or self.loop.is_long(steps):
             return None
-        d, saves = self.size, len(n) + starts
-        run = self.loop.on(d, *rows, len(n) * d, (0 if starts else d, None), flagged=True)
+        d, saves = self.loop.program.size, len(n) + starts
+        run = self.loop.on(d, rows, (0 if starts else d, len(n) * d + d), flagged=True)
 
         def watched(y0: np.ndarray) -> tuple[np.ndarray, bool]:
             y, bad = run(y0)

@@ -42,13 +42,17 @@ Numbers = Sequence[Arithmetic]
 
 
 class Program(NamedTuple):
-    """A recorded time loop; data, shape : what it is called with, `run` with (*shape, *which); width : of w."""
+    """A recorded time loop; data, shape : what it is called with, `run` with (*shape, *which); width : of w.
+
+    size : components of a state.
+    """
 
     setup: Function
     run: Function
     data: np.ndarray
     shape: np.ndarray
     width: int
+    size: int
     #: whether `run` watches all that it is asked to
     watched: bool = False
 
@@ -229,7 +233,7 @@ def record(
             watched = True
     once = setup(tape)  # adds to the shape
     run = Function("run", ("start", "w", "shape", "after"), steps(tape, ends, head, last), "bad")
-    return Program(once, run, *tape.constants, watched)
+    return Program(once, run, *tape.constants, d, watched)
 
 
 def setup(tape: ProgramTape) -> Function:
