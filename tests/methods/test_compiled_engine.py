@@ -1,10 +1,13 @@
 """Recorded numbers, recorded programs, and the compiled loops made of them."""
 
 import math
+import os
 import shutil
+import stat
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -15,8 +18,9 @@ from contactbench.methods.loops import loop_of
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
 from contactbench.solution import Status
-from contactbench.trace.compiled import compile_function, read_kept
+from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import FUNCTIONS, execute
+from contactbench.trace.kept import read_kept, write_kept
 from contactbench.trace.program import record
 from contactbench.trace.recording import ALIASES
 
@@ -90,25 +94,6 @@ def test_every_operation_is_compiled_to_what_it_is():
         setup(np.array(numbers), np.array([[h, n]]), program.data, program.shape, w)
         assert run(start, w, shape, y) == -1
         np.testing.assert_allclose(y, np.array(truth, dtype=float), rtol=4e-16, atol=0)
-
-
-def test_every_operation_is_compiled_for_many_states_side_by_side():
-
-    def one_result(*arguments):
-        return [sum(result * 1.1**k for k, result in enumerate(every_operation(*arguments)))]
-
-    program = record(one_result, 1, 1, 1, 1e6)
-    w, shape = np.empty((1, program.width)), np.append(program.shape, 0)
-    run, lanes = compile_function(program.run), 4
-    compile_function(program.setup)(np.array([0.7]), np.array([[0.25, 4.0]]), program.data, program.shape, w)
-    starts = np.linspace(0.2, 0.4, 3 * lanes)[None]
-    ends = np.full((1, *starts.shape), math.nan)
-    compile_function(program.many, lanes)(starts, w, shape, ends, np.array([1, 3]))
-    alone = np.empty(1)
-    for k in range(lanes, 3 * lanes):
-        run(starts[:, k].copy(), w, shape, alone)
-        assert ends[0, 0, k] == pytest.approx(alone[0], rel=4e-15)
-    assert np.isnan(ends[0, 0, :lanes]).all()  # not asked for
 
 
 # -- the engine ------------------------------------------------------------------------------------
@@ -219,28 +204,28 @@ def run_elsewhere(folder):
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
-    """A cache of one program and of what calls it, and the states that it gave."""
+    """A cache of one program, and the states that it gave."""
     folder = tmp_path_factory.mktemp("cache")
     compiled, states = run_elsewhere(folder)
-    assert compiled == "2"
+    assert compiled == "1"
     return folder, states
 
 
 @pytest.fixture
 def kept(first, tmp_path):
-    """A copy of it, its two files, and the states."""
+    """A copy of it, its file, and the states."""
     folder = shutil.copytree(first[0], tmp_path / "cache")
-    paths = sorted((folder / "programs").iterdir())
-    assert [path.suffix for path in paths] == [".object"] * 2
-    return folder, paths, first[1]
+    (path,) = (folder / "programs").iterdir()
+    assert path.suffix == ".object"
+    return folder, path, first[1]
 
 
 def test_a_second_process_compiles_nothing(kept):
-    folder, paths, states = kept
-    before = [path.stat().st_mtime_ns for path in paths]
+    folder, path, states = kept
+    before = path.stat().st_mtime_ns
     assert run_elsewhere(folder) == ["0", states]
-    assert sorted((folder / "programs").iterdir()) == paths
-    assert [path.stat().st_mtime_ns for path in paths] == before
+    assert [*(folder / "programs").iterdir()] == [path]
+    assert path.stat().st_mtime_ns == before
 
 
 def flip(content):
@@ -251,52 +236,170 @@ def flip(content):
 DAMAGE = (lambda whole: b"\x9c" * len(whole), lambda whole: whole[: len(whole) // 2], lambda whole: b"", flip)
 
 
-@pytest.mark.parametrize("which", [0, 1])
 @pytest.mark.parametrize("damage", few_slow(DAMAGE, *DAMAGE[:3]))
-def test_a_damaged_program_is_compiled_anew_and_replaced(damage, which, kept):
-    folder, paths, states = kept
-    paths[which].write_bytes(damage(paths[which].read_bytes()))
-    assert read_kept(paths[which]) is None
+def test_a_damaged_program_is_compiled_anew_and_replaced(damage, kept):
+    folder, path, states = kept
+    path.write_bytes(damage(path.read_bytes()))
+    assert read_kept(path) is None
     assert run_elsewhere(folder) == ["1", states]
-    assert read_kept(paths[which])
+    assert read_kept(path)
     assert run_elsewhere(folder) == ["0", states]
 
 
-@pytest.mark.parametrize("which", [0, 1])
-def test_a_program_that_can_neither_be_read_nor_replaced_is_compiled(which, kept):
-    folder, paths, states = kept
-    paths[which].unlink()
-    (paths[which] / "in the way").mkdir(parents=True)
+def test_a_program_that_can_neither_be_read_nor_replaced_is_compiled(kept):
+    folder, path, states = kept
+    path.unlink()
+    (path / "in the way").mkdir(parents=True)
     assert run_elsewhere(folder) == ["1", states]
-    assert sorted((folder / "programs").iterdir()) == paths
+    assert [*(folder / "programs").iterdir()] == [path]
 
 
 def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
     (tmp_path / "file").write_text("")
-    assert run_elsewhere(tmp_path / "file")[0] == "2"
+    assert run_elsewhere(tmp_path / "file")[0] == "1"
+
+
+# -- whose it is: compiled code is run, so that nobody else may have put it there --------------------
+OTHERS = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files belong to nobody here")
+
+
+@OTHERS
+def test_the_folder_of_programs_is_the_users_alone(first):
+    assert stat.S_IMODE((first[0] / "programs").stat().st_mode) == 0o700
+
+
+@OTHERS
+@pytest.mark.parametrize("mode", [0o777, 0o770])
+def test_a_folder_that_others_may_write_to_is_left_alone(mode, kept):
+    folder, path, states = kept
+    path.parent.chmod(mode)
+    before = path.stat().st_mtime_ns
+    assert run_elsewhere(folder) == ["1", states]
+    assert [*path.parent.iterdir()] == [path]
+    assert path.stat().st_mtime_ns == before
+
+
+@OTHERS
+@pytest.mark.parametrize("mode", [0o622, 0o664])
+def test_a_program_that_others_may_write_to_is_compiled_anew(mode, kept):
+    folder, path, states = kept
+    path.chmod(mode)
+    assert read_kept(path) is None
+    assert run_elsewhere(folder) == ["1", states]
+    assert read_kept(path)
+
+
+@OTHERS
+def test_a_program_of_another_user_is_not_loaded(kept, monkeypatch):
+    path = kept[1]
+    assert read_kept(path)
+    other = path.stat().st_uid + 1
+    monkeypatch.setattr(os, "getuid", lambda: other)
+    assert read_kept(path) is None
+
+
+def test_a_program_fits_no_other_name(kept):
+    """A name is a digest of the program, the versions and the processor."""
+    path = kept[1]
+    other = path.with_name("program_of_another_processor.object")
+    shutil.copy(path, other)
+    assert read_kept(other) is None
+    write_kept(other, read_kept(path))
+    assert read_kept(other) == read_kept(path)
 
 
 # -- calls from Python -----------------------------------------------------------------------------
-GOOD = np.zeros(2), np.zeros((1, 3)), np.zeros(4, dtype=np.int64), np.zeros(2)
+OSCILLATOR = {"step": 0.5, "carry": ()}
+
+
+def arguments_of(run):
+    w, shape = run.ready[2]
+    return run.start, w, shape, np.empty(len(run.n) * len(run.start))
+
+
+def frozen(array):
+    array = array.copy()
+    array.flags.writeable = False
+    return array
+
+
+#: what an argument is replaced by, and which
 BAD = {
-    "too few": GOOD[:3],
-    "too many": (*GOOD, GOOD[0]),
-    "no arrays": (1, 2, 3, 4),
-    "lists": ([0.0, 0.0], *GOOD[1:]),
-    "dimensions": (GOOD[0], GOOD[0], *GOOD[2:]),
-    "whole numbers": (GOOD[2], *GOOD[1:]),
-    "doubles": (*GOOD[:2], GOOD[0], GOOD[3]),
-    "single precision": (GOOD[0].astype(np.float32), *GOOD[1:]),
-    "other order of bytes": (GOOD[0].astype(">f8"), *GOOD[1:]),
-    "not contiguous": (np.zeros(4)[::2], *GOOD[1:]),
+    "no array": (0, lambda x: 1),
+    "list": (0, lambda x: x.tolist()),
+    "dimensions of a vector": (0, lambda x: x[None]),
+    "dimensions of a table": (1, lambda x: x[0]),
+    "whole numbers": (0, lambda x: x.astype(np.int64)),
+    "doubles": (2, lambda x: x.astype(float)),
+    "single precision": (0, lambda x: x.astype(np.float32)),
+    "other order of bytes": (0, lambda x: x.astype(">f8")),
+    "not contiguous": (0, lambda x: np.repeat(x, 2)[::2]),
+    "read-only": (3, frozen),
 }
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_what_a_program_does_not_take_is_refused(name):
-    run = cb.prepare("oscillator", "contact-strang", step=0.5, carry=()).loop.loop.run
+    run = cb.prepare("oscillator", "contact-strang", **OSCILLATOR)
+    given, (which, change) = [*arguments_of(run)], BAD[name]
+    assert run.loop.loop.run(*given) == -1
+    given[which] = change(given[which])
     with pytest.raises(TypeError):
-        run(*BAD[name])
+        run.loop.loop.run(*given)
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_a_program_takes_so_many_arrays(count):
+    run = cb.prepare("oscillator", "contact-strang", **OSCILLATOR)
+    given = arguments_of(run)
+    with pytest.raises(TypeError):
+        run.loop.loop.run(*(given + given)[:count])
+
+
+@pytest.mark.parametrize(
+    ("scene", "method", "options"),
+    [
+        ("oscillator", "contact-strang", {"step": 0.5}),
+        ("oscillator", "rk8-7", {"rtol": 1e-6}),
+        ("rigid_body", "contact-exact", {}),
+    ],
+)
+def test_a_bare_call_takes_any_start_of_its_size_and_leaves_it_alone(scene, method, options):
+    """Strided and read-only ones too; of other sizes and types none."""
+    run = cb.prepare(scene, method, **options)
+    end, start = run.bare(run.start), run.start.copy()
+    for same in (np.repeat(start, 2)[::2], frozen(start)):
+        np.testing.assert_array_equal(run.bare(same), end)
+        np.testing.assert_array_equal(same, start)
+    for other in (
+        start[:-1],
+        np.append(start, 0.0),
+        start.astype(np.float32),
+        start.astype(int),
+        start[None],
+    ):
+        with pytest.raises(TypeError):
+            run.bare(other)
+
+
+@pytest.mark.parametrize("small", [True, False])
+def test_what_a_call_returns_is_not_changed_by_the_next(small, monkeypatch):
+    monkeypatch.setattr("contactbench.trace.native_call.SMALL", 10**4 if small else 0)
+    run = cb.prepare("oscillator", "contact-strang", step=0.03 + small / 1e3, carry=())
+    first, whole = run.bare(run.start), run()
+    copies = first.copy(), whole.y.copy()
+    run.bare(2 * run.start), run(q=(0.7,))
+    np.testing.assert_array_equal(first, copies[0])
+    np.testing.assert_array_equal(whole.y, copies[1])
+
+
+def test_one_run_may_be_called_by_several_threads():
+    run = cb.prepare("oscillator", "contact-strang", step=1e-3, carry=(), save_at=[2.0])
+    starts = [run.start * k for k in range(1, 9)]
+    alone = [run.bare(start) for start in starts]
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(20):
+            np.testing.assert_array_equal(list(pool.map(run.bare, starts)), alone)
 
 
 def test_a_program_runs_without_the_interpreter_lock():

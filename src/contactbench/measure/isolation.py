@@ -15,7 +15,7 @@ from multiprocessing.process import BaseProcess
 
 from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
 
-from contactbench.trace.compiled import folder
+from contactbench.trace.kept import folder
 
 #: seconds a process may take to come up and import what it needs
 STARTUP = 120.0

@@ -58,6 +58,7 @@ from contactbench.scene.base import OwnState
 from contactbench.scene.mechanical import Canonical
 from contactbench.solution import DIVERGENCE, Counts, Solution, Status
 from contactbench.trace.form import Assign, Element, Statement, Update, execute
+from contactbench.trace.native_call import Native
 from contactbench.trace.program import Program, record
 
 #: a step is aimed at this part of the tolerance; the least and the most that it changes
@@ -371,27 +372,30 @@ class ToleranceRun(Prepared):
         """Make of the calls for a step, where there is one, closures of all they need."""
         self.steps_taken = (step or math.nan,) * 2
         self.settings = self.method_.settings(self.request, step)
-        beside = self.method_.beside(len(self.start))
-        size = len(self.spans) * (len(self.start) + beside)
-        last, empty = slice(size - len(self.start) - beside, size - beside), np.empty
+        d, beside = len(self.start), self.method_.beside(len(self.start))
+        size = len(self.spans) * (d + beside)
         run, (w, shape) = self.run, self.arguments(self.tables)
 
-        def states(y0: np.ndarray) -> np.ndarray:
-            after = empty(size)
-            run(y0, w, shape, after)
-            return after
+        def part(of: tuple[int, int]) -> Callable[[np.ndarray], np.ndarray]:
+            """Return the function of a start that gives a part of the start and the states after it."""
+            if isinstance(run, Native):
+                return self.loop().on(d, (w, shape), of)
 
-        def bare(y0: np.ndarray) -> np.ndarray:
-            after = empty(size)
-            run(y0, w, shape, after)
-            return after[last]
+            def plain(y0: np.ndarray) -> np.ndarray:
+                y = np.append(y0, np.empty(size))
+                run(y0, w, shape, y[d:])
+                return y[of[0] : of[1]]
+
+            return plain
+
+        states, bare = part((d, d + size)), part((size - beside, size + d - beside))
 
         def dated(y0: np.ndarray) -> np.ndarray:
             y = bare(y0)
             y[self._clock] = y0[self._clock] + self._end
             return y
 
-        self.states, self.bare = states, bare if self._clock is None else dated  # type: ignore[method-assign]
+        self.states, self.bare = states, bare if self._clock is None else dated  # type: ignore
 
     def arguments(self, loop: Loop | None) -> tuple[Any, Any]:
         """Return what a recorded loop takes beside states."""

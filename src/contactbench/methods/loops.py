@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from contactbench.scene.base import OwnState
 from contactbench.solution import DIVERGENCE
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Function, execute, lines
+from contactbench.trace.native_call import Native
 from contactbench.trace.program import Program, Watch, record
 
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
@@ -192,19 +193,20 @@ class Loop:
         #: spent on recording and compiling
         self.seconds = seconds
         self._rows: Cache[tuple[np.ndarray, np.ndarray]] = Cache(KEPT)
+        self._calls: Cache[Callable[[np.ndarray], Any]] = Cache(2 * KEPT)
 
-    def compiled(self, function: Function, **options: int) -> Callable[..., int]:
+    def compiled(self, function: Function, **options: bool) -> Native:
         elapsed = stopwatch()
-        made: Callable[..., int] = compile_function(function, **options)
+        made = compile_function(function, **options)
         self.seconds += elapsed()
         return made
 
     @cached_property
-    def run(self) -> Callable[..., int]:
+    def run(self) -> Native:
         return self.compiled(self.program.run)
 
     @cached_property
-    def setup(self) -> Callable[..., int]:
+    def setup(self) -> Native:
         return self.compiled(self.program.setup, fused=False)
 
     @cached_property
@@ -237,6 +239,19 @@ class Loop:
         w = self.table(numbers, np.array(list(row_of), dtype=float))
         rows = w, np.concatenate([self.program.shape, which])
         return self._rows.get(given if w.size + len(n) <= FEW else None, lambda: rows)
+
+    def on(
+        self, d: int, rows: tuple[np.ndarray, np.ndarray], part: tuple[int, int], flagged: bool = False
+    ) -> Callable[[np.ndarray], Any]:
+        """Return `run` as a function of a start, d doubles; one for all calls with the same rows: see `Native.bind`."""
+        w, shape = rows
+
+        def make() -> Callable[[np.ndarray], Any]:
+            size = (len(shape) - len(self.program.shape)) * self.program.size
+            return self.run.bind(d, w, shape, size, slice(*part), flagged)
+
+        # what is kept keeps w, so that no other array has its id
+        return self._calls.get((id(w), part, flagged) if w.size + len(shape) <= FEW else None, make)
 
     def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
         """Return the rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
@@ -315,31 +330,19 @@ class Recorded(StepLoop[Rows]):
         _, n, rows = ready
         if rows is None or self.counted:
             return super().last(ready)
-        run, empty, k = self.loop.run, np.empty, len(n)
-        w, shape = rows
-
-        def last(y0: np.ndarray) -> np.ndarray:
-            d = len(y0)
-            after = empty(k * d)
-            run(y0, w, shape, after)
-            return after if k == 1 else after[-d:]
-
-        return last
+        d = self.loop.program.size
+        return self.loop.on(d, rows, (len(n) * d, len(n) * d + d))
 
     def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
         _, n, rows = ready
         if rows is None or self.counted or not self.loop.program.watched or self.loop.is_long(steps):
             return None
-        run, empty, saves = self.loop.run, np.empty, len(n) + starts
-        w, shape = rows
+        d, saves = self.loop.program.size, len(n) + starts
+        run = self.loop.on(d, rows, (0 if starts else d, len(n) * d + d), flagged=True)
 
         def watched(y0: np.ndarray) -> tuple[np.ndarray, bool]:
-            d = len(y0)
-            after = y = empty(saves * d)
-            if starts:
-                y[:d], after = y0, y[d:]
-            fine = run(y0, w, shape, after) < 0
-            return y.reshape(saves, d), fine
+            y, bad = run(y0)
+            return y.reshape(saves, d), bad < 0
 
         return watched
 

@@ -24,9 +24,10 @@ import numpy as np
 from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.peers.base import Call, Ending, Peer, derivative
+from contactbench.peers.by_numba import entry
 from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.solution import Counts, Status
-from contactbench.trace.compiled import compile_recorded_c, entry
+from contactbench.trace.compiled import compile_recorded_c
 from contactbench.trace.form import Assign, Element, Function, Operation, Store, execute, read_by
 from contactbench.trace.recording import Block, Tape, attempt, is_constant, operand_of
 

@@ -4,7 +4,6 @@
 
     setup(numbers, spans, data, shape, w)   row u of w: everything that depends on (h, n) = spans[u] only
     run(start, w, shape, after)             the states after all intervals in one row, the j-th by row which[j] of w
-    many(starts, w, shape, ends, part)      the same for many states of one scene side by side
 
 `setup` is called once per choice of steps, `run` at every call.  Vectors made by ``xp.asarray``, such as
 the coefficients of a composition, are data of the program and not part of it, as are their lengths and the
@@ -43,14 +42,17 @@ Numbers = Sequence[Arithmetic]
 
 
 class Program(NamedTuple):
-    """A recorded time loop; data, shape : what it is called with, `run` with (*shape, *which); width : of w."""
+    """A recorded time loop; data, shape : what it is called with, `run` with (*shape, *which); width : of w.
+
+    size : components of a state.
+    """
 
     setup: Function
     run: Function
-    many: Function
     data: np.ndarray
     shape: np.ndarray
     width: int
+    size: int
     #: whether `run` watches all that it is asked to
     watched: bool = False
 
@@ -230,10 +232,8 @@ def record(
             head, last = looks(tape, given, d, bounded, factor, watch)
             watched = True
     once = setup(tape)  # adds to the shape
-    body, beside = steps(tape, "start", ends, "after", head, last), steps(tape, "starts", ends, "ends")
-    run = Function("run", ("start", "w", "shape", "after"), body, "bad")
-    many = Function("many", ("starts", "w", "shape", "ends", "part"), beside)
-    return Program(once, run, many, *tape.constants, watched)
+    run = Function("run", ("start", "w", "shape", "after"), steps(tape, ends, head, last), "bad")
+    return Program(once, run, *tape.constants, d, watched)
 
 
 def setup(tape: ProgramTape) -> Function:
@@ -277,27 +277,19 @@ def looks(
 
 
 def steps(
-    tape: ProgramTape,
-    start: str,
-    ends: tuple[Operand, ...],
-    after: str,
-    head: Sequence[Statement] = (),
-    last: Sequence[Statement] = (),
+    tape: ProgramTape, ends: tuple[Operand, ...], head: Sequence[Statement], last: Sequence[Statement]
 ) -> tuple[Statement, ...]:
-    """The loop over the intervals from an array of states to another; head, last : before it, at the end of each."""
+    """The loop over the intervals; head, last : before it, at the end of each."""
     state, known = tuple(f"x{i}" for i in range(len(ends))), len(tape.shape)
     first = tuple(f"start{i}" for i in range(len(ends)))
-    given = [Assign(name, Element(start, (i,))) for i, name in enumerate(first)]
+    given = [Assign(name, Element("start", (i,))) for i, name in enumerate(first)]
     first_row, row = (Assign("u", Element("shape", (known,), j, "i")) for j in (0, "j"))
-    if after == "after":  # a call costs less that way
-        at = [Assign("at", Operation("mul", ("j", len(ends))))]
-        stores = [Store(Element(after, ("at",), i), x) for i, x in enumerate(state)]
-    else:
-        at, stores = [], [Store(Element(after, ("j", i)), x) for i, x in enumerate(state)]
+    at = Assign("at", Operation("mul", ("j", len(ends))))
+    stores = [Store(Element("after", ("at",), i), x) for i, x in enumerate(state)]
     steps = (part for statement in tape.main.statements for part in interruptible(statement))
-    body = row, *tape.loads, *steps, Update(state, ends), *at, *stores, *last
+    body = row, *tape.loads, *steps, Update(state, ends), at, *stores, *last
     count = Assign("all", Operation("len", ("shape",))), Assign("intervals", Operation("sub", ("all", known)))
-    before = *given, Update(state, first), *((first_row, *tape.loads, *head) if head else ())
+    before = *given, Update(state, first), first_row, *tape.loads, *head
     return *tape.whole.statements, *before, *count, Loop("j", "intervals", body)
 
 

@@ -15,8 +15,8 @@ import llvmlite.binding
 from numba import types
 
 from contactbench.peers import compiled
+from contactbench.peers.by_numba import keep, keep_c
 from contactbench.peers.compiled import ORIGIN
-from contactbench.trace.compiled import keep, keep_c
 from contactbench.trace.form import digest
 
 #: v void, p pointer, a array of doubles, d double, b bool, i int, l long, q 64-bit int, z size_t
