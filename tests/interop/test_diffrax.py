@@ -5,7 +5,6 @@ from functools import cache
 import diffrax
 import numpy as np
 import pytest
-from jax.flatten_util import ravel_pytree
 
 import contactbench as cb
 from contactbench.xla import jax, jnp
@@ -108,74 +107,6 @@ def test_between_steps_it_interpolates_by_cubics():
     assert 3.5 < np.log2(errors[0] / errors[1]) < 4.5
 
 
-# -- the derivative without the states -------------------------------------------------------------
-def derivative(scene, method, adjoint, t_end=4.0, dt0=0.1, mode="grad", **args):
-    """The derivative of the last q1 in the parameters given by name and in the initial state."""
-
-    def last(args, y0):
-        options = {"args": args, "adjoint": adjoint, "y0": y0}
-        return solve(scene, method, t_end, dt0, **options).ys[0][-1, 0]
-
-    y0 = jnp.array(cb.SCENES[scene].q), jnp.array(cb.SCENES[scene].p)
-    given = {name: jnp.asarray(x) for name, x in args.items()}
-    return jax.jit(getattr(jax, mode)(last, argnums=(0, 1))).lower(given, y0).compile(), (given, y0)
-
-
-def values(derivative):
-    program, given = derivative
-    return np.array(ravel_pytree(program(*given))[0])
-
-
-@pytest.mark.parametrize(
-    ("scene", "rate", "method"),
-    [
-        ("particle", "gamma", "contact-abc"),
-        ("particle", "gamma", "contact-rkn6"),
-        ("forced_pulsating", "friction", "contact-strang"),
-        ("forced_pulsating", "friction", "contact-rkn8"),
-    ],
-)
-@pytest.mark.quick(method=("contact-abc", "contact-strang"))
-def test_a_run_taken_back_has_the_derivative_of_the_numerical_map(scene, rate, method):
-    """Round-off of 40 steps and of what it grows to, e^{∫γ} < 2; measured: 4e-15 of the largest."""
-    rate = {rate: 0.1}
-    expected = values(derivative(scene, method, diffrax.ForwardMode(), mode="jacfwd", **rate))
-    found = values(derivative(scene, method, cb.diffrax.ReversibleAdjoint(), **rate))
-    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-14 * np.abs(expected).max())
-
-
-def test_its_memory_does_not_grow_with_the_steps():
-    def memory(steps):
-        program, _ = derivative(
-            "particle", "contact-strang", cb.diffrax.ReversibleAdjoint(), 0.1 * steps, gamma=0.1
-        )
-        return program.memory_analysis().temp_size_in_bytes
-
-    assert memory(400) == memory(100) < 400 * 4 * 8  # bytes of the states
-
-
-@pytest.mark.parametrize(("t_end", "dt0"), [(12.0, 0.1), (2.0, 0.09)])
-@pytest.mark.quick(t_end=2.0)
-def test_what_cannot_be_taken_back_is_no_derivative(t_end, dt0):
-    """Overdamped, γT = 48: the fast motion is lost in round-off; and a dt0 that does not divide the span."""
-    run = derivative("oscillator", "contact-strang", cb.diffrax.ReversibleAdjoint(), t_end, dt0, gamma=4.0)
-    with pytest.raises(Exception, match="does not end at its start"):
-        values(run)
-
-
-def test_a_derivative_in_parameters_alone_is_watched_too():
-    def last(gamma):
-        adjoint = cb.diffrax.ReversibleAdjoint()
-        return solve("oscillator", "contact-strang", 12.0, args={"gamma": gamma}, adjoint=adjoint).ys[0][
-            -1, 0
-        ]
-
-    with pytest.raises(Exception, match="does not end at its start"):
-        jax.grad(last)(4.0)
-    with pytest.raises(TypeError, match="forward-mode"):  # not taken without what the states depend on
-        jax.jacfwd(jax.grad(last))(0.1)
-
-
 FULL = np.array([[0.2, 0.15], [0.15, 0.2]])
 
 
@@ -203,28 +134,10 @@ def test_terms_that_it_does_not_solve_are_refused(velocity, damping, state):
         diffrax.diffeqsolve(terms, cb.diffrax.Contact("contact-abc"), 0, 1, 0.1, (state, state))
 
 
-def test_a_forced_run_from_rest_is_taken_back():
-    def last(force, adjoint):
-        rest = {"y0": (jnp.zeros(1), jnp.zeros(1)), "args": {"force": force}, "adjoint": adjoint}
-        return solve("forced_oscillator", "contact-rkn6", 4.0, **rest).ys[0][-1, 0]
-
-    found = jax.grad(last)(0.3, cb.diffrax.ReversibleAdjoint())
-    expected = jax.jacfwd(last)(0.3, diffrax.ForwardMode())
-    assert float(found) == pytest.approx(float(expected), rel=1e-11)
-
-
-def test_what_is_no_contact_run_to_its_end_is_not_taken_back():
-    adjoint, steps = cb.diffrax.ReversibleAdjoint(), diffrax.SaveAt(steps=True)
-    changing = diffrax.StepTo(ts=np.linspace(0, 2, 5))
-    for options in ({"saveat": steps}, {"dt0": None, "stepsize_controller": changing}):
-        with pytest.raises(cb.BadInput, match="ReversibleAdjoint"):
-            solve("particle", "contact-strang", adjoint=adjoint, **options)
-
-
 def test_refusals():
     with pytest.raises(cb.BadInput, match="no composition of kicks"):
         cb.diffrax.Contact("rk4")
-    for scene in ("rigid_body", "quadratic_damping", "fput"):
+    for scene in ("rigid_body", "quadratic_damping"):
         with pytest.raises(cb.BadInput, match=r"has no terms on \(q, p\)"):
             cb.diffrax.terms_of(scene)
     for args, says in (
