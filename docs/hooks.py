@@ -22,7 +22,7 @@ import contactbench as cb
 
 ROOT = Path(__file__).parent.parent
 #: pages whose code is run, block after block
-RUN = ("tutorial.md", "gallery.md", "api.md", "timing.md")
+RUN = ("tutorial.md", "gallery.md", "api.md")
 BLOCK = re.compile(r"^```python\n(.*?)^```\n", re.S | re.M)
 #: q += … as one sign
 ASSIGNED = re.compile(r"<mo><mrow><mo>([^<]*)</mo></mrow></mo><mo>&#x0003D;</mo>")
@@ -30,7 +30,7 @@ FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>',
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """results/ as it is: documents, figures, tables and the page."""
+    """results/ as it is: documents, figures and tables."""
     for path in sorted((ROOT / "results").rglob("*")):
         if path.is_file():
             files.append(File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)))

@@ -84,8 +84,7 @@ def closed_form_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> d
 
 
 def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dict[str, int]:
-    """Digits to which a body keeps |R| as it was at the start and, if damped isotropically, J e^{γt} while J is
-    above 10⁻²⁰."""
+    """Digits to which a body keeps |R| as it was at the start and, if damped isotropically, J e^{γt}."""
     if not isinstance(scene, RigidBody):
         return {}
     context = truth.decimal_context(70)
@@ -97,7 +96,6 @@ def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dic
         grown = [
             [c * context.exp(twin.gamma * context.mpf(t)) for c in twin.momentum_at(x)]
             for t, x in zip(times, states, strict=True)
-            if twin.gamma * context.mpf(t) < 46
         ]
         start = twin.momentum_at(twin.initial(twin.carry()))
         # one scale for the three components of J: some of them start at nearly nothing
@@ -140,20 +138,6 @@ def before_blow_up(scene: Scene) -> tuple[list[str], dict[str, Any]]:
     return [t for t in times if float(t) < float(high)], {"blow_up": known}
 
 
-def printed(scene: Scene, times: list[str], rows: truth.Rows, digits: int) -> list[list[str]]:
-    """The decimals to store: `digits` of the largest entry of every column.
-
-    Where entries fade below that, columns known in closed form keep the digits of every entry.
-    """
-    columns = list(zip(*print_columns(rows, digits), strict=True))
-    size = max(abs(x) for row in rows for x in row)
-    if any(0 < abs(x) < size * mpmath.mpf(10) ** -20 for row in rows for x in row):
-        exact = truth.closed_form_columns(scene, np.array([float(t) for t in times]), scene.carry())
-        for i, known in enumerate(exact or ()):
-            columns[i] = columns[i] if known is None else tuple(known[0])
-    return [list(row) for row in zip(*columns, strict=True)]
-
-
 def parameters(scene: Scene) -> dict[str, Any]:
     """The scene's definition for human readers."""
     if isinstance(scene, RigidBody):
@@ -188,7 +172,7 @@ def compute(scene: Scene) -> tuple[str, dict[str, Any]]:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["t", *scene.labels(carry)])
-    writer.writerows([t, *row] for t, row in zip(times, printed(scene, times, high, digits), strict=True))
+    writer.writerows([t, *row] for t, row in zip(times, print_columns(high, digits), strict=True))
     versions = {"heyoka": heyoka.__version__, "mpmath": mpmath.__version__}
     entry = {
         "file": f"{scene.name}.csv",

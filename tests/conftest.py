@@ -4,7 +4,6 @@ import signal
 import sys
 from typing import Any
 
-import numba
 import pytest
 from mpmath import mp
 
@@ -98,14 +97,6 @@ def fresh(monkeypatch):
 
     forget()
     return forget
-
-
-@pytest.fixture
-def threads():
-    """Set how many threads numba uses, until the test ends."""
-    before = numba.get_num_threads()
-    yield numba.set_num_threads
-    numba.set_num_threads(before)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import Numbers, abilities
 from contactbench.scene import cross, dot, free_body, quaternion_product
 from contactbench.scene import flow as flow_module
+from contactbench.scene.general_damping import decayed
 from contactbench.splitting.composition import merge
 from contactbench.xla import jax
 from decimals import contact_defect, momentum_defect
@@ -212,27 +213,6 @@ def signed(y):
     return [*y[:3], *(c * side / abs(side) for c in y[3:7]), y[7]]
 
 
-def flows_know_their_factors():
-    """∂s(h)/∂s = c + p(h)·∂q(h)/∂s by differences, which is Φ*η = c η on ∂_s; γh weak and strong."""
-
-    def knows(scene, name, h):
-        exact, x = in_mp(scene, random_state(scene, 35))
-
-        def of_s(s):
-            return flowed(exact, name, x._replace(s=s), h)
-
-        end, pushed = (exact.unpack(y, scene.carry()) for y in (of_s(x.s), slope(of_s, x.s)))
-        c = mp.exp(exact.flows[name].log_factor(exact, x, h, mp))
-        return close([exact.contact_form(end, pushed) / c], [1], DIFFERENCED)
-
-    return all(
-        knows(scene, name, h)
-        for scene in (HEAVY, BOTH_DAMPINGS, NEGATIVE, BODY)
-        for name in scene.flows
-        for h in map(mp.mpf, ("0.37", "4.1"))
-    )
-
-
 def anisotropic_damping_solves_its_equation():
     """A full D is held as the eigenvectors of float64: orthogonal to 16 digits, whatever the arithmetic."""
 
@@ -273,7 +253,7 @@ def general_damping_is_right():
         with mp.workdps(40):
             flow = partial(cubic_flow, h=mp.mpf(h), xp=mp)
             true, factor = flow(mp.mpf(s)), mp.diff(flow, s)
-        mine = [mine.s, *mine.p, damp.log_factor(GENERAL, x, h, math)]
+        mine = [mine.s, *mine.p, decayed(GENERAL, s, h, math)[1]]
         return close(mine, [true, *(factor * p for p in x.p), mp.log(factor)], 10)
 
     return all(is_right(s, h) for s, h in ((0.7, 0.3), (-0.4, 0.8), (2.0, 0.8), (0.6, -0.2), (0.0, 0.5)))

@@ -17,14 +17,13 @@ PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text
 EXTRAS = (
     "jax",
     "jaxlib",
+    "numba",
     "diffrax",
     "optimistix",
     "equinox",
     "sksundae",
-    "sundials4py",
     "heyoka",
     "CyRK",
-    "rebound",
     "gmpy2",
 )
 
@@ -58,10 +57,6 @@ def test_what_is_missing_is_one_line_with_the_command():
             if getattr(method, "package", ""):
                 print(name, "|", cb.solve("kepler", name, **setting).message)
         try:
-            cb.solve("oscillator", "contact-rkn6", step=0.1, engine="jax")
-        except cb.BadInput as error:
-            print("jax |", error)
-        try:
             cb.diffrax
         except ImportError as error:
             print("cb.diffrax |", error)
@@ -72,9 +67,6 @@ def test_what_is_missing_is_one_line_with_the_command():
         "heyoka-taylor",
         "cyrk-dop853",
         "diffrax-tsit5",
-        "ias15",
-        "sprk-5",
-        "jax",
         "cb.diffrax",
     ):
         assert re.fullmatch(r"[\w-]+ is not installed: pip install [\w -]+", said[name]), (name, said[name])
@@ -92,19 +84,18 @@ def test_a_method_is_checked_and_timed_on_the_engines_that_are_there():
         own = engines(cb.SCENES["particle"], PROFILES["smoke"])
         print("timed", [engine for method, engine in own if method == "contact-rkn6"])
         try:
-            check_method(cb.METHODS["rk4"], engines=["jax"])
+            check_method(cb.METHODS["diffrax-tsit5"], engines=["jax"])
         except cb.BadInput as error:
             print(error)
     """)
-    assert "checked ['numba', 'python']" in printed
+    assert "checked ['llvm', 'python']" in printed
     assert "heyoka is not installed: pip install heyoka" in printed
     timed = re.search("timed .*", printed)[0]
-    assert "'numba'" in timed
-    assert "'jax'" not in timed
+    assert "'llvm'" in timed
     assert printed.endswith("engine jax: jax is not installed: pip install jax\n")
 
 
-@pytest.mark.parametrize("name", [*INSTALLED_AS.values(), "jax", "heyoka", "CyRK", "rebound", "sundials4py"])
+@pytest.mark.parametrize("name", [*INSTALLED_AS.values(), "jax", "heyoka", "CyRK"])
 def test_the_command_names_packages_of_the_extras(name):
     required = [
         re.match(r"[\w-]+", each)[0] for group in PROJECT["optional-dependencies"].values() for each in group
@@ -121,8 +112,6 @@ def test_nothing_of_an_extra_is_required():
         "scikit-sundae",
         "heyoka",
         "CyRK",
-        "rebound",
-        "sundials4py",
     }
     assert {method.package for method in cb.METHODS.values() if getattr(method, "package", "")} <= {
         *EXTRAS,

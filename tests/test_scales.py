@@ -112,7 +112,7 @@ def test_a_fast_motion_has_not_diverged(method, time, length):
     assert cb.prepare(plain, method, **({"rtol": 1e-8} if adaptive else {"step": 0.05}))(q=(1e9,)).ok
 
 
-@pytest.mark.parametrize("engine", ["numba", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 @pytest.mark.parametrize(("length", "time", "mass"), [(20.0, 3e6, 4e-11), (1e-6, 2e-2, 2e8)])
 def test_a_first_step_is_that_of_the_motion_in_other_units(engine, length, time, mass):
     """Coordinates and momenta differ by ten to fifteen powers of ten."""
@@ -133,7 +133,7 @@ def test_a_blow_up_is_seen_at_any_scale(method, time):
     assert run.status == "diverged"
 
 
-@pytest.mark.parametrize("engine", ["numba", "jax"])
+@pytest.mark.parametrize("engine", ["llvm"])
 def test_members_of_an_ensemble_have_scales_of_their_own(engine):
     scene = in_units("oscillator", 1.0, 1e-9, 1.0, 0.1)
     start = {"q": (np.geomspace(1e-9, 1, 40),)}
@@ -311,9 +311,3 @@ def test_functions_that_fit_are_taken():
     for scene in (driven(), damped()):
         assert cb.solve(scene, "contact-strang", step=0.1).ok
         check_scene(scene)
-
-
-def test_a_wrong_closed_form_of_many_sites_is_no_truth():
-    ring = cb.SCENES["linear_ring"]
-    late = ring.with_(exact=lambda scene, t, xp: ring.exact(scene, 1.01 * t, xp))
-    assert math.isclose(cb.reference(late, [1.0]).y[0, 0], cb.reference(ring, [1.0]).y[0, 0], rel_tol=1e-12)

@@ -27,27 +27,22 @@ from contactbench.scene import (
     Spheres,
     shifted,
 )
-from contactbench.scene.many import Lattice, Particles
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import reference
 
 if TYPE_CHECKING:
-    from contactbench.ensembles import Ensemble, ensemble
-    from contactbench.ensembles.lyapunov import Lyapunov, lyapunov
     from contactbench.interop import diffrax, scipy
     from contactbench.measure.own_composition import composition
     from contactbench.study.advice import advise
     from contactbench.study.compare import compare
 
-__all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "ContactSystem", "Counts", "Driven", "Ensemble"]
-__all__ += ["Equations", "GeneralDamping", "HeavyTop", "Lattice", "Lyapunov", "Mechanical", "Particles"]
+__all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "ContactSystem", "Counts", "Driven"]
+__all__ += ["Equations", "GeneralDamping", "HeavyTop", "Mechanical"]
 __all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "advise", "compare", "composition"]
 __all__ += [
-    "ensemble",
     "fixed_step",
     "geometric_steps",
-    "lyapunov",
     "math",
     "prepare",
     "reference",
@@ -58,9 +53,7 @@ __version__ = "0.1.0"
 
 
 #: what not every program needs, and where it is imported from when first asked for
-LATER = dict.fromkeys(("Ensemble", "ensemble"), "ensembles")
-LATER |= dict.fromkeys(("Lyapunov", "lyapunov"), "ensembles.lyapunov")
-LATER |= {"composition": "measure.own_composition", "compare": "study.compare", "advise": "study.advice"}
+LATER = {"composition": "measure.own_composition", "compare": "study.compare", "advise": "study.advice"}
 #: parts that are modules, named as the library that they go with
 PARTS = ("diffrax", "scipy")
 

@@ -17,7 +17,7 @@ CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f\\u2028\\u2029\\ud800-\\udfff]")
 
 
 #: packages that are imported by one name and installed by another, with what they need
-INSTALLED_AS = {"sksundae": "scikit-sundae", "diffrax": "diffrax optimistix"}
+INSTALLED_AS = {"sksundae": "scikit-sundae numba", "diffrax": "diffrax optimistix"}
 
 
 def missing(package: str) -> str | None:

@@ -104,11 +104,10 @@ def keywords(control: str, value: float) -> dict[str, Any]:
 class Differential(NamedTuple):
     """The derivative of the saved states of a numerical map along the m tangents at the start, or why there is none.
 
-    states : (k, d), where it is taken.  estimates : (l, k, d, m), one to round-off, several by differences, or none.
+    estimates : (l, k, d, m), one to round-off, several by differences, or none.
     """
 
     source: str
-    states: np.ndarray
     estimates: np.ndarray
 
     @property
@@ -289,23 +288,7 @@ class Solution:
         """dΦ of the numerical map its user gets; where the state decides on the steps, this included."""
         if self.run is None:
             raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
-        return self.run.differential(self.y0, self, frozen=False)
-
-    @cached_property
-    def frozen_differential(self) -> Differential:
-        """dΦ with the steps held fixed, as AD with the choice of steps left out gives it."""
-        if self.run is None or not self.run.steps_follow_state:
-            return self.differential
-        return self.run.differential(self.y0, self, frozen=True)
-
-    def log_factor(self) -> np.ndarray | None:
-        """Log of the product of the conformal factors of the contact maps applied, (k,); None: no such maps."""
-        return None if self.run is None else self.run.log_factor(self.y0, self.y)
-
-    @property
-    def composed(self) -> bool:
-        """Whether the run is a composition of contact maps, of whatever factors."""
-        return self.run is not None and self.run.composed(self.y0)
+        return self.run.differential(self.y0, self)
 
     @property
     def sensitivity(self) -> np.ndarray:

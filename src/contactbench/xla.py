@@ -1,13 +1,11 @@
 """JAX, imported and configured when something first uses it: ``from contactbench.xla import jax, jnp, lax``.
 
-The settings hold for the whole process: double precision; results are waited for at once; single trajectories run on
-one thread, and there is a CPU device for every core this process may use.  Choices already made (``XLA_FLAGS``,
-``jax_num_cpu_devices``) stand, and where JAX is running already it keeps its devices.
+The settings hold for the whole process: double precision; results are waited for at once; a trajectory runs
+on one thread.  ``XLA_FLAGS`` that are set already stand.
 """
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import os
 from functools import cache
@@ -29,10 +27,6 @@ def configure() -> None:
     jax.config.update("jax_enable_x64", True)
     # a hand-over to a worker thread would only add its wake-up, 50 µs a call
     jax.config.update("jax_cpu_enable_async_dispatch", False)
-    if jax.config.jax_num_cpu_devices < 0 and "device_count" not in os.environ["XLA_FLAGS"]:
-        with contextlib.suppress(RuntimeError):  # JAX is running already
-            affinity = getattr(os, "sched_getaffinity", None)
-            jax.config.update("jax_num_cpu_devices", len(affinity(0)) if affinity else os.cpu_count() or 1)
     try:
         jax.devices()
     except Exception as error:  # an AssertionError too

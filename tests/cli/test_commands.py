@@ -39,12 +39,12 @@ def test_an_error_that_nobody_foresaw_is_one_line_with_its_place(monkeypatch, ca
 
 def test_it_prints_tables_and_writes_only_what_it_is_told(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main([*RACE, "--csv", "out.csv", "--html", "out.html", "--plot", "out.svg"]) == 0
+    assert main([*RACE, "--csv", "out.csv", "--plot", "out.svg"]) == 0
     out, err = capsys.readouterr()
     assert out.startswith("Compiled")
     assert "at round-off" in out
     assert err == ""  # no terminal, no progress
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.csv", "out.html", "out.svg"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.csv", "out.svg"]
     rows = pd.read_csv("out.csv")
     assert list(rows["method"]) == ["rk4", "rk4", "contact-strang", "contact-strang"]
     assert (rows["status"] == "ok").all()
@@ -129,7 +129,6 @@ OPTIONS = [
     ("solve particle rk4 --step 0.1", "--out", ".csv"),
     ("solve particle rk4 --step 0.1", "--plot", ".svg"),
     ("compare particle rk4", "--csv", ".csv"),
-    ("compare particle rk4", "--html", ".html"),
     ("compare particle rk4", "--plot", ".png"),
 ]
 
@@ -252,7 +251,7 @@ def test_a_closed_stream_is_no_error(closed):
 
 @pytest.mark.parametrize("platform", few_slow(["rocm", "abacus"], "rocm"))
 def test_a_platform_that_is_not_there_is_one_line(platform):
-    done = run(*MODULE, *SOLVE, "--engine", "jax", JAX_PLATFORMS=platform)
+    done = run(*MODULE, "solve", "oscillator", "diffrax-tsit5", "--rtol", "1e-3", JAX_PLATFORMS=platform)
     assert done.returncode == 2
     assert done.stderr.startswith(f"contactbench: JAX_PLATFORMS = {platform}: must be")
     assert done.stderr.count("\n") == 1
@@ -266,8 +265,8 @@ cases = {
     "cvode-adams": {"rtol": 1e-3}, "scipy-dop853": {"rtol": 1e-3}, "cyrk-dop853": {"rtol": 1e-3},
 }
 runs = {name: cb.solve("particle", name, **given) for name, given in cases.items()}
-runs["contact-exact"] = cb.solve("rigid_body", "contact-exact", engine="numba")
-runs["numba"] = cb.solve("particle", "rk4", step=0.1, engine="numba")
+runs["contact-exact"] = cb.solve("rigid_body", "contact-exact", engine="llvm")
+runs["llvm"] = cb.solve("particle", "rk4", step=0.1, engine="llvm")
 runs["c"] = cb.solve("particle", "cvode-adams", rtol=1e-3, engine="c")
 print(json.dumps({name: (run.engine, run.status, "NUMBA_DISABLE_JIT" in run.message) for name, run in runs.items()}))
 """
@@ -278,7 +277,7 @@ def test_where_numba_does_not_compile_python_computes():
     assert done.returncode == 0, done.stderr
     runs = json.loads(done.stdout)
     by_python = dict.fromkeys(("rk4", "contact-strang", "scipy-dop853"), "python")
-    compiled = {"cyrk-dop853": "c++", "contact-exact": "numba", "numba": "numba", "c": "c"}
+    compiled = {"cyrk-dop853": "c++", "contact-exact": "llvm", "llvm": "llvm", "c": "c"}
     by_python |= {"cvode-adams": "c+python"}
     assert {name: engine for name, (engine, status, _) in runs.items() if status == "ok"} == by_python
     assert {name: engine for name, (engine, _, why) in runs.items() if why} == compiled

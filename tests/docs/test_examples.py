@@ -10,15 +10,18 @@ import made_up
 from cases import REPOSITORY, environment
 
 BLOCK = re.compile(r"^```python[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
-#: pages, what a block of them has that is taken, and the methods that these make
-PAGES = {"steps.md": "", "adding.md": "class BogackiShampine(Adaptive)"}
+#: the page and the heading from which all its blocks are taken, what an earlier block that is taken has, and the
+#: methods that these make
+PAGE, FROM, EARLIER = "adding.md", "## What a step is made of", "class BogackiShampine(Adaptive)"
 METHODS = ["my-ralston", "my-splitting", "my-implicit", "my-ab2", "my-bs32"]
 
 
 @pytest.fixture(scope="module")
 def repository(tmp_path_factory):
     place = tmp_path_factory.mktemp("project")
-    blocks = [b for page, part in PAGES.items() for b in BLOCK.findall(shown(page)) if part in b]
+    before, heading, after = shown(PAGE).partition(FROM)
+    assert heading
+    blocks = [*BLOCK.findall(after), *(block for block in BLOCK.findall(before) if EARLIER in block)]
     made_up.git(place, "init", "-q", "-b", "main")
     (place / ".gitignore").write_text("results/.cells\n__pycache__\n")
     (place / "my.py").write_text("import contactbench as cb\n" + "\n".join(blocks))

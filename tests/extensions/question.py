@@ -42,7 +42,6 @@ def parts(frames):
             "Half-life",
             frame[["method", "value", "half_life"]].set_axis(["method", "step", "half-life"], axis=1),
             "The time at which H0 is half of what it was.",
-            "half_life.csv",
         ),
         Figure("half_life", "Half-life of the energy against the step", (panel,)),
     ]

@@ -108,7 +108,7 @@ ALLOWED = {
     "message": change(WORK, "cvode-bdf", message="other words"),
     "far below the bound of a claim": change(CLAIMS, "any", measured=9e-16),
     "a smaller profile": change(WORK, "rk4", profile="smoke"),
-    "a law that the baseline does not have": change(LAWS, "rk4", momentum_balance=1e-3),
+    "a law that the baseline does not have": change(LAWS, "rk4", sphere_drift=1e-3),
 }
 
 
@@ -196,8 +196,8 @@ def test_counts_may_move_by_what_roundings_were_measured_to_do_to_them(spread, i
 
 
 def test_a_column_that_is_lost_is_red(baseline, tmp_path):
-    had = folder(tmp_path / "had", change(LAWS, "rk4", momentum_balance=1e-3))
-    assert red(compare_folders(had, baseline)) == {(LAWS, "rk4", "momentum_balance")}
+    had = folder(tmp_path / "had", change(LAWS, "rk4", sphere_drift=1e-3))
+    assert red(compare_folders(had, baseline)) == {(LAWS, "rk4", "sphere_drift")}
 
 
 def test_new_rows_are_not_judged(baseline, tmp_path):

@@ -61,7 +61,7 @@ def test_a_base_has_its_own_copy_of_a_plug_in(tmp_path, monkeypatch):
 
 
 def test_the_template_has_what_the_document_shows():
-    shown = (REPOSITORY / "docs" / "project.md").read_text()
+    shown = (REPOSITORY / "docs" / "gate.md").read_text()
     workflow = (TEMPLATE / ".github" / "workflows" / "gate.yml").read_text()
     assert f"```yaml\n{workflow}```" in shown
     commands = re.findall(r"^contactbench (\w+)", (TEMPLATE / "README.md").read_text(), re.M)

@@ -98,8 +98,6 @@ def test_energy_that_stays_does_not_grow_whatever_its_sign_and_size(bottom, size
 @pytest.mark.parametrize(
     ("scene", "law", "size"),
     [
-        ("oscillator", "energy_law_relative", 2e-3),
-        ("rigid_body", "energy_law_relative", 2e-3),
         ("rigid_body", "momentum_law", 1e-3),
         ("central", "momentum_law", 2e-3),
     ],
@@ -138,8 +136,7 @@ def test_laws_stay_finite_when_everything_underflows(method):
     assert solution.ok
     assert np.abs(solution.M[-1]).max() < 1e-307
     found = {law.name: law(solution) for law in laws_of(scene)}
-    infinite = {name for name, value in found.items() if not math.isfinite(value)}
-    assert infinite <= ({"own_factor_drift"} if method == "rk4" else set())  # which has no factor of its own
+    assert all(map(math.isfinite, found.values()))
     assert (found["momentum_law"] < 1e-12) == (method != "rk4")
 
 
@@ -151,13 +148,6 @@ def test_deviation_is_measured_only_where_numbers_mean_something():
     assert conformal_deviation(wrong, np.array([1.0]), t, 1.0)[-1] > 1e100
     assert relative_deviation(np.array([1e-320]), np.array([3e-320])).max() == 0.0
     assert relative_deviation(np.array([1.0]), np.array([3e-320])).max() > 1
-
-
-def test_momentum_balance_holds_where_the_torque_breaks_the_law():
-    runs = [cb.solve("particle", "contact-strang", step=h) for h in (0.1, 0.05)]
-    coarse, fine = (cb.LAWS["momentum_balance"](run) for run in runs)
-    assert math.log2(coarse / fine) == pytest.approx(2, abs=0.2)
-    assert LAWS["momentum_law"].measure(runs[0]).size.max() > 0.1  # no J law here
 
 
 def test_laws_say_what_they_need():
@@ -192,7 +182,7 @@ def test_entries_taken_against_their_terms_are_counted():
 
 # -- judgements ------------------------------------------------------------------------------------
 STATE, MAP = {"momentum_law", "attitude_drift"}, {"contact_drift", "pairing_drift"}
-OWN = {"distribution_drift", "own_factor_drift"}
+OWN = {"distribution_drift"}
 
 
 def judged(scene, method, **setting):

@@ -8,6 +8,7 @@ import pytest
 
 import contactbench as cb
 import contactbench.measure.order as of_steps
+from chains import bodies
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import DIGITS, ROUND_OFF, fit_order
 from contactbench.splitting.tables import COMPOSITIONS
@@ -208,7 +209,7 @@ def test_a_ladder_ends_where_the_error_stops_falling(errors):
 def test_a_ladder_of_steps_begins_where_the_error_is_as_large_as_the_motion(errors, unit, longest):
     """At most one step from each of the five ends to the next; unit : the step of error 1, of a second-order method."""
     errors(lambda value: (value / unit) ** 2)
-    search = Search(Question(cb.SCENES["planets"], None, (1e-3, 1e-6), 60.0), "contact-rkn6")
+    search = Search(Question(bodies(6, 3), None, (1e-3, 1e-6), 60.0), "contact-rkn6")
     list(search.turns())
     assert max(a.value for a in search.attempts) == longest
     assert search.best(1e-6) is not None

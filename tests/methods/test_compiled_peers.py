@@ -134,7 +134,7 @@ def test_a_run_that_failed_leaves_the_next_one_as_it_was(method, engine):
 #: what compiles, with an engine that does not where there is one
 COMPILERS = [(*peer, "c+python" if peer[0] in CVODE else None) for peer in PEERS]
 COMPILERS += [("heyoka-taylor", "llvm", None)]
-COMPILERS += [("contact-strang", engine, "python") for engine in ("numba", "jax")]
+COMPILERS += [("contact-strang", "llvm", "python")]
 
 
 @pytest.mark.parametrize(("method", "engine", "other"), COMPILERS)

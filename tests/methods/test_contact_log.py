@@ -152,7 +152,7 @@ def test_steps_do_not_depend_on_the_saved_times():
 def test_engines_agree_and_count_the_same(carry):
     runs = [
         cb.solve(BENT, "contact-log6", step=0.2, save_at=[2.0, 6.0], carry=carry, engine=engine)
-        for engine in ("numba", "python")
+        for engine in ("llvm", "python")
     ]
     np.testing.assert_allclose(runs[0].y, runs[1].y, rtol=0, atol=1e-12)
     assert runs[0].counts == runs[1].counts
@@ -198,16 +198,8 @@ def test_a_tolerance_chooses_the_step(method, rtol):
     assert 0 < solution.step_chosen <= 2
 
 
-@pytest.mark.slow
-def test_particles_are_taken_component_by_component():
-    solution = cb.solve("planets", "contact-log6", step=0.2, save_at=[2500.0, 5000.0])
-    assert solution.scene is not None
-    assert cb.LAWS["solution_error"](solution) < 1e-6
-    assert cb.LAWS["momentum_law"](solution) < 1e-12
-
-
 def test_what_it_does_not_take_is_refused_in_one_line():
-    for name in ("oscillator", "rigid_body", "duffing", "quadratic_damping", "fput"):
+    for name in ("oscillator", "rigid_body", "duffing", "quadratic_damping"):
         solution = cb.solve(name, "contact-log4", step=0.1)
         assert solution.status is cb.Status.unsupported
         assert "contact-log4 needs" in solution.message
@@ -219,7 +211,7 @@ def test_what_it_does_not_take_is_refused_in_one_line():
 WELL = cb.Mechanical(name="well", potential=lambda q: q[0] ** 2 / 2 - 1, q=(1.0,), p=(1.5,), t_end=10.0)
 
 
-@pytest.mark.parametrize("engine", ["numba", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 def test_a_run_that_leaves_the_well_fails_and_says_why(engine):
     solution = cb.solve(WELL, "contact-log4", step=0.02, engine=engine)
     assert solution.status is cb.Status.failed

@@ -9,7 +9,6 @@ import pytest
 
 import contactbench as cb
 from cases import few_slow
-from contactbench.methods import many
 from contactbench.peers import cyrk, heyoka, sundials
 
 PEERS = {"cvode-adams": sundials, "cvode-bdf": sundials, "heyoka-taylor": heyoka, "cyrk-dop853": cyrk}
@@ -44,17 +43,6 @@ def test_an_interrupt_ends_a_long_run(method, save_at):
         scene, method, rtol=1e-9, save_at=1e7 * TIMES[save_at], max_steps=5 * 10**7
     )  # for some ten seconds
     ends_at_once(run)
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_an_interrupt_ends_a_long_run_of_many_sites(threads, monkeypatch):
-    monkeypatch.setattr(many.FieldLoop, "threads", lambda *_: threads)
-    scene = cb.SCENES["fput"].with_(n=10**5, t_end=1e5)
-    run = cb.prepare(scene, "contact-strang", step=0.05, save_at=[1e5], carry=("s",))  # for minutes
-    before = set(threading.enumerate())  # CyRK leaves some behind
-    ends_at_once(run)
-    new = set(threading.enumerate()) - before
-    assert not [each for each in new if each.daemon and each.name.startswith("Thread-")]
 
 
 def ends_at_once(run):

@@ -55,10 +55,6 @@ def test_a_time_that_does_nothing_changes_nothing(method, engine, carry):
     assert b.y[:, 2].tolist() == [0.5, 2.0, 7.5]
     np.testing.assert_allclose(timed.bare(timed.start), b.y[-1], rtol=0, atol=1e-5)
     assert timed.bare(timed.start)[2] == 7.5
-    np.testing.assert_allclose(
-        b.frozen_differential.value[:, [0, 1]], a.frozen_differential.value[:, :2], rtol=0, atol=1e-11
-    )
-    assert not b.frozen_differential.value[:, 2].any()
 
 
 @every
@@ -71,7 +67,7 @@ def test_initial_data_begin_at_a_time_of_their_own(method, engine):
     assert cb.LAWS["solution_error"](own) < 1e-6
 
 
-@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 def test_fixed_steps_are_saved_at_the_times_of_the_grid(engine):
     """And not at the sum of their lengths."""
     times = np.arange(31) / 10

@@ -11,6 +11,7 @@ import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, mine
+from chains import chain
 from contactbench.methods.loops import LONG
 from contactbench.methods.prepared import Prepared
 
@@ -44,7 +45,7 @@ def test_public_calls_are_short():
 
 
 @pytest.mark.parametrize("times", [None, [1.0], [0.0, 0.5, 1.0]], ids=str)
-@pytest.mark.parametrize("scene", [s for s in ALL_SCENES if not s.by_sites], ids=lambda scene: scene.name)
+@pytest.mark.parametrize("scene", ALL_SCENES, ids=lambda scene: scene.name)
 def test_the_short_way_gives_what_the_long_one_does(scene, times):
     run = cb.prepare(scene.with_(t_end=1.0), "contact-bm4", step=0.05, save_at=times)
     name = "M" if hasattr(scene, "M") else "q"
@@ -77,7 +78,7 @@ def test_the_loop_sees_a_start_without_a_slope_and_energy_that_rises():
 def test_a_run_that_diverges_takes_its_steps_once(monkeypatch):
     """Its states are looked at as the loop has left them."""
     spring = cb.Mechanical(name="spring", potential=lambda q: q[0] ** 2, q=(1.0,), p=(0.0,), t_end=300.0)
-    for scene in (spring, cb.SCENES["fput"].with_(t_end=300.0)):
+    for scene in (spring, chain(16, t_end=300.0)):
         run = cb.prepare(scene, "contact-strang", step=3.0, carry=())
         monkeypatch.setattr(run, "integrate", lambda y0: pytest.fail("taken again"))
         assert run().status == "diverged"

@@ -10,6 +10,7 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
+from chains import chain
 from contactbench.measure.order import order_at
 from contactbench.methods.by_tolerance import Explicit, RungeKuttaPair
 from contactbench.methods.runge_kutta import read_tableau, runge_kutta
@@ -114,20 +115,10 @@ def test_undamped_coordinates_solve_the_equations(name, scene):
     assert np.abs(solution.y - reference.y).max() < 1e-8 * np.abs(reference.y).max(), "q, p and s"
 
 
-@pytest.mark.parametrize("name", ["rkn8", "rkn12", "rk8"])
-def test_many_sites_and_their_components_are_one_motion(name):
-    """Stages written out in one, a loop over rows of fields in the other."""
-    scene = cb.SCENES["fput"].with_(gamma=0.1)
-    times = [0.7, 2.0]
-    together, apart = (cb.solve(each, name, step=0.1, save_at=times).y for each in (scene, scene.unrolled()))
-    assert np.abs(together - apart).max() < 1e-13
-
-
-@pytest.mark.parametrize("engine", ["python", "jax"])
 @pytest.mark.parametrize("name", ["rkn12", "rk8"])
-def test_engines_agree_where_stages_are_a_loop(engine, name):
-    scene = cb.SCENES["fput"].with_(gamma=0.1)
-    runs = [cb.solve(scene, name, step=0.1, save_at=[2.0], engine=each).y for each in ("numba", engine)]
+def test_engines_agree_where_stages_are_a_loop(name):
+    scene = chain(16)
+    runs = [cb.solve(scene, name, step=0.1, save_at=[2.0], engine=each).y for each in ("llvm", "python")]
     assert np.abs(runs[0] - runs[1]).max() < 1e-13
 
 
@@ -243,7 +234,7 @@ def test_rejected_steps_leave_no_trace(name):
 
 @pytest.mark.parametrize("name", PAIRS)
 def test_python_runs_the_same_steps(name):
-    runs = [cb.solve("particle", name, rtol=1e-7, save_at=[1.0, 20.0], engine=e) for e in ("numba", "python")]
+    runs = [cb.solve("particle", name, rtol=1e-7, save_at=[1.0, 20.0], engine=e) for e in ("llvm", "python")]
     assert runs[0].counts == runs[1].counts
     assert np.abs(runs[0].y - runs[1].y).max() < 1e-12
 

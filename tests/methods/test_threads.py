@@ -11,7 +11,7 @@ import contactbench as cb
 
 THREADS = 4
 #: the runs with a state of their own, which takes a lock; the last one divides its intervals anew at every call
-STATEFUL = [("heyoka-taylor", "llvm"), ("cvode-bdf", "c"), ("contact-rkn6", "numba")]
+STATEFUL = [("heyoka-taylor", "llvm"), ("cvode-bdf", "c"), ("contact-rkn6", "llvm")]
 #: a problem of a few steps, so that there are many calls and many switches within them
 SCENE = cb.SCENES["particle"].with_(t_end=0.5)
 TIMES = {"end": [0.5], "grid": [0.0, 0.2, 0.35, 0.5]}
@@ -37,7 +37,7 @@ def starts(thread):
 @pytest.mark.parametrize("shared", [True, False], ids=["one run", "a run each"])
 @pytest.mark.parametrize(("method", "engine"), PAIRS, ids=[f"{m.name}-{e}" for m, e in PAIRS])
 @pytest.mark.quick(method=("heyoka-taylor", "cvode-bdf"), engine=("llvm", "c"), times="end")
-@pytest.mark.quick(method="contact-rkn6", engine="numba", times="end")
+@pytest.mark.quick(method="contact-rkn6", engine="llvm", times="end")
 def test_threads_do_not_disturb_each_other(method, engine, shared, times):
     calls = 2000 if (method.name, engine) in STATEFUL else 60  # 10⁴ of all pairs
     run = prepared(method, engine, times)

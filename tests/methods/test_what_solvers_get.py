@@ -16,7 +16,6 @@ from CyRK import pysolve_ivp
 import contactbench as cb
 from cases import c_functions, mine
 from contactbench.solution import Status
-from contactbench.study import ensemble
 from contactbench.xla import jnp
 
 #: asked for; numbers that nothing has by default, and tolerances that both act
@@ -69,7 +68,6 @@ def calls(run):
     solution = run()
     assert solution.ok
     run.bare(run.start)
-    run.linearised(run.start, solution.y)
 
 
 def test_every_adaptive_method_is_looked_at():
@@ -115,7 +113,7 @@ def test_heyoka(times, monkeypatch):
     for name in ("propagate_until", "propagate_grid"):
         monkeypatch.setattr(kind, name, recorded(getattr(kind, name)))
     calls(prepared("heyoka-taylor", "llvm", times))
-    assert seen == 3 * [{"tol": RTOL, "end": END, "max_steps": BUDGET}]
+    assert seen == 2 * [{"tol": RTOL, "end": END, "max_steps": BUDGET}]
 
 
 # -- set up from Python, run in C ------------------------------------------------------------------
@@ -190,27 +188,6 @@ def test_diffrax(name, engine, times, monkeypatch):
     asked = [RTOL, ATOL, RTOL, ATOL, BUDGET, False, END, 1e-15 * END, 0.0]
     np.testing.assert_allclose(run.bare(run.start), asked, rtol=1e-15)
     assert set(map(str, seen)) == {str((KINDS[name, engine], diffrax.PIDController, None, []))}
-
-
-@pytest.mark.parametrize("shape", ["vmap", "shared"])
-@pytest.mark.parametrize("name", ensemble.SOLVERS)
-def test_diffrax_in_ensembles(name, shape, monkeypatch):
-    """The same where the benchmark calls diffrax itself."""
-    scene, seen = cb.SCENES["particle"], set()
-
-    def returns_what_it_gets(terms, solver, t0, t1, dt0, y0, *, stepsize_controller, **options):
-        pid = stepsize_controller
-        default = diffrax.PIDController(rtol=0.1, atol=0.1)
-        seen.add((type(solver).__name__, type(pid), dt0, *other_than_default(pid, default, "rtol", "atol")))
-        numbers = zip((pid.rtol, pid.atol, t1, t0), scene.pack(y0), strict=True)
-        ys = scene.unpack([jnp.full((1, *c.shape), number) for number, c in numbers], ())
-        return SimpleNamespace(stats={"num_steps": jnp.array(1)}, ys=ys)
-
-    monkeypatch.setattr(diffrax, "diffeqsolve", returns_what_it_gets)
-    monkeypatch.setattr(ensemble, "diffrax_program", ensemble.diffrax_program.__wrapped__)
-    run, _ = ensemble.prepared(scene, name, "jax", shape, RTOL, np.ones((4, 3)))
-    np.testing.assert_array_equal(run().T, [[RTOL, RTOL, scene.t_end, 0.0]] * 3)
-    assert seen == {(KINDS[name, "jax"], diffrax.PIDController, None)}
 
 
 # -- budgets, and the steps of our own ---------------------------------------------------------------

@@ -84,9 +84,7 @@ WALL = {
 @pytest.mark.parametrize("name", WALL)
 def test_a_potential_of_several_pieces_runs_everywhere(name):
     scene = cb.Mechanical(name=name, potential=WALL[name], gamma=0.1, q=(1.0,), p=(0.0,), t_end=4.0)
-    ends = [
-        cb.solve(scene, "contact-rkn4", step=0.05, engine=engine) for engine in ("numba", "jax", "python")
-    ]
+    ends = [cb.solve(scene, "contact-rkn4", step=0.05, engine=engine) for engine in ("llvm", "python")]
     assert all(end.status == "ok" for end in ends)
     for end in ends[1:]:
         np.testing.assert_allclose(end.y, ends[0].y, rtol=1e-12)

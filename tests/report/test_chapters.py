@@ -32,14 +32,9 @@ def order(method, measured, claimed):
 
 COST = {"time_median_s": 1e-3, "time_min_s": 1e-3, "rhs_equivalents": 100.0}
 CREEP = {"experiment": "overdamped", "t_end": 100.0, "damping_per_step": 5.0, "ratio": 1.0}
-MANY = {"question": "error", "trajectories": 10, "cores": 1, "time_median_s": 1.0, "time_min_s": 1.0}
-LONG = {"quantity": "mean H0 at phase 0", "evaluations_per_time": 8.0, "mean": 0.04, "error": 1e-3}
 LIMIT = {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.8, "windows": ""}
-SIZE = {"n": 1024, "cores": 1, "time_min_s": 1e-3, "site_ns": 0.5, "reach_s": 1e-3}
 RING = {"gamma": 1e-5, "t_end": 1e4, "n": 16, "energy_error": 1e-3, "evaluations_per_time": 8.0}
 RING |= {"time_min_s": 2e-6, "timed_evaluations": 100}
-DERIVATIVE = {"mode": "forward", "t_end": 20.0, "error_asked": 1e-6}
-DERIVATIVE |= {"gradient_error": 1e-7, "time_min_s": 1e-4}
 CLAIM = {"id": "C01", "where": "§2", "claim": "so", "verdict": "holds", "status": "ok", "measured": 1.0}
 SOME = {
     "work_precision": [
@@ -51,11 +46,7 @@ SOME = {
     "stability": [row("critical", "rk4", 0.1, solution_error=1e-3, rhs_equivalents=10.0)],
     "stability_limits": [LIMIT],
     "damping_rates": [row("overdamped", "rk4", 0.1, evaluations=10, rate_error=1e-3, **CREEP)],
-    "ensemble": [row("particle", "rk4", 0.1, solution_error=1e-3, evaluations=10, **MANY)],
-    "long_time": [row("duffing", m, 0.1, reference=m == "rk4", **LONG) for m in ("contact-a", "rk4")],
     "structure_buys": [row("chaotic_ring", m, 0.1, **RING) for m in ("contact-a", "rk4")],
-    "scaling": [row("fput", "rk4", 0.1, evaluations=10, **SIZE)],
-    "gradients": [row("particle", m, 0.1, **DERIVATIVE) for m in ("contact-a", "rk4")],
     "population": [
         {"seed": 1, "scene": "a-0", "method": "rk4", "error": 1e-6, "status": "ok", "evaluations": 10.0}
     ],

@@ -50,7 +50,7 @@ def worked():
             spent = round((10 + k) / step)
             cost = {"rhs_equivalents": spent, "time_median_s": 1e-7 * spent, "time_min_s": 9e-8 * spent}
             error = min(1.0, 0.1 * step ** (own.order or 9))
-            yield row("particle", name, step, solution_error=error, engine="numba", **cost)
+            yield row("particle", name, step, solution_error=error, engine="llvm", **cost)
 
 
 def converged():
@@ -140,7 +140,7 @@ def test_the_convergence_plot_has_a_guide_of_every_order_in_colour():
 @pytest.mark.parametrize("ratio", [0.2, 5.0])
 def test_a_title_names_first_who_is_cheaper_and_both_are_in_colour(ratio):
     rows = [
-        row("particle", method, h, solution_error=h**4, engine="numba", time_min_s=scale / h)
+        row("particle", method, h, solution_error=h**4, engine="llvm", time_min_s=scale / h)
         for method, scale in (("contact-rkn4", ratio), ("rk4", 1.0))
         for h in (0.2, 0.02, 0.002)
     ]

@@ -1,7 +1,5 @@
 """What the tables to read say, on small tables made by hand; views, numbers and their markdown; a comparison."""
 
-import base64
-import json
 import math
 import re
 
@@ -10,9 +8,8 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench.report import gradients, long_time, markdown, race, scaling, structure, work_precision
+from contactbench.report import markdown, race, structure, work_precision
 from contactbench.report.damping import rates_view
-from contactbench.report.ensemble import beside_loops, with_rates
 from contactbench.report.headline import mission_view, most_met_cost
 from contactbench.report.laws import equal_cost_view
 from contactbench.report.numbers import duration
@@ -21,7 +18,6 @@ from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.report.write import glossary
 from contactbench.results.contest import COMPILED
 from contactbench.results.schema import TABLES
-from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, SUM
 from frames import frames, row, table
 
 
@@ -121,102 +117,6 @@ def test_rates_are_compared_at_equal_cost_and_ties_are_named():
     assert (line[1].text, line[1].mark) == ("scipy-radau 1.0e-10", Mark.best)
 
 
-# -- ensembles -------------------------------------------------------------------------------------
-def run_of(method, question="arithmetic", time=1.0, **more):
-    counts = {"trajectories": 1000, "evaluations": 100, "cores": 1, "time_min_s": time, "time_median_s": time}
-    return row("particle", method, 0.1, question=question, **counts | more)
-
-
-def test_ensembles_stand_beside_the_c_loops_of_the_same_step():
-    rows = [
-        run_of("contact-strang", time=2.0),
-        run_of("limit-c", variant="contact-strang plain", engine="c"),
-        run_of("limit-c", variant="contact-strang tiled", engine="c", time=4.0),
-    ]
-    shapes, own = beside_loops(with_rates(table("ensemble", rows)))
-    assert shapes == ["plain", "tiled"]
-    assert (own["stage"] / own["plain"]).tolist() == [2.0]
-    assert (own["stage"] / own["tiled"]).tolist() == [0.5]
-
-
-# -- long chaotic runs -----------------------------------------------------------------------------
-TRUE = {ENERGY: 0.04, EXPONENT: 0.16, DIMENSION: 1.4, SUM: 0.0}
-
-
-def chaotic(method, evaluations, off=0.0, defect=1e-14, reference=False):
-    """Rows of all quantities at one setting; off : by how many of its error bars, a fifth of what is allowed each."""
-    for quantity, true in TRUE.items():
-        error = 1e-15 if quantity == SUM else long_time.ALLOWED[quantity] * true / 5
-        columns = {
-            "mean": 0.0 if quantity == SUM else true + off * error,
-            "error": 0.0 if reference else error,
-            "pairing_defect": defect if quantity == SUM else np.nan,
-        }
-        cost = {"evaluations_per_time": evaluations, "jacobians_per_time": 0.0}
-        yield row(
-            "duffing", method, 1 / evaluations, quantity=quantity, reference=reference, **columns, **cost
-        )
-
-
-PLANTED = [
-    *chaotic("cyrk-dop853", 50, reference=True, defect=1e-9),
-    *(r for n, off in ((4, 20), (8, 1), (16, 2)) for r in chaotic("contact-rkn4", n, off)),
-    *(r for n, off in ((7, 4), (16, 0)) for r in chaotic("herglotz2", n, off, 1e-4)),
-    *(r for n, off in ((4, 1), (8, 8), (16, 0)) for r in chaotic("rk4", n, off, 1e-2)),
-]
-
-
-def test_an_average_counts_from_where_every_dearer_setting_is_right():
-    """rk4 is right at 4 by chance, wrong at 8; herglotz2 is undecided at 7."""
-    costs = long_time.least(table("long_time", PLANTED), ENERGY)
-    assert costs["cost"].to_dict() == {"contact-rkn4": 8, "herglotz2": 16, "rk4": 16}
-    assert costs["first"].to_dict() == {"contact-rkn4": True, "herglotz2": False, "rk4": False}
-
-
-def test_one_wrong_setting_at_the_end_leaves_no_cost():
-    rows = table("long_time", [*PLANTED, *chaotic("contact-rkn4", 32, 9)])
-    assert "contact-rkn4" not in long_time.least(rows, EXPONENT).index
-
-
-@pytest.mark.parametrize(
-    ("more", "kept"), [((), "contact-rkn4"), (chaotic("contact-rkn4", 32, 0, 1e-9), "nobody")]
-)
-def test_pairs_are_kept_only_where_every_setting_keeps_them(more, kept):
-    *_, last = long_time.answers(frames(long_time=[*PLANTED, *more]))
-    assert last.answer == kept
-
-
-# -- cost against size -----------------------------------------------------------------------------
-def at_sizes(method, each, power=1.0, reach=1e-3, **more):
-    """Rows of an evaluation that takes `each` ns a site at n = 1024 and grows as a power of n."""
-    common = {"cores": 1, "evaluations": 10, "time_min_s": 1e-3}
-
-    def columns(n):
-        return {"n": n, "reach_s": reach * n / 1024, "site_ns": each * (n / 1024) ** (power - 1)}
-
-    return [row("fput", method, 0.1, **common, **columns(n), **more) for n in (16, 128, 1024, 10_000)]
-
-
-def test_the_power_by_which_time_grows_is_that_of_large_sizes():
-    rows = table("scaling", at_sizes("contact-a", 0.5, 1.2))
-    rows.loc[rows["n"] == 16, "site_ns"] = 99.0
-    assert scaling.slope(rows) == pytest.approx(1.2)
-    assert np.isnan(scaling.slope(rows[rows["n"] < 1000]))
-
-
-def test_who_is_cheapest_at_the_largest_size_and_who_is_first_at_the_error():
-    rows = [*at_sizes("contact-a", 0.5, reach=2e-3), *at_sizes("rk4", 0.4), *at_sizes("limit-c", 0.2)]
-    rows += [each | {"engine": "python"} for each in at_sizes("scipy-b", 0.1, reach=1e-9)]
-    each, reach, growth = scaling.answers(frames(scaling=rows))
-    assert (each.answer, each.count) == ("rk4", "0.4 ns, ×2.00 the C loop")
-    assert (reach.answer, reach.count) == ("rk4", "1 ms, then contact-a ×2.00")
-    assert growth.answer == "as n to the power 1.00"
-    rows += at_sizes("contact-b", 0.3, reach=1e-4)
-    contradicted = [found.answer for found in scaling.answers(frames(scaling=rows))]
-    assert contradicted[:2] == ["contact-b", "contact-b"]
-    assert "contact-b takes 0.3 ns" in scaling.figure(table("scaling", rows)).title
-
-
 # -- what structure buys ---------------------------------------------------------------------------
 def on_the_ring(method, errors, each_ns=20.0, **more):
     """Rows of steps 1/4 and 1/8, at T = 10⁴ timed, and at T = 10⁵: errors of the two at each length."""
@@ -274,28 +174,6 @@ def test_one_setting_is_shown_at_both_lengths_and_a_bound_as_one():
     assert "rk4, the best that is no contact method, ×3.00 that" in structure.figure(rows).title
 
 
-# -- derivatives -----------------------------------------------------------------------------------
-def derivative(method, mode, seconds, error=5e-7):
-    case = {"t_end": 20.0, "error_asked": 1e-6, "memory_kB": 4.0}
-    return row("particle", method, 0.1, mode=mode, gradient_error=error, time_min_s=seconds, **case)
-
-
-def test_derivatives_are_compared_where_they_have_the_error_forward_and_in_reverse():
-    rows = [derivative("rk4", "loss alone", 1e-4), derivative("rk4", "forward", 3e-4)]
-    rows += [derivative("rk4", "backsolve", 1e-4, error=2e-6), derivative("rk4", "checkpointed", 4e-4)]
-    forward, reverse = gradients.answers(frames(gradients=rows))
-    assert (forward.answer, forward.count) == ("rk4", "300 µs")
-    assert (reverse.answer, reverse.count) == ("rk4, checkpointed", "400 µs")
-    contradicting = [*rows, derivative("contact-a", "reversible", 2e-4)]
-    _, reverse = gradients.answers(frames(gradients=contradicting))
-    assert (reverse.answer, reverse.count) == (
-        "contact-a, reversible",
-        "200 µs; rk4, checkpointed ×2.00",
-    )
-    shown = gradients.costs_view(table("gradients", rows)).rows
-    assert [line[6].text for line in shown] == ["×1.00", "×3.00", "×4.00"]
-
-
 # -- views, numbers and their markdown -------------------------------------------------------------
 def view(rows, labels, **more):
     return View("v", "Title", frame_of(rows, labels), "A legend.", **more)
@@ -325,31 +203,23 @@ def test_the_glossary_has_every_method_scene_and_column():
     assert all(f"`{column}`" in text for each in TABLES.values() for column in each.columns)
 
 
-def test_infinite_numbers_sort_beyond_all_others_and_missing_ones_are_dashes():
+def test_infinite_numbers_have_their_sign_and_missing_ones_are_dashes():
     assert as_cell(float("inf")).text == "∞"
-    assert as_cell(float("inf")).value > as_cell(1e300).value
     assert as_cell(pd.NA).text == "—"
 
 
-# -- A comparison on one scene as text, page and plot ----------------------------------------------
+# -- A comparison on one scene as text and plot -----------------------------------------------------
 @pytest.fixture(scope="module")
 def frame():
     return cb.compare("oscillator", ["contact-strang", "rk4", "contact-exact"], (1e-2, 1e-4), budget=60.0)
 
 
-def test_text_and_page_have_every_time_and_law_and_the_plot_every_kind(frame):
-    text, page = race.text(frame), race.html(frame)
+def test_text_has_every_time_and_the_plot_every_kind(frame):
+    text = race.text(frame)
     for run in frame[frame["status"] == "ok"].itertuples():
-        assert run.method in page
         assert f"{run.setting}, {run.error_reached:.1e}" in text
     assert "contact-exact: unsupported" in text
-    assert "who is cheapest?" in page
     assert [panel.title for panel in race.figure(frame).panels] == ["Compiled", "Evaluations"]
-    drawn = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
-    assert [b"<svg" in base64.b64decode(each) for each in drawn] == [True] * 2  # costs, and the motion
-    laws = json.loads(re.search(r'id="data">(.*)</script>', page)[1])["race_laws"]
-    assert "contact drift" in [label for label, *_ in laws["heads"]]
-    assert len(laws["rows"]) == int((frame["status"] == "ok").sum())
 
 
 def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
@@ -378,4 +248,4 @@ def test_a_run_that_ended_well_shows_its_error_and_another_how_it_ended():
     ]
     found = [ending(pd.Series({"solution_error": math.nan, "blow_up_time": math.nan} | run)) for run in runs]
     assert [cell.value for cell in found] == [1e-3, None, None]
-    assert [cell.mark for cell in found[1:]] == [Mark.right, Mark.bad]
+    assert [cell.text for cell in found[1:]] == ["diverged", "budget"]

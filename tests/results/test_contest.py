@@ -73,7 +73,7 @@ def test_kinds_of_engine_are_never_mixed():
     assert winners(own, called_back, kind=EVALUATIONS) == {"other"}
 
 
-@pytest.mark.parametrize("engine", ["c", "c++", "llvm", "numba"])
+@pytest.mark.parametrize("engine", ["c", "c++", "llvm"])
 def test_a_compiled_row_takes_part_whoever_it_is(engine):
     assert winners(ladder("contact-a"), ladder("scipy-dop853", 0.5, engine=engine)) == {"other"}
 

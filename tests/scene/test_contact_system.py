@@ -166,15 +166,13 @@ def test_a_step_is_a_contact_map_whatever_h(method, scene):
         assert off > 1e-12
         return
     assert off < 1e-90
-    logarithm = cb.METHODS[method].log_factor(scene.recorded(), scene.initial(("s",)), 0.1, 1)
-    assert float(context.log(c)) == pytest.approx(logarithm, rel=1e-12, abs=1e-15)
 
 
 @by_name([GENERAL, PENDULUM])
 @pytest.mark.parametrize("method", METHODS)
 def test_a_step_of_doubles_is_one_to_round_off(method, scene):
     steps = [cb.solve(scene, method, step=h, save_at=[h]) for h in (0.02, 0.1, 0.2)]
-    assert max(map(cb.LAWS["own_factor_drift"], steps)) < 3e-15  # measured: 1e-15
+    assert max(map(cb.LAWS["distribution_drift"], steps)) < 3e-15  # measured: 1e-15
 
 
 @by_name([PENDULUM, POLAR, cb.SCENES["central"], cb.SCENES["forced_pulsating"]])
@@ -207,7 +205,7 @@ def test_a_wrong_coefficient_costs_the_structure(monkeypatch):
     scene, step = ROUGH.recorded(), cb.METHODS["contact-gauss4"]
     monkeypatch.setattr(contact_gauss, "gauss_tableau", wrong)
     pulled, form = pullback(step, scene, "0.1", 1)
-    c = math.exp(step.log_factor(scene, scene.initial(("s",)), 0.1, 1))
+    c = float(pulled[-1] / form[-1])
     assert max(abs(float(a) - c * float(b)) for a, b in zip(pulled, form, strict=True)) > 1e-9
 
 
@@ -229,7 +227,7 @@ def test_stages_start_from_the_last_steps_polynomial():
         assert counts.evaluations / counts.steps / 3 < most
 
 
-@pytest.mark.parametrize("engine", ["numba", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 @pytest.mark.parametrize(
     ("method", "scene", "step"),
     [
@@ -249,7 +247,7 @@ def test_a_motion_that_escapes_diverges(method):
     assert cb.solve("escape", method, step=0.0017).status is cb.Status.diverged
 
 
-@pytest.mark.parametrize("engine", ["numba", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 @pytest.mark.parametrize("gamma", [0.0, 0.3, 40.0])
 def test_where_the_fixed_point_iteration_stalls_newtons_finds_the_step(gamma, engine):
     """ωh = 50: undamped, the midpoint rule is Cayley's map; damped, the factor is that of the flow."""
@@ -352,7 +350,7 @@ def test_laws_of_a_general_h():
     solution = cb.solve(THERMOSTAT, "contact-gauss4", step=0.1, save_at=[1.0])
     laws = solution.laws()["deviation"]
     assert 1e-9 < laws["contact_drift"] < 1e-3  # its own factor is off by its error
-    assert laws["own_factor_drift"] < 1e-13
+    assert laws["distribution_drift"] < 1e-13
     assert laws["hamiltonian_law"] < 1e-2
     assert {"momentum_law", "pairing_drift"}.isdisjoint(laws.index)
 

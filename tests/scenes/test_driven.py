@@ -116,17 +116,16 @@ def test_order_of_the_others(name):
 
 @by_name([FORCED_PULSATING, LANE_EMDEN[1]])
 @pytest.mark.parametrize("name", ["herglotz1", "herglotz2"])
-def test_herglotz_maps_keep_the_product_of_the_factors_of_their_steps(name, scene):
+def test_herglotz_maps_keep_the_distribution_with_a_factor_of_their_own(name, scene):
     """(1 − ½γ_k h)/(1 + ½γ_{k+1} h) and 1 − γ_k h with the γ of the time; off from e^{−∫γ} by their order."""
     columns = row(cb.solve(scene, name, step=0.1, save_at=saved(scene)))
-    assert columns["own_factor_drift"] < 1e-13
+    assert columns["distribution_drift"] < 1e-13
     assert columns["contact_drift"] > 1e-4
 
 
-def test_a_negative_factor_has_no_logarithm_and_no_number_stands_for_it():
-    """1 − γh = −0.6 in the first step, γ being 2 there; the map keeps ker η all the same."""
+def test_a_negative_factor_keeps_the_distribution():
+    """1 − γh = −0.6 in the first step, γ being 2 there."""
     columns = row(cb.solve(LANE_EMDEN[1], "herglotz1", step=0.8, save_at=saved(LANE_EMDEN[1])))
-    assert math.isnan(columns["own_factor_drift"])
     assert columns["distribution_drift"] < 1e-13
 
 
@@ -255,7 +254,7 @@ def test_what_steps_over_a_pulse_is_seen_in_its_laws():
     assert digits[0] > 20 > 14 == digits[1]
 
 
-@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
 @pytest.mark.parametrize("setting", [{"step": 0.01}, {"rtol": 1e-7}])
 def test_steps_end_at_breaks_on_every_engine(engine, setting):
     scene = pulse(breaks=(13.0, 13.6))

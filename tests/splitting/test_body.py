@@ -128,7 +128,7 @@ def test_the_compiled_method_is_right_to_what_the_data_determine(kind):
     for inertia, M, t in motions(kind, 6):
         inertia, M = zip(*sorted(zip(inertia, M, strict=True)), strict=True)
         scene = BODY.with_(inertia=inertia, M=M, gamma=0.0, t_end=abs(t))
-        run = cb.prepare(scene, "contact-exact", save_at=[abs(t)], carry=("R",), engine="numba")
+        run = cb.prepare(scene, "contact-exact", save_at=[abs(t)], carry=("R",), engine="llvm")
         found = scene.unpack(run.bare(run.start).tolist(), ("R",))
         assert_determined(found, [*inertia], [*M], abs(t))
 
@@ -143,24 +143,23 @@ BODIES += [BODY.with_(name="driven", gamma=-0.1), UNDAMPED]
 @pytest.mark.parametrize("engine", EXACT.engines)
 @pytest.mark.parametrize("scene", BODIES, ids=lambda s: s.name)
 @pytest.mark.quick(engine="python")
-@pytest.mark.quick(scene="rigid_body", engine="numba")
+@pytest.mark.quick(scene="rigid_body", engine="llvm")
 def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scene):
     times = scene.t_end * np.arange(11) / 10
     solution = cb.solve(scene, "contact-exact", save_at=times, engine=engine)
     assert solution.ok
     assert cb.LAWS["solution_error"](solution) < 1e-13  # the needle's phase of 700 leaves 3e-14
-    for name in ("momentum_law", "attitude_drift", "hamiltonian_law", "energy_law_relative"):
+    for name in ("momentum_law", "attitude_drift", "hamiltonian_law"):
         assert cb.LAWS[name](solution) < 1e-14, name
     magnified = max(1.0, growth(solution.differential))
-    for name in ("contact_drift", "own_factor_drift"):
-        assert cb.LAWS[name](solution) < 1e-13 * magnified, name
+    assert cb.LAWS["contact_drift"](solution) < 1e-13 * magnified
     assert solution.counts == (10, 10 * FREE_COST, 0, 0, "rotation")
     momentum = cb.solve(scene, "contact-exact", save_at=times, engine=engine, carry=())
     assert momentum.counts == (10, 10 * MOMENTUM_COST, 0, 0, "rotation")
 
 
 @pytest.mark.parametrize("engine", EXACT.engines)
-@pytest.mark.quick(engine=("numba", "python"))
+@pytest.mark.quick(engine=("llvm", "python"))
 def test_contact_exact_has_an_end(engine):
     runaway = BODY.with_(gamma=-50.0, t_end=20.0)
     solution = cb.solve(runaway, "contact-exact", save_at=[0.1, 20.0], engine=engine)
@@ -238,14 +237,14 @@ def test_a_body_at_rest_stays_and_has_a_derivative(method):
 
 @pytest.mark.parametrize("method", EXACT_DRIFT)
 @pytest.mark.parametrize("M", [(1, 0, 0), (0, 1, 0), (0, 0, 2), (1, 1, 0), (1, 0, 1)], ids=str)
-@pytest.mark.parametrize("engine", ["numba", "jax"])
-@pytest.mark.quick(engine="numba")
+@pytest.mark.parametrize("engine", ["llvm"])
+@pytest.mark.quick(engine="llvm")
 def test_the_closed_form_has_a_derivative_on_the_axes_and_between_two(method, M, engine):
     solution = cb.solve(BODY.with_(M=M), method, step=0.5, save_at=[1.0], engine=engine)
     assert cb.LAWS["contact_drift"](solution) < 1e-13
 
 
-@pytest.mark.parametrize("engine", ["jax", "python"])
+@pytest.mark.parametrize("engine", ["python"])
 @pytest.mark.quick(engine="python")
 def test_a_step_as_long_as_the_decay_is_no_trouble(engine):
     """e^{−γh} underflows within one step; negative substeps would grow by e^{+γ|a|h} if they met damping."""

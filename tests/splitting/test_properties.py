@@ -30,7 +30,6 @@ PROPERTIES = {
     "anisotropic damping": properties.anisotropic_damping_solves_its_equation,
     "general damping": properties.general_damping_is_right,
     "smoothness": properties.the_damped_time_is_smooth,
-    "own factor": properties.flows_know_their_factors,
     "arrays": properties.flows_agree_on_arrays,
     "conformal factor": lambda: structured(properties.has_its_conformal_factor, PARTICLE),
     "momentum law": lambda: structured(properties.has_its_momentum_law, CENTRAL),

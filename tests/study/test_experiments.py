@@ -1,11 +1,10 @@
-"""The benchmark: its profiles, timed cells, rows of averages over long runs, and a disk that is full."""
+"""The benchmark: its profiles, timed cells, and a disk that is full."""
 
 import math
 import re
 from collections import Counter
 from itertools import chain
 
-import numpy as np
 import pytest
 
 import contactbench as cb
@@ -16,17 +15,9 @@ from contactbench.measure.clock import Part, Visit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.store import read
-from contactbench.results.tables import (
-    DEFINITIONS,
-    DIMENSION,
-    ENERGY,
-    ENSEMBLE_TABLE,
-    EXPONENT,
-    LONG_TIME,
-    SUM,
-)
+from contactbench.results.tables import DEFINITIONS, WORK_PRECISION
 from contactbench.scenes import scenes_of
-from contactbench.study import choice, ensemble, long_time
+from contactbench.study import choice
 from contactbench.study.choice import DEAR, SMOKE, methods_of
 from contactbench.study.claims import LONG
 from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
@@ -34,7 +25,7 @@ from contactbench.study.experiment import PROFILES, Timing, experiments
 from contactbench.study.search import step_at, tolerance_at
 from contactbench.study.settings import ENDS, steps
 from contactbench.study.timetable import SAMPLE, SPARED, Entry, Timetable
-from contactbench.study.work_precision import error, errors, evaluations_spread, ladder, passes_through
+from contactbench.study.work_precision import error, errors, evaluations_spread, ladder, passes_through, runs
 
 
 class Scripted:
@@ -97,20 +88,17 @@ def test_what_lasts_long_is_visited_less_often_and_recorded_once():
 
 
 def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
-    cells = {k: "numba" if k % 10 else "c" for k in range(1000)} | {1000 + k: "llvm" for k in range(5)}
+    cells = {k: "llvm" if k % 10 else "c" for k in range(1000)} | {1000 + k: "jax" for k in range(5)}
     sample = Timetable(cells, 8).sample
-    assert Counter(cells[k] for k in sample) == {"numba": SAMPLE, "c": SAMPLE, "llvm": 3}
+    assert Counter(cells[k] for k in sample) == {"llvm": SAMPLE, "c": SAMPLE, "jax": 3}
     assert Timetable(cells, 8).sample == sample
 
 
 def test_another_process_prepares_and_times_what_it_is_told():
-    cell = ("arithmetic", "particle", "limit-c", "c", "contact-strang plain", "step", 0.1, 64, 1)
+    cell = ("particle", "contact-strang", "llvm", "step", 0.1)
     with Timetable({}, 8) as table:
-        call = table.remote([], [], Timing(ENSEMBLE_TABLE, ensemble.call, (cell,)))
-        assert call.prepared.result()[1] == {}
-        assert ensemble.errors(cell)["status"] == "ok"
-        y = np.asarray(ensemble.run_of(cell)[0]())
-        assert ensemble.error(cb.SCENES["particle"], y, ensemble.truth("particle")) < 0.1
+        call = table.second(Timing(WORK_PRECISION, runs, (cell, None)))
+        assert set(call.prepared.result()[1]) == {"call_s"}
         call.warm_up()
         visit = call.visit(2)
         assert len(visit.whole) == 2
@@ -170,45 +158,6 @@ def test_every_line_of_what_is_left_to_full_leaves_something_out_of_a_standard_r
     cells = set(map(str, chain.from_iterable(each.cells(PROFILES["standard"]) for each in some)))
     monkeypatch.setattr(choice, "LEFT", without)
     assert cells < set(map(str, chain.from_iterable(each.cells(PROFILES["standard"]) for each in some)))
-
-
-# -- Rows of averages over long runs ---------------------------------------------------------------
-@pytest.fixture
-def rows(monkeypatch):
-    """The rows of a short run with tangents by their quantities."""
-    for name, value in {"PERIODS": 40, "SETTLE": 20, "TRAJECTORIES": 64}.items():
-        monkeypatch.setattr(long_time, name, value)
-
-    def run(method, steps):
-        made = list(long_time.with_tangents(cb.METHODS[method], "step", long_time.PERIOD / steps, 64))
-        assert all(set(row) <= set(LONG_TIME.columns) for row in made)
-        return {row["quantity"]: row for row in made}
-
-    return run
-
-
-def test_a_run_with_tangents_gives_every_average_and_what_the_pairs_are_off(rows):
-    found = rows("rk4", 16)
-    assert list(found) == [ENERGY, EXPONENT, DIMENSION, SUM]
-    assert found[EXPONENT]["evaluations_per_time"] == pytest.approx(64 / long_time.PERIOD)
-    assert abs(found[SUM]["mean"]) <= found[SUM]["pairing_defect"]
-    assert found[SUM]["mean"] == pytest.approx(-1.8e-3, rel=0.1)  # with the error of order four of rk4
-    assert "pairing_defect" not in found[ENERGY]
-
-
-def test_where_trajectories_are_lost_there_is_a_row_without_numbers(rows):
-    for row in rows("contact-rkn4", 2).values():
-        assert (row["status"], "mean" in row) == ("diverged", False)
-
-
-@pytest.mark.parametrize("name", long_time.FIXED)
-def test_fixed_steps_are_chosen_for_equal_cost(name):
-    method = cb.METHODS[name]
-    each, settings = method.per_step(long_time.SCENE, ()), long_time.settings(method)
-    spent = each * long_time.PERIOD / np.array([value for _, value in settings])
-    assert len(settings) > 5
-    for wanted in long_time.EVALUATIONS:
-        assert np.abs(spent - wanted).min() <= each / 2
 
 
 # -- A disk that is full while a benchmark runs ----------------------------------------------------

@@ -469,7 +469,7 @@ def test_the_command_takes_a_file_and_a_name_and_prints_text_or_json(
 
 @pytest.mark.parametrize(
     "name",
-    ["double_pendulum", "thermostat", "heavy_top", "spherical_pendulum", "forced_oscillator", "planets"],
+    ["double_pendulum", "thermostat", "heavy_top", "spherical_pendulum", "forced_oscillator"],
 )
 def test_there_is_advice_for_every_kind_of_scene(name):
     advice = cb.advise(name)

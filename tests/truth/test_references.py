@@ -328,7 +328,7 @@ def test_a_power_at_zero_is_a_product_to_heyoka():
     run = cb.solve(power, "heyoka-taylor", rtol=1e-14, save_at=[5.0])
     assert run.ok
     assert np.abs(run.y[-1] - exact.y[-1]).max() < 1e-14
-    assert run.sensitivity.shape == (1, 3, 3)  # of the variational equations, by derivatives of the product
+    assert run.sensitivity.shape == (1, 3, 3)
 
 
 def test_a_trial_step_onto_a_singularity_is_halved():

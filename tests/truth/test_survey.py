@@ -11,9 +11,9 @@ import contactbench as cb
 from cases import after_pulse, few_slow, mine, pulse, refusal
 from contactbench.numbers.functions import exp, sin
 from contactbench.truth import OutOfTime
-from contactbench.truth.many import doubles
 from contactbench.truth.reference import confirmed
 from contactbench.truth.survey import Survey, stops_between
+from contactbench.truth.two_solvers import doubles
 
 
 def bell(x):
@@ -76,7 +76,7 @@ def test_the_pole_of_a_motion_from_zero_is_said():
 
 
 def test_two_solvers_that_agree_on_no_digit_are_refused(monkeypatch):
-    module = importlib.import_module("contactbench.truth.many")
+    module = importlib.import_module("contactbench.truth.two_solvers")
     monkeypatch.setattr(module, "by_scipy", lambda slope, y, times, **_: [y + 1.0 for _ in times])
     scene = cb.SCENES["oscillator"]
     assert "agree on no digit" in refusal(lambda: doubles(scene, np.array([1.0]), (), np.inf))

@@ -60,8 +60,6 @@ PEERS = [
     "jax",
     "heyoka",
     "cyrk",
-    "sundials4py",
-    "rebound",
     "numba",
     "numpy",
 ]

@@ -153,7 +153,7 @@ def summary(solution: Solution) -> dict[str, object]:
 
 
 def compare(arguments: argparse.Namespace) -> int:
-    for option, kinds in (("html", ()), ("plot", PICTURES), ("csv", ())):
+    for option, kinds in (("plot", PICTURES), ("csv", ())):
         writable(f"--{option}", getattr(arguments, option), kinds)
     one_core()
     import contactbench as cb
@@ -164,9 +164,6 @@ def compare(arguments: argparse.Namespace) -> int:
     frame = cb.compare(scene, methods, numbers(arguments.error), budget, progress=not arguments.quiet)
     if arguments.csv:
         write_csv(frame, arguments.csv)
-    if arguments.html:
-        with replacing(arguments.html) as file:
-            file.write(race.html(frame))
     if arguments.plot and (figure := race.figure(frame)) is not None:
         from contactbench.report.draw import render
 

@@ -42,9 +42,6 @@ def call(cell: Mapping[str, Any]) -> Callable[[], object]:
         case "new scene":  # of another force with every call: what recording and compiling take
             factors = (1 + 2.0**-20 * k for k in count(1))
             return lambda: cb.solve(quartic(next(factors)), method, **given)
-        case "ensemble":
-            q = ([scene.q[0] * (0.9 + 0.02 * k) for k in range(8)], *scene.q[1:])
-            return lambda: cb.ensemble(name, method, {"q": q}, progress=False, **given)
         case "reference":  # neither frozen nor kept: of other numbers with every call
             rates = (scene.gamma * (1 + 1e-6 * k) for k in count(1))
             return lambda: cb.reference(scene.with_(gamma=next(rates)), [0.01])

@@ -111,7 +111,7 @@ class Law:
     @property
     def structural(self) -> bool:
         """Return whether it is a law of the map itself, kept or not whatever the error of the solution."""
-        return self.gate is Gate.structure and "laws" in self.shown
+        return self.gate is Gate.structure
 
     def __call__(self, solution: Solution) -> float:
         """Return the measure, nan unless the run ended `ok` and the law is defined for its method.

@@ -24,7 +24,6 @@ from contactbench.measure.law import (
     Undefined,
     conformal,
     is_kept,
-    relative_deviation,
     round_off_bound,
 )
 from contactbench.measure.pullback import Pulled, growth, pairs, pullback
@@ -32,7 +31,7 @@ from contactbench.methods.base import METHODS
 from contactbench.registry import Registry
 from contactbench.scene import Scene, rotation_matrix
 from contactbench.scene.definition import verify_along
-from contactbench.solution import Differential, Solution
+from contactbench.solution import Solution
 from contactbench.truth import Reference, condition_number, reference
 
 if TYPE_CHECKING:
@@ -135,11 +134,6 @@ def energy_law(solution: Solution) -> float:
     return float(np.abs(numerical - exact).max()) / first if first else math.nan
 
 
-@law("max |H0(y) / H0(y*) − 1|", "H0 law, relative", applies=lambda scene: scene.has_energy)
-def energy_law_relative(solution: Solution) -> Deviation:
-    return Deviation(relative_deviation(*energies(solution)))
-
-
 #: what ∫Γ' means in the definitions of the laws
 RATE = (
     "∫Γ' = γt, of a γ(t) its integral, where Γ' follows s that of the truth: e^{−∫Γ'} = H*(t)/H(y₀); relative to no "
@@ -219,7 +213,7 @@ def is_contact_map(solution: Solution) -> bool:
 
 def is_composed(solution: Solution) -> bool:
     """Whether the run is a composition of contact maps, of whatever factors."""
-    return solution.composed
+    return solution.run is not None and solution.run.composed
 
 
 @law(
@@ -238,24 +232,10 @@ def momentum_law(solution: Solution) -> Deviation:
     return conformal(value, start, solution.t, decay_rate(solution), terms)
 
 
-@law(
-    "max |J − J*| e^{γt} / max |J* e^{γt}|, J* of the truth: J' = −γJ − ∂V/∂θ",
-    "J balance",
-    applies=lambda scene: scene.has_torque,
-)
-def momentum_balance(solution: Solution) -> float:
-    scene, t = solution.scene, solution.t
-    weight = np.exp(scene.conformal_rate * (t - t[-1]))  # e^{γt} up to a factor that drops out
-    both = truth(solution).states(), solution.states()
-    exact, numerical = (np.array(scene.momentum_at(states))[0] * weight for states in both)
-    return float(np.abs(numerical - exact).max() / np.abs(exact).max())
-
-
 # -- contact structure -----------------------------------------------------------------------------
 #: what the laws of Φ*η have in common
 CONTACT: dict[str, object] = {"needs": ("R", "s"), "gate": Gate.structure, "differentiates": True}
 CONTACT["applies"] = lambda scene: scene.is_contact
-FROZEN = "the steps taken held fixed"
 
 
 def pulled_deviation(solution: Solution, pulled: Pulled | None) -> Deviation | float:
@@ -263,20 +243,6 @@ def pulled_deviation(solution: Solution, pulled: Pulled | None) -> Deviation | f
         return math.nan
     values, start, terms, error = pulled
     return conformal(values, start, solution.t, decay_rate(solution), terms, error)
-
-
-def distribution_deviation(solution: Solution, differential: Differential) -> Deviation | float:
-    pulled = pullback(solution, differential)
-    if pulled is None:
-        return math.nan
-    unit = pulled.start / np.linalg.norm(pulled.start)
-    whole, attainable = np.linalg.norm(pulled.values, axis=1), ATTAINABLE * pulled.terms
-    length = np.maximum(whole, attainable)
-    length = np.where(length > MEANINGFUL, length, math.inf)
-    values = pulled.values / length[:, None]
-    across = np.linalg.norm(values - (values @ unit)[:, None] * unit, axis=1)
-    error = None if pulled.uncertainty is None else pulled.uncertainty / length
-    return Deviation(across, error, attainable > whole)
 
 
 @law(
@@ -292,55 +258,30 @@ def contact_drift(solution: Solution) -> Deviation | float:
 
 @law("sine of the angle between Φ*η and η", "ker η drift", claimed=is_composed, **CONTACT)
 def distribution_drift(solution: Solution) -> Deviation | float:
-    return distribution_deviation(solution, solution.differential)
-
-
-# where the state decides on the steps, the map that a user gets is not that of the steps held fixed
-@law(f"contact_drift with {FROZEN}", "contact drift, steps frozen", shown=(), **CONTACT)
-def contact_drift_frozen(solution: Solution) -> Deviation | float:
-    return pulled_deviation(solution, pullback(solution, solution.frozen_differential))
-
-
-@law(f"distribution_drift with {FROZEN}", "ker η drift, steps frozen", shown=(), **CONTACT)
-def distribution_drift_frozen(solution: Solution) -> Deviation | float:
-    return distribution_deviation(solution, solution.frozen_differential)
-
-
-@law(
-    "‖Φ*η − cη‖ / |c|‖η‖, c the product of the conformal factors of the contact maps applied, each taken "
-    "from its formula at the numerical state; blank for a method that is no composition of such maps, and where "
-    "a factor is negative",
-    "drift from its own factor",
-    claimed=is_composed,
-    **CONTACT,
-)
-def own_factor_drift(solution: Solution) -> Deviation | float:
-    log_factor, pulled = solution.log_factor(), pullback(solution, solution.differential)
-    if log_factor is None or pulled is None or np.isnan(log_factor).any():
+    pulled = pullback(solution, solution.differential)
+    if pulled is None:
         return math.nan
-    values, start, terms, error = pulled
-    return conformal(values, start, 1.0, -log_factor, terms, error)
-
-
-# -- pairs of Lyapunov exponents -------------------------------------------------------------------
-#: what the laws of pairs have in common
-PAIRS: dict[str, object] = {"applies": has_linear_damping, "gate": Gate.structure, "differentiates": True}
+    unit = pulled.start / np.linalg.norm(pulled.start)
+    whole, attainable = np.linalg.norm(pulled.values, axis=1), ATTAINABLE * pulled.terms
+    length = np.maximum(whole, attainable)
+    length = np.where(length > MEANINGFUL, length, math.inf)
+    values = pulled.values / length[:, None]
+    across = np.linalg.norm(values - (values @ unit)[:, None] * unit, axis=1)
+    error = None if pulled.uncertainty is None else pulled.uncertainty / length
+    return Deviation(across, error, attainable > whole)
 
 
 @law(
     "max ‖σ_i σ_{2n+1−i} − e^{−γt}‖ / ‖e^{−γt}‖ over the n pairs of singular values of the tangent map of (q, p), "
     "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖",
     "pairing drift",
+    applies=has_linear_damping,
+    gate=Gate.structure,
+    differentiates=True,
     claimed=is_contact_map,
-    **PAIRS,
 )
 def pairing_drift(solution: Solution) -> Deviation | float:
     return pulled_deviation(solution, pairs(solution.differential, len(solution.start().q)))
-
-
-@law(f"pairing_drift with {FROZEN}", "pairing drift, steps frozen", shown=(), **PAIRS)
-def pairing_drift_frozen(solution: Solution) -> Deviation | float:
-    return pulled_deviation(solution, pairs(solution.frozen_differential, len(solution.start().q)))
 
 
 @law(

@@ -39,11 +39,11 @@ def pullback(solution: Solution, differential: Differential) -> Pulled | None:
     """
     if not differential.taken:
         return None
-    scene, carry, start = solution.scene, solution.carry, solution.start()
+    scene, start = solution.scene, solution.start()
     form = np.array([float(scene.contact_form(start, v)) for v in scene.tangents(start)])
-    here = scene.unpack(differential.states.T, carry)
     # (l, k, d, m) → a state of arrays (l, m, k)
-    pushed = scene.unpack(np.moveaxis(differential.estimates, (2, 3), (0, 2)), carry)
+    pushed = scene.unpack(np.moveaxis(differential.estimates, (2, 3), (0, 2)), solution.carry)
+    here = solution.states()
     values = np.asarray(scene.contact_form(here, pushed))
     terms = np.asarray(scene.contact_terms(here, pushed))
     if len(values) == 1:

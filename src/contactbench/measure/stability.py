@@ -21,7 +21,6 @@ from contactbench.methods import METHODS
 from contactbench.methods.base import Method
 from contactbench.methods.contact import ContactMethod
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.implicit import Implicit
 from contactbench.methods.loops import loop_of
 from contactbench.numbers.protocol import CannotRecord, Numbers
 from contactbench.scene import Mechanical, Scene, State
@@ -71,7 +70,7 @@ def kernel(method: FixedStep) -> FixedStep:
 def step_matrix(method: FixedStep, gamma: float, omega: float, h: float | np.ndarray) -> np.ndarray:
     """Return the map (q, p) → (q, p) of one step of size h: (2, 2), or (…, 2, 2) for an array of step sizes."""
     scene, steps = oscillator(gamma, omega), np.asarray(h, dtype=float)
-    if isinstance(method, Implicit) and steps.size > 1:
+    if method.iterates and steps.size > 1:
         with suppress(CannotRecord):  # iterations on arrays go on until the last entry has converged
             return by_compiled_steps(method, scene, steps)
     q, p = (np.multiply.outer(unit, np.ones_like(steps)) for unit in np.eye(2))  # both unit vectors at once

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -156,38 +155,3 @@ def verdict(ratio: float, margin: float) -> Verdict:
     if not ties(max(ratio, 1 / ratio), 1.0, margin):
         return Verdict.win if ratio < 1 else Verdict.loss
     return Verdict.tie if margin <= WIDEST else Verdict.undecided
-
-
-# -- means -----------------------------------------------------------------------------------------
-# What is near in time is correlated.  So a series is cut into blocks much longer than its memory, and the means of
-# the blocks are taken as independent; with an ensemble every member is a block.  The error of any function of several
-# means is that of the jackknife: what leaving out one block changes (Efron, Ann. Statist. 7, 1 (1979),
-# doi:10.1214/aos/1176344552; for one mean it is the standard deviation over √B).
-#: blocks at least: the relative error of an error bar is 1/√(2(B − 1)), here 13 %
-BLOCKS = 32
-
-
-class Average(NamedTuple):
-    """A mean, or a function of means, and its standard error; nan where there are fewer than two blocks."""
-
-    value: Any
-    error: Any
-
-
-def blocks(series: np.ndarray) -> np.ndarray:
-    """Return block means (B, m) of a series (k, m, n): n runs, each cut where that makes fewer than `BLOCKS`."""
-    k, m, n = series.shape
-    pieces = min(k, -(-BLOCKS // n))
-    length = k // pieces
-    cut = series[k - pieces * length :].reshape(pieces, length, m, n).mean(axis=1)
-    return np.moveaxis(cut, 2, 0).reshape(n * pieces, m)
-
-
-def jackknife(means: np.ndarray, function: Callable[[np.ndarray], np.ndarray] = lambda mean: mean) -> Average:
-    count = len(means)
-    value = np.asarray(function(means.mean(axis=0)))[()]
-    if count < 2:
-        return Average(value, np.nan * value)
-    without = np.array([function(mean) for mean in (means.sum(axis=0) - means) / (count - 1)])
-    spread = ((without - without.mean(axis=0)) ** 2).sum(axis=0)
-    return Average(value, np.sqrt(spread * (count - 1) / count))

@@ -8,6 +8,6 @@ from contactbench.methods.fixed_step import fixed_step
 from contactbench.registry import import_modules
 
 #: in table order; what other modules register comes after them
-FIRST = ("contact", "contact_exact", "contact_gauss", "runge_kutta", "herglotz", "multistep", "implicit")
+FIRST = ("contact", "contact_exact", "contact_gauss", "runge_kutta", "herglotz", "multistep")
 
 import_modules(__name__, FIRST)

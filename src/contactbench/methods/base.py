@@ -36,7 +36,7 @@ SHORTEST = 1e-15
 
 #: engine → "compiled" (solver and right-hand side are machine code) or "callbacks" (the right-hand side,
 #: or the solver too, is Python)
-ENGINES = dict.fromkeys(("numba", "jax", "llvm", "c", "c++"), "compiled")
+ENGINES = dict.fromkeys(("llvm", "jax", "c", "c++"), "compiled")
 ENGINES |= dict.fromkeys(("python", "c+python"), "callbacks")
 CALLBACKS = tuple(engine for engine, kind in ENGINES.items() if kind == "callbacks")
 #: engine → a package that it needs and a plain installation does not have
@@ -118,13 +118,11 @@ class Method(ABC):
     #: whether steps are equal not in time but in a variable that follows the motion: as many as that takes lead to a
     #: saved time, to which a part of the last one is taken
     follows: bool = False
-    #: whether a step iterates until nothing changes: what it costs is counted as it runs (see implicit.py), and
+    #: whether a step iterates until nothing changes: what it costs is counted as it runs (see contact_gauss.py), and
     #: `counts` is what it typically costs
     iterates: ClassVar[bool] = False
     #: what a run says that fails where a step is the solution of equations which are not solved; else it has diverged
     unsolved: ClassVar[str] = ""
-    #: whether only the profile `full` runs it
-    appendix: bool = False
     #: what is imported for it; blank where this package runs it by itself
     package: str = ""
 
@@ -170,9 +168,7 @@ class Adaptive(Method):
 
 
 def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
-    """Return why a method that takes components one by one refuses a scene, or None."""
-    if scene.by_sites:
-        return f"{method.name} has no loop over sites; scene {scene.name!r} has many"
+    """Return why a method refuses a scene, or None."""
     if not fits:
         return f"{method.name} needs {needs}, which scene {scene.name!r} does not have{scene.lacks}"
     return scene.own_equations
@@ -228,7 +224,7 @@ def prepare(
     carry
         Which of s and R to integrate; by default all the scene has.
     engine
-        "numba", "jax", "python", …; by default the method's first that can run this scene: a step map or a force
+        "llvm", "python", …; by default the method's first that can run this scene: a step map or a force
         that branches on values cannot be compiled.  Under NUMBA_DISABLE_JIT Python comes first.
     max_steps
         Budget; a run that needs more ends with status `budget`.
@@ -321,12 +317,11 @@ def make_request(
 def too_large(chosen: Method, request: Request) -> str | None:
     """Return why a scene has too many components to be compiled one by one, or None."""
     scene, most = request.scene, chosen.largest
-    if scene.by_sites or request.engine in CALLBACKS or scene.motion <= 2 * most:
+    if request.engine in CALLBACKS or scene.motion <= 2 * most:
         return None
     size = f"the {scene.motion // 2} components of scene {scene.name!r}, more than {most}"
-    plain = "take engine='python', or " if "python" in chosen.engines else ""
-    other = f"{plain}write it as a cb.Lattice or cb.Particles, of any size, for methods such as contact-rkn6"
-    return f"{chosen.name} would compile {size}, one by one: {other}"
+    plain = ": take engine='python'" if "python" in chosen.engines else ""
+    return f"{chosen.name} would compile {size}, one by one{plain}"
 
 
 def setting_of(

@@ -40,7 +40,7 @@ from contactbench.methods.runge_kutta import (
     undamped,
 )
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
-from contactbench.numbers.dual import Dual, DualNumbers, leaves, rebuild, slope, value
+from contactbench.numbers.dual import leaves, rebuild, value
 from contactbench.numbers.protocol import (
     Abilities,
     Arithmetic,
@@ -225,12 +225,8 @@ def march[S: Scene](
     most: Arithmetic,
     tolerances: Sequence[Arithmetic],
     xp: ChoosingNamespace,
-    plain: OwnState = None,
 ) -> tuple[OwnState, list[Any]]:
-    """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run.
-
-    plain : the same state x, where its numbers are dual.
-    """
+    """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run."""
     rtol, *atol = tolerances
     tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
     reuses = tableau.first_same_as_last
@@ -256,8 +252,7 @@ def march[S: Scene](
 
     y, (step, past, tried, rejected, lag) = form.enter(scene, x), beside
     left = xp.where(lag > 0, 0.0, span)
-    start = y if plain is None else form.enter(scene, plain)
-    step = when(step <= 0, lambda _, y: first_step(y), step, xp, start)
+    step = when(step <= 0, lambda _, y: first_step(y), step, xp, y)
     first = form.slope(scene, y, xp) if reuses else None
     factors = rebuild(known := form.factors(scene, span, xp), [0 * span] * len(leaves(known)))
 
@@ -318,33 +313,25 @@ def march[S: Scene](
 
 
 # -- the run -------------------------------------------------------------------------------------------
-def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: int, tangent: bool) -> Program:
-    """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`.
-
-    tangent : a tangent vector follows the state and is carried along by the steps that are taken.
-    """
+def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: int) -> Program:
+    """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`."""
     d, given = len(scene.labels(carry)), len(scene.numbers())
-    whole = d * (1 + tangent)
 
     def advance(
         numbers: Vector, span: Arithmetic, most: Arithmetic, y: Sequence[Arithmetic], xp: Any, repeat: Repeat
     ) -> list[Arithmetic]:
-        twin, beside, plain = scene.with_numbers(numbers[:given]), y[whole:], scene.unpack(y[:d], carry)
-        x = plain
-        if tangent:
-            x, xp = scene.unpack(list(map(Dual, y[:d], y[d:whole])), carry), DualNumbers(xp)
-        x, beside = method.march(twin, x, beside, span, most, numbers[given:], xp, repeat, plain)
-        end = scene.pack(x)
-        return [*map(value, end), *(map(slope, end) if tangent else ()), *beside]
+        twin, x = scene.with_numbers(numbers[:given]), scene.unpack(y[:d], carry)
+        x, beside = method.march(twin, x, y[d:], span, most, numbers[given:], xp, repeat)
+        return [*scene.pack(x), *beside]
 
     def started(statement: Statement) -> Statement:
         """A packed state alone is given; zeros are beside it."""
         match statement:
-            case Assign(target, Element("start", (int(i),))) if i >= whole:
+            case Assign(target, Element("start", (int(i),))) if i >= d:
                 return Update((target,), (0.0,))
         return statement
 
-    program = record(advance, given + settings, whole + method.beside(d), scene.motion, DIVERGENCE)
+    program = record(advance, given + settings, d + method.beside(d), scene.motion, DIVERGENCE)
     return program._replace(run=replace(program.run, body=tuple(map(started, program.run.body))))
 
 
@@ -355,10 +342,10 @@ _loops: Cache[Loop] = Cache(256)
 class ToleranceRun(Prepared):
     """Run a method whose loop decides how many steps lead to a saved time, or to a break.
 
-    ``march(scene, x, beside, span, most, settings, xp, repeat, plain)`` returns the state after a span and what is
+    ``march(scene, x, beside, span, most, settings, xp, repeat)`` returns the state after a span and what is
     beside it, `beside(size)` numbers for a packed state of a size: the last are attempts, those rejected, time not
-    covered; plain : the same state, where its numbers are dual.  `settings`, `evaluations`, `kind`, `derivative` and
-    `failure` say what it is given, what is counted, how the map is differentiated and why the loop gives up.
+    covered.  `settings`, `evaluations`, `kind` and `failure` say what it is given, what is counted and why the loop
+    gives up.
     """
 
     method_: Any
@@ -369,9 +356,7 @@ class ToleranceRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        #: component by component
-        self.scene: Scene = r.scene.unrolled().recorded() if r.scene.by_sites else r.scene
-        self.sensitivity_source = self.method_.derivative
+        self.scene: Scene = r.scene
         margins = ((time, ROUNDINGS * exact) for time, exact in self.breaks)
         breaks = [end for time, margin in margins for end in (time - margin, time + margin)]
         ends = np.union1d(self.later, [time for time in breaks if 0 < time < self._end])
@@ -379,7 +364,7 @@ class ToleranceRun(Prepared):
         self.spans = np.diff(ends, prepend=0.0)
         self.settings = self.method_.settings(r, r.step)
         self.tables: Loop | None = None
-        self.run = self.compiled() if r.engine == "numba" else self.in_python()
+        self.run = self.compiled() if r.engine == "llvm" else self.in_python()
         self.divide(r.step)
 
     def divide(self, step: float | None) -> None:
@@ -415,14 +400,13 @@ class ToleranceRun(Prepared):
         numbers = np.array([*self.scene.numbers(), *self.settings])
         return loop.rows(numbers, self.spans, np.full(len(self.spans), self.request.max_steps))
 
-    def make(self, tangent: bool = False) -> Loop:
+    def make(self) -> Loop:
         elapsed = stopwatch()
-        program = loop_program(self.method_, self.scene, self.request.carry, len(self.settings), tangent)
+        program = loop_program(self.method_, self.scene, self.request.carry, len(self.settings))
         return Loop(program, elapsed())
 
-    def loop(self, tangent: bool = False) -> Loop:
-        known = key(self.scene.identity, self.method_, self.request.carry, tangent)
-        return _loops.get(known, lambda: self.make(tangent))
+    def loop(self) -> Loop:
+        return _loops.get(key(self.scene.identity, self.method_, self.request.carry), self.make)
 
     def compiled(self) -> Callable[..., object]:
         loop = self.tables = self.loop()
@@ -440,7 +424,7 @@ class ToleranceRun(Prepared):
 
         def as_written(y0: list[float]) -> list[float]:
             x, beside, rows = scene.unpack(y0, r.carry), [0.0] * self.method_.beside(len(y0)), list[float]()
-            given = r.max_steps, self.settings, PlainNumbers(), repeat, None
+            given = r.max_steps, self.settings, PlainNumbers(), repeat
             for span in self.spans.tolist():
                 x, beside = self.method_.march(scene, x, beside, span, *given)
                 rows += [*scene.pack(x), *beside]
@@ -455,15 +439,6 @@ class ToleranceRun(Prepared):
             after[:] = as_written(y0.tolist())
 
         return run
-
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        loop, d = self.loop(tangent=True), len(y0)
-        tangents, after = self.tangents(y0), np.empty((len(self.spans), 2 * d + self.method_.beside(d)))
-        columns = []
-        for v in tangents:
-            loop.run(np.concatenate([y0, v]), *self.arguments(loop), after.reshape(-1))
-            columns.append(np.where(after[self.saved, -1:] == 0, after[self.saved, d : 2 * d], math.nan))
-        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
 
     def __call__(self, **data: object) -> Solution:
         """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
@@ -524,10 +499,9 @@ class RungeKuttaPair(Adaptive):
     order: int
     about: str
     form: Explicit[Any]
-    engines: tuple[str, ...] = ("numba", "python")
+    engines: tuple[str, ...] = ("llvm", "python")
     family: str = "established"
     largest: int = 32
-    derivative = "forward-mode AD through the steps taken"
     failure = "the step became too small"
 
     @property
@@ -539,8 +513,6 @@ class RungeKuttaPair(Adaptive):
         return len(self.form.tableau.nodes)
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.by_sites:
-            return f"{self.name} has no loop over sites; scene {scene.name!r} has many"
         return refusal(self.name, self.form.tableau, scene)
 
     def prepare(self, request: Request) -> Prepared:
@@ -568,9 +540,8 @@ class RungeKuttaPair(Adaptive):
         settings: Any,
         xp: Any,
         repeat: Any,
-        plain: Any,
     ) -> tuple[OwnState, list[Any]]:
-        return march(self.form, scene, x, beside, span, most, settings, xp, plain)
+        return march(self.form, scene, x, beside, span, most, settings, xp)
 
 
 _pair = "explicit Runge–Kutta pair by tolerance"

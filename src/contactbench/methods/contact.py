@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,14 +16,13 @@ from contactbench.splitting.composition import (
     Composition,
     advance,
     by_the_clock,
-    log_factor,
     pieces,
     plan,
     refusal,
     run_stages,
 )
 from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
-from contactbench.splitting.tables import APPENDIX, COMPOSITIONS
+from contactbench.splitting.tables import COMPOSITIONS
 
 #: evaluations of a first step and of each one more, by method, kind of scene, and whether R is carried
 _costs: dict[tuple[ContactMethod, str, bool], tuple[int, int]] = {}
@@ -51,10 +49,8 @@ class ContactMethod(FixedStep):
         made = pieces(self.composition, scene, whole)
         return tuple(partial(run_stages, stages) if stages else None for stages in made)
 
-    def log_factor(self, scene: Scene, x: AnyState, h: float, n: int) -> float | None:
-        if not scene.rate_changes:  # the coefficients of every composition add up to one
-            return super().log_factor(scene, x, h, n)
-        return float(log_factor(self.composition, scene, x, h, n, math))
+    def composed(self, scene: Scene) -> bool:
+        return scene.is_contact
 
     def modified_hamiltonian(self, scene: Scene, x: OwnState, h: float) -> Arithmetic | None:
         if not (scene.separable and scene.has_hamiltonian_law and has_modified_hamiltonian(self.composition)):
@@ -88,7 +84,6 @@ def contact_method(composition: Composition) -> ContactMethod:
         contact=True,
         symmetric=composition.palindromic,
         composition=composition,
-        appendix=composition in APPENDIX,
     )
 
 

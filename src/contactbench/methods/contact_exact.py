@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import CALLBACKS, METHODS, Method
-from contactbench.methods.jax_engine import Traced
 from contactbench.methods.loops import Plain, Recorded, StepLoop
 from contactbench.methods.prepared import Outcome, Prepared, Request
-from contactbench.numbers.control import Repeat, XlaNumbers
+from contactbench.numbers.control import Repeat
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import BodyState, Scene
 from contactbench.scene.base import OwnState
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
 from contactbench.solution import Counts, Status
-from contactbench.xla import jax, jnp
 
 
 def evolve(scene: Scene, x: BodyState, t: Arithmetic, xp: Namespace) -> BodyState:
@@ -28,28 +26,20 @@ def evolve(scene: Scene, x: BodyState, t: Arithmetic, xp: Namespace) -> BodyStat
 
 @dataclass
 class ExactRun(Prepared):
-    """A step from the initial state to every saved time; together : the loop takes them side by side."""
+    """A step from the initial state to every saved time."""
 
     loop: StepLoop[Any]
-    together: bool
 
     sensitivity_source = "forward-mode AD through the closed form"
+    composed = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        one = np.ones(len(self.later), dtype=np.int64)
-        apart = [slice(None)] if self.together else [slice(k, k + 1) for k in range(len(self.later))]
-        self.steps = [(self.later[part], one[part]) for part in apart]
+        one = np.ones(1, dtype=np.int64)
+        self.steps = [(self.later[k : k + 1], one) for k in range(len(self.later))]
         self.ready = [self.loop.ready(*step) for step in self.steps]
         self.bare = self.loop.last(self.ready[-1])  # type: ignore
         self.compile_s = self.loop.seconds
-
-    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
-        rate: float = self.request.scene.conformal_rate
-        return -rate * self.request.save_at
-
-    def composed(self, y0: np.ndarray) -> bool:
-        return True
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         needed = len(self.later)
@@ -67,17 +57,6 @@ class ExactRun(Prepared):
         return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
 
 
-class AtOnce(Traced):
-    """The closed form by a program of JAX: a step is a time from the initial state, all of them side by side."""
-
-    def states(self, y0: jax.Array, fixed: jax.Array) -> jax.Array:
-        numbers, times, _ = self.xla.apart(fixed)
-        scene, xp = self.scene.with_numbers(list(numbers)), XlaNumbers()
-        x = scene.unpack(list(y0), self.carry)
-        y: jax.Array = jax.vmap(lambda t: jnp.stack(scene.pack(evolve(scene, x, t, xp))))(times)
-        return y
-
-
 @dataclass(frozen=True)  # its fields are its definition
 class ExactMethod(Method):
     name: str = "contact-exact"
@@ -85,7 +64,7 @@ class ExactMethod(Method):
         "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
     )
     order: int | None = None
-    engines: tuple[str, ...] = ("numba", "jax", "python")
+    engines: tuple[str, ...] = ("llvm", "python")
     family: str = "contact"
     contact: bool = True
     adaptive: bool = False
@@ -108,10 +87,10 @@ class ExactMethod(Method):
         return evolve(scene, x, n * h, xp)
 
     def prepare(self, request: Request) -> Prepared:
-        if request.engine == "python":  # its series end where nothing changes: they are not recorded
-            return ExactRun(self.name, request, Plain(self, request, recorded=False), together=False)
-        loop = AtOnce(self, request) if request.engine == "jax" else Recorded(self, request)
-        return ExactRun(self.name, request, loop, together=request.engine == "jax")
+        # in Python its series end where nothing changes: they are not recorded
+        python = request.engine == "python"
+        loop = Plain(self, request, recorded=False) if python else Recorded(self, request)
+        return ExactRun(self.name, request, loop)
 
 
 METHODS.add(ExactMethod())

@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from contactbench.methods.base import METHODS, unfit
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.implicit import (
     LOST,
     TYPICAL,
-    Implicit,
     bare,
     eliminated,
     fixed_point,
@@ -95,15 +95,15 @@ def extrapolated(slopes: Sequence[Lifted], nodes: Sequence[Arithmetic], r: Arith
     return tuple(found)
 
 
-Step = Callable[..., tuple[OwnState, Arithmetic, tuple[Lifted, ...], Arithmetic]]
+Step = Callable[..., tuple[OwnState, Arithmetic, tuple[Lifted, ...]]]
 
 
 def collocation(stages: int) -> Step:
-    """Return a step from x and the slopes to start with: x, evaluations, slopes to start the next with, and r₁."""
+    """Return a step from x and the slopes to start with: x, evaluations, and slopes to start the next with."""
 
     def step(
         scene: Any, x: OwnState, h: Arithmetic, xp: Namespace, slopes: tuple[Lifted, ...]
-    ) -> tuple[OwnState, Arithmetic, tuple[Lifted, ...], Arithmetic]:
+    ) -> tuple[OwnState, Arithmetic, tuple[Lifted, ...]]:
         A, b = gauss_tableau(stages, xp)
         nodes = [sum(row[1:], row[0]) for row in A]
         known = slopes[0].r is None
@@ -161,11 +161,11 @@ def collocation(stages: int) -> Step:
                 )
 
             first = (slope_at(scene, x, 1.0, known),) * stages
-            slopes, converged, turns = fixed_point(improved, first, xp, patient=True, moves=abs(h), lost=lost)
+            slopes, converged, turns = fixed_point(improved, first, xp, moves=abs(h), lost=lost)
             return slopes, converged, stages * turns + (size + 2)
 
         size, lost = len(components(start)), LOST * sum(map(abs, leaves(start)))
-        slopes, converged, turns = fixed_point(update, slopes, xp, patient=True, moves=abs(h), lost=lost)
+        slopes, converged, turns = fixed_point(update, slopes, xp, moves=abs(h), lost=lost)
         spent = stages * turns
         if stages * size <= ELIMINATED:
             slopes, converged, spent = otherwise((slopes, converged, spent), newton, xp)
@@ -176,14 +176,22 @@ def collocation(stages: int) -> Step:
             p, s = tuple(keep * P - lose * P for P in z.P), None if z.s is None else keep * z.s - lose * z.s
         else:
             r, p, s = z.r, tuple(P / z.r for P in z.P), z.s
-        return found(state(z, p, s, 1), converged, xp), spent, extrapolated(slopes, nodes, r), r
+        return found(state(z, p, s, 1), converged, xp), spent, extrapolated(slopes, nodes, r)
 
     return step
 
 
 @dataclass(frozen=True)
-class ContactGauss(Implicit):
-    """Collocation on the symplectisation; a run starts from the slope at its beginning, one evaluation."""
+class ContactGauss(FixedStep):
+    """Collocation on the symplectisation; a run starts from the slope at its beginning, one evaluation.
+
+    each : evaluations of an iteration.
+    """
+
+    each: int = field(kw_only=True)
+    engines: tuple[str, ...] = ("llvm", "python")
+    iterates = True
+    unsolved = "its iteration does not converge"
 
     def refuses(self, scene: Scene) -> str | None:
         return unfit(self, scene, scene.canonical, "canonical coordinates (q, p, s)")
@@ -192,29 +200,29 @@ class ContactGauss(Implicit):
         known = scene.damped_within(x, 0.0, xp) is not None
         return (slope_at(scene, x, 1.0, known),) * self.each
 
+    def advance(
+        self, scene: Scene, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
+    ) -> OwnState:
+        return self.advance_counted(scene, x, h, n, xp, repeat)[0]
+
     def advance_counted(
         self, scene: Scene, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> tuple[OwnState, Arithmetic]:
+        """Return the state after n steps and the evaluations they took."""
+
         def another(carried: tuple[OwnState, Arithmetic, Any]) -> tuple[OwnState, Arithmetic, Any]:
             x, spent, slopes = carried
-            x, more, slopes, _ = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
+            x, more, slopes = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
             return x, spent + more, slopes
 
         x, spent, _ = repeat(n, another, (x, 0 * leaves(x)[0] + 1.0, self.first(scene, x, xp)))
         return x, spent
 
-    def log_factor(self, scene: Scene, x: OwnState, h: float, n: int) -> float | None:
-        if self.refuses(scene) is not None:
-            return None
-        if scene.conformal_rate is not None:
-            return super().log_factor(scene, x, h, n)
-        total, slopes = 0.0, self.first(scene, x, math)
-        for _ in range(n):
-            x, _, slopes, r = self.step(scene, x, h, math, slopes)  # type: ignore[call-arg, misc]
-            total -= math.log(r) if r > 0 else math.nan
-        return total
+    def composed(self, scene: Scene) -> bool:
+        return scene.is_contact
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        """Return what n steps typically cost."""
         return n * TYPICAL * self.each + 1
 
 

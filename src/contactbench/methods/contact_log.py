@@ -33,7 +33,7 @@ from contactbench.numbers.protocol import Arithmetic, Condition, abilities, has_
 from contactbench.scene import Mechanical, Scene, State, dot
 from contactbench.scene.flow import damped_time
 from contactbench.splitting.composition import Composition
-from contactbench.splitting.tables import BM4, BM6, O8, STRANG
+from contactbench.splitting.tables import O8
 
 #: what follows the packed state: another one, where the last whole step ends, and at it E e^{−γt} and what its sum has
 #: lost, the time left and what that has lost, h e^{−γt}; trials, those that found a time, time not covered
@@ -86,7 +86,7 @@ class Logarithmic(Method):
     order: int
     composition: Composition
     about: str
-    engines: tuple[str, ...] = ("numba", "python")
+    engines: tuple[str, ...] = ("llvm", "python")
     family: str = "contact"
     symmetric: bool = True
     kind: str = "gradient"
@@ -96,21 +96,17 @@ class Logarithmic(Method):
     tolerance = FixedStep.tolerance
     #: the step of the first pilot: three to a revolution
     longest = 2.0
-    #: the run is differentiated by differences
-    derivative = ""
     failure = "a stage met V ≥ 0: V < 0 is needed all along the motion, and maybe a smaller step"
 
     def refuses(self, scene: Any) -> str | None:
         V = math.nan
-        if scene.kind not in ("mechanical", "many") or scene.nonlinear_damping:
+        if scene.kind != "mechanical" or scene.nonlinear_damping:
             needs = f"{self.name} needs forces that depend on q alone and damping Γ = γ s"
             return f"{needs}, which scene {scene.name!r} does not have"
         with their_code(f"scene {scene.name!r}"), suppress(*NO_NUMBER):
             V = scene.potential_at(scene.initial(()))
         if not V < 0:
             return f"{self.name} needs V < 0 along the motion; scene {scene.name!r} starts at V = {V:.6g}"
-        if scene.by_sites and scene.motion > 2 * self.largest:
-            return f"{self.name} takes {self.largest} components at most; scene {scene.name!r} has more"
         own: str | None = scene.own_equations
         return own
 
@@ -163,7 +159,6 @@ class Logarithmic(Method):
         settings: Sequence[Arithmetic],
         xp: Any,
         repeat: Repeat = repeat,
-        plain: object = None,
     ) -> tuple[State, list[Any]]:
         """Return the state after a span, and what is beside it (`BESIDE`), in at most so many trials of the run."""
         size = len(beside) - BESIDE
@@ -275,6 +270,5 @@ class Logarithmic(Method):
         return z, z.width / (scene.kinetic(z.x.p) + base.depth + z.depth)
 
 
-for _order, _composition in ((2, STRANG), (4, BM4), (6, BM6), (8, O8)):
-    _about = f"flows of the logarithmic Hamiltonian with damping, V < 0; coefficients: {_composition.source}"
-    METHODS.add(Logarithmic(f"contact-log{_order}", _order, _composition, _about))
+_about = f"flows of the logarithmic Hamiltonian with damping, V < 0; coefficients: {O8.source}"
+METHODS.add(Logarithmic("contact-log8", O8.order, O8, _about))

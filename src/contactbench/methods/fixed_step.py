@@ -7,16 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from contactbench.blame import UserError, their_code
 from contactbench.checks import function, is_number, switch, text, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.jax_engine import Traced
 from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
-from contactbench.methods.many import SITE_LOOPS
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
@@ -30,14 +26,14 @@ Piece = Callable[[Scene, AnyState, Arithmetic, Namespace, Repeat], AnyState]  # 
 Factor = Callable[[Any, Arithmetic, Namespace], Arithmetic]  # (scene, h, xp) -> conformal factor of one step
 
 #: who takes the steps; an engine gets its loop here
-LOOPS: dict[str, type[StepLoop[Any]]] = {"numba": Recorded, "jax": Traced, "python": Plain}
+LOOPS: dict[str, type[StepLoop[Any]]] = {"llvm": Recorded, "python": Plain}
 
 
 @dataclass(frozen=True)
 class FixedStep(Method):
     """A one-step method given by its step map ``step(scene, x, h, xp) -> x``.
 
-    The map is written on the scene's own components, so it runs on Python floats, NumPy arrays (an ensemble),
+    The map is written on the scene's own components, so it runs on Python floats, NumPy arrays (many trajectories),
     mpmath numbers, traced and recorded numbers alike; xp is the number namespace that goes with them.
 
     evaluations : of `kind` per step.  A method that can merge the end of one step with the start of the next
@@ -56,7 +52,6 @@ class FixedStep(Method):
     contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
     symmetric: bool = False
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
-    appendix: bool = False
     adaptive = False
     #: the step of the first pilot at most
     longest = math.inf
@@ -67,8 +62,7 @@ class FixedStep(Method):
     def prepare(self, request: Request) -> Prepared:
         if not is_fixed(self):  # what this package brings has tests of its own
             self.try_step(request.scene, request.carry, request.step)
-        loops = SITE_LOOPS if request.scene.by_sites else LOOPS
-        loop = loops[request.engine](self, request)
+        loop = LOOPS[request.engine](self, request)
         if request.step is not None:
             return FixedStepRun(self.name, request, self, loop)  # as `run_of`, without a call
         return ChosenStep(self.name, request, self, loop)
@@ -102,12 +96,9 @@ class FixedStep(Method):
             factor = xp.exp(-scene.conformal_rate * h)
         return factor
 
-    def log_factor(self, scene: Scene, x: AnyState, h: float, n: int) -> float | None:
-        """Log of the conformal factor of n steps of size h from x; None: no contact maps; nan: a negative one."""
-        factor = self.conformal_factor(scene, h)
-        if factor is None:
-            return None
-        return n * math.log(factor) if factor > 0 else math.nan
+    def composed(self, scene: Scene) -> bool:
+        """Return whether steps on a scene that is not refused are contact maps, of whatever factors."""
+        return scene.conformal_rate is not None and (self.contact or self.factor is not None)
 
     def modified_hamiltonian(self, scene: Scene, x: AnyState, h: float) -> Arithmetic | None:
         """H̃ at x of which steps of size h are the flow, up to a power of h; None where none is known."""
@@ -159,7 +150,7 @@ COUNTED = {"rhs": "right-hand side", "gradient": "gradient"}
 
 def with_counters(scene: Scene) -> tuple[Scene, dict[str, int]]:
     """Return a scene that counts how often its right-hand side and its gradient are evaluated, by kind."""
-    calls, where = {"rhs": 0}, "gradient_at" if scene.by_sites else "gradient"
+    calls, where = {"rhs": 0}, "gradient"
     if getattr(scene, where, None) is not None:
         calls["gradient"], force = 0, getattr(scene, where)
 
@@ -201,8 +192,6 @@ def alike(old: object, new: object) -> bool:
         return old is new
     if isinstance(old, tuple):
         return isinstance(new, tuple) and len(new) == len(old) and all(map(alike, old, new))
-    if isinstance(old, np.ndarray):  # one number a site
-        return isinstance(new, np.ndarray) and new.shape == old.shape
     return is_number(new)
 
 

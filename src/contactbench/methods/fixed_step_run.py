@@ -204,25 +204,9 @@ class FixedStepRun(Prepared):
         columns = [self.loop.tangent(y0, v, self.h, self.n)[self.saved] for v in tangents]
         return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
 
-    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-        """As in `Prepared`: the flows are applied once more, in plain floats, from where each interval starts."""
-        r = self.request
-        y = y[1:] if self.saves_start else y
-        if len(self.n) > len(self.later):
-            y = self.intervals(y0, self.h, self.n)
-        starts = np.concatenate([y0[None], y[:-1]])
-        logs = [
-            self.method_.log_factor(r.scene, r.scene.unpack(start, r.carry), h, n)
-            for start, h, n in zip(starts.tolist(), self.h.tolist(), self.n.tolist(), strict=True)
-        ]
-        known = [log for log in logs if log is not None]
-        if len(known) < len(logs):
-            return None
-        return np.append([0.0] if self.saves_start else [], np.cumsum(known)[self.saved])
-
-    def composed(self, y0: np.ndarray) -> bool:
-        start = self.request.scene.unpack(y0.tolist(), self.request.carry)
-        return self.method_.log_factor(self.request.scene, start, float(self.h[0]), 1) is not None
+    @property
+    def composed(self) -> bool:
+        return self.method_.composed(self.request.scene)
 
     def modified_hamiltonian(self, x: AnyState) -> Numeric:
         """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""

@@ -7,10 +7,8 @@ Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/a
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from contactbench.methods.base import METHODS, unfit
@@ -23,20 +21,10 @@ from contactbench.scene.base import OwnState
 
 @dataclass(frozen=True)
 class Herglotz(FixedStep):
-    """Mechanical scenes with Γ = γ s, one gradient a step; sigma : its conformal factor from h, γ before and after."""
+    """Mechanical scenes with Γ = γ s, one gradient a step."""
 
-    sigma: Callable[[Arithmetic, Arithmetic, Arithmetic], Arithmetic] = field(kw_only=True)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "factor", lambda scene, h, xp: self.sigma(h, scene.gamma, scene.gamma))
-
-    def log_factor(self, scene: Any, x: OwnState, h: float, n: int) -> float | None:
-        """As in `FixedStep`; of steps that differ where γ depends on the time."""
-        if self.refuses(scene) is not None or not scene.rate_changes:
-            return super().log_factor(scene, x, h, n)
-        rates = [scene.rate_at(x.t + k * h) for k in range(n + 1)]
-        factors = [self.sigma(h, before, after) for before, after in pairwise(rates)]
-        return sum(map(math.log, factors)) if min(factors) > 0 else math.nan
+    def composed(self, scene: Scene) -> bool:
+        return scene.is_contact
 
     def refuses(self, scene: Scene) -> str | None:
         fits = scene.separable and not scene.nonlinear_damping
@@ -89,12 +77,12 @@ def herglotz2(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> Stat
     return implicit_kick(scene, x, h / 2, *pull(scene, x))
 
 
-def factor1(h: Arithmetic, before: Arithmetic, after: Arithmetic) -> Arithmetic:
-    return 1 - before * h
+def factor1(scene: Mechanical, h: Arithmetic, xp: Namespace) -> Arithmetic:
+    return 1 - scene.gamma * h
 
 
-def factor2(h: Arithmetic, before: Arithmetic, after: Arithmetic) -> Arithmetic:
-    return (1 - before * h / 2) / (1 + after * h / 2)
+def factor2(scene: Mechanical, h: Arithmetic, xp: Namespace) -> Arithmetic:
+    return (1 - scene.gamma * h / 2) / (1 + scene.gamma * h / 2)
 
 
 @dataclass(frozen=True)
@@ -120,5 +108,5 @@ class SecondHerglotz(Herglotz):
 _first = "discrete Herglotz recursion s + h L(q, q⁺, s); the paper, §5.1, eq. (79)"
 _second = "Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767"
 _both: dict[str, Any] = {"kind": "gradient", "family": "variational"}
-METHODS.add(Herglotz("herglotz1", 1, herglotz1, about=_first, sigma=factor1, appendix=True, **_both))
-METHODS.add(SecondHerglotz("herglotz2", 2, herglotz2, about=_second, symmetric=True, sigma=factor2, **_both))
+METHODS.add(Herglotz("herglotz1", 1, herglotz1, about=_first, factor=factor1, **_both))
+METHODS.add(SecondHerglotz("herglotz2", 2, herglotz2, about=_second, symmetric=True, factor=factor2, **_both))

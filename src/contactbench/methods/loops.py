@@ -32,10 +32,6 @@ FEW = 2**13
 LONG, LOOK = 3e7, 0.1
 #: divisions into steps whose rows a loop keeps, where they are few
 KEPT = 32
-#: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
-LANES = 32
-#: the same of a loop of more lines than that, which LLVM takes seconds to compile
-FEW_LANES, LONG_PROGRAM = 4, 2000
 
 #: all states of a run from the first one, and whether nothing can be wrong with them
 Watched = Callable[[np.ndarray], tuple[np.ndarray, bool]]
@@ -217,15 +213,6 @@ class Loop:
         return made
 
     @cached_property
-    def lanes(self) -> int:
-        """Return how many trajectories `many` integrates side by side."""
-        return LANES if sum(1 for _ in lines(self.program.many.body)) <= LONG_PROGRAM else FEW_LANES
-
-    @cached_property
-    def many(self) -> Callable[..., int]:
-        return self.compiled(self.program.many, lanes=self.lanes)
-
-    @cached_property
     def size(self) -> int:
         return sum(1 for _ in lines(self.program.run.body))
 
@@ -274,16 +261,6 @@ class Loop:
             self.execute(y0, w, shape, y[part].reshape(-1), total(n[part]))  # a view
             y0 = y[part][-1]
         return y
-
-    def side_by_side(self, y0: np.ndarray, w: np.ndarray, shape: np.ndarray) -> np.ndarray:
-        """Return the states after each interval, (k, d, m), of m trajectories of one scene."""
-        m = y0.shape[1]
-        if m % self.lanes:  # the last trajectory again and again
-            y0 = np.pad(y0, ((0, 0), (0, -m % self.lanes)), mode="edge")
-        y0 = np.ascontiguousarray(y0)
-        after = np.empty((len(shape) - len(self.program.shape), *y0.shape))
-        self.many(y0, w, shape, after, np.array([0, y0.shape[1] // self.lanes]))
-        return after[..., :m]
 
 
 _loops: Cache[Loop] = Cache(1024)
@@ -375,16 +352,13 @@ def spent(y: np.ndarray) -> tuple[np.ndarray, int | None]:
 
 # -- by Python ---------------------------------------------------------------------------------------
 class Plain(StepLoop[Spans]):
-    """Plain Python floats: the loop numba compiles, or where it cannot be recorded the step map, ten times as slow.
-
-    Of many sites the step map on NumPy's arrays.
-    """
+    """Plain Python floats: the compiled loop run by Python, or the step map where it cannot be recorded."""
 
     program: Program | None = None
 
     def __init__(self, method: Steps, request: Request, recorded: bool = True) -> None:
         super().__init__(method, request)
-        if not recorded or self.scene.by_sites:
+        if not recorded:
             return
         elapsed = stopwatch()
         with suppress(CannotRecord):

@@ -185,5 +185,3 @@ _source = "Quinlan, Tremaine, Astron. J. 100, 1694 (1990), doi:10.1086/115629"
 for _order, _half in ((8, (1, -2, 2, -1, 0)), (12, (1, -2, 2, -1, 0, 0, 0))):
     _alpha, _name = (*_half, *_half[-2::-1])[1:], f"quinlan-tremaine{_order}"
     METHODS.add(Multistep(_name, _order, alpha=_alpha, forces=_order - 1, about=_source, **_kinds))
-_stormer = "Störmer's explicit formula of 12 forces; Hairer–Nørsett–Wanner I, §III.10, eq. (10.8)"
-METHODS.add(Multistep("stormer12", 12, alpha=(-2, 1), forces=12, about=_stormer, appendix=True, **_kinds))

@@ -102,7 +102,7 @@ class Prepared(ABC):
     """Run a compiled solver: call it, with other initial data if you like, to get a `Solution`.
 
     A solver's own class writes `integrate`; `bare` where there is a faster way to the last state; and, where its
-    map can be differentiated, `sensitivity` (or `linearised`) together with `sensitivity_source`.
+    map can be differentiated, `sensitivity` together with `sensitivity_source`.
 
     It belongs to what the scene's functions computed when it was prepared.  A function that cannot be recorded is
     called as it is; where that is so, and something has changed since, a call computes with the change.
@@ -345,29 +345,16 @@ class Prepared(ABC):
         """(k, d, m): derivative of the saved states along the scene's m tangents at y0, steps held fixed."""
         raise BadInput(f"{self.method} ({self.request.engine}): its map cannot be differentiated")
 
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Saved states (k, d), maybe of a run made anew, and their derivative (k, d, m), of one and the same map."""
-        return y, self.sensitivity(y0)
-
-    def differential(self, y0: np.ndarray, out: Outcome | Solution, frozen: bool) -> Differential:
-        """dΦ of the map its user gets, or with the steps frozen.
-
-        To round-off where the engine can, else by differences of the solver.
-        """
-        if self.sensitivity_source and (frozen or not self.steps_follow_state):
+    def differential(self, y0: np.ndarray, out: Outcome | Solution) -> Differential:
+        """dΦ of the map its user gets: to round-off where the engine can, else by differences of the solver."""
+        if self.sensitivity_source and not self.steps_follow_state:
             with suppress(CannotRecord):  # a function that dual numbers do not know
-                states, derivative = self.linearised(y0, out.y)
-                return Differential(self.sensitivity_source, states, derivative[None])
-        if frozen and self.steps_follow_state:
-            return Differential("", out.y, np.empty((0, *out.y.shape, 0)))
+                return Differential(self.sensitivity_source, self.sensitivity(y0)[None])
         return differences(self, y0, out)
 
-    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-        """Log of the product of the conformal factors up to each saved time, (k,); None without contact maps."""
-        return None
-
-    def composed(self, y0: np.ndarray) -> bool:
-        """Return whether a run is a composition of contact maps: whether it has a `log_factor`."""
+    @property
+    def composed(self) -> bool:
+        """Return whether a run is a composition of contact maps, of whatever factors."""
         return False
 
     def modified_hamiltonian(self, x: AnyState) -> Numeric:
@@ -427,7 +414,7 @@ def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
         return True
 
     data = [getattr(scene, name) for name in scene.initial_fields]
-    known = None if scene.by_sites else key(scene.identity, carry, *scene.numbers(), *data)
+    known = key(scene.identity, carry, *scene.numbers(), *data)
     _started.get(known, passes)
 
 
@@ -484,7 +471,7 @@ def differences(run: Prepared, y0: np.ndarray, out: Outcome | Solution) -> Diffe
     none = np.empty((0, *out.y.shape, len(tangents)))
     if cost > budget:
         why = f"not taken: {runs} runs would cost {cost:.1e} right-hand sides, more than {budget:.0e}"
-        return Differential(why, out.y, none)
+        return Differential(why, none)
 
     def end(v: object, amount: float) -> np.ndarray:
         return run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
@@ -500,5 +487,5 @@ def differences(run: Prepared, y0: np.ndarray, out: Outcome | Solution) -> Diffe
     gap, size = (np.abs(values).max(axis=(1, 2)) for values in (better[-1] - better[-2], better[-1]))  # (m,)
     round_off = ROUNDINGS * np.finfo(float).eps * np.abs(out.y).max() / (INCREMENTS[-1] * np.array(scales))
     if not np.all(gap < np.maximum(UNRESOLVED * size, round_off)):
-        return Differential("not taken: differences of the solver do not converge", out.y, none)
-    return Differential(f"central differences of the solver, {runs} runs", out.y, np.moveaxis(better, 1, -1))
+        return Differential("not taken: differences of the solver do not converge", none)
+    return Differential(f"central differences of the solver, {runs} runs", np.moveaxis(better, 1, -1))

@@ -207,8 +207,7 @@ def rate_slope(rate: Callable[..., Arithmetic], names: tuple[str, ...]) -> Formu
 
 
 def masses(scene: Canonical, q: Vector) -> Vector:
-    one = tuple(1.0 + 0 * c for c in q) if scene.by_sites else (1.0,) * len(q)
-    return tuple(1 / c for c in scene.velocity(one))
+    return tuple(1 / c for c in scene.velocity((1.0,) * len(q)))
 
 
 def at(scene: Canonical, q: Vector, t: Arithmetic | None) -> OwnState:
@@ -354,7 +353,7 @@ class RungeKutta(FixedStep):
         self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> OwnState:
         tableau, stages = self.tableau, self.tableau.used
-        large = scene.by_sites or len(leaves(x)) > LARGE
+        large = len(leaves(x)) > LARGE
         loop = repeat if repeat.over_stages and large and stages > 4 and not scene.rate_changes else None
         if not tableau.nystrom:
             return repeat(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages, loop)[0], x)
@@ -367,7 +366,7 @@ def refusal(name: str, tableau: Tableau, scene: Scene) -> str | None:
     """Return why a scene is out of reach, or None."""
     if not tableau.nystrom:
         return None
-    if scene.kind not in ("mechanical", "driven", "many") or scene.nonlinear_damping:
+    if scene.kind not in ("mechanical", "driven") or scene.nonlinear_damping:
         needs = "a configuration q in Rⁿ and damping Γ = γ s"
         return f"{name} needs {needs}, which scene {scene.name!r} does not have{scene.lacks}"
     if scene.clock is not None and "rate" in scene.functions_of_floats:

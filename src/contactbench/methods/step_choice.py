@@ -109,16 +109,13 @@ class ChosenStep(Prepared):
             counts = out.counts._replace(evaluations=evaluations)
             return replace(out, counts=counts, message=message, steps=self.run.steps_taken)
 
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         self.run.divide(self.choose(y0)[0])
-        return self.run.linearised(y0, y)
+        return self.run.sensitivity(y0)
 
-    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-        self.run.divide(self.choose(y0)[0])
-        return self.run.log_factor(y0, y)
-
-    def composed(self, y0: np.ndarray) -> bool:
-        return self.run.composed(y0)
+    @property
+    def composed(self) -> bool:
+        return self.run.composed
 
     def choose(self, y0: np.ndarray) -> tuple[float, list[Pilot]]:
         """Return the step to take and the pilots: one of them has it, unless it takes more steps than allowed."""

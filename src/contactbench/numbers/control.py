@@ -37,12 +37,10 @@ class Repeat:
     """Apply a body n times, ``repeat(n, body, x)``, by the loop that an engine has.
 
     over_stages : the stages of a step are a loop, too, not written out one after the other.
-    joint_first : a turn begins with the kick that joins two steps: with the drift after it, it is one loop over sites.
     """
 
     loop: Iteration
     over_stages: bool = False
-    joint_first: bool = False
 
     def __call__[X](self, n: Count, body: Callable[[X], X], x: X) -> X:
         return self.loop(n, body, x)

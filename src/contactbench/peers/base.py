@@ -1,18 +1,4 @@
-"""What the solvers of other libraries have in common: their method, their run and its call, and their derivative.
-
-The derivative is that of the variational equations, a scene and its tangent vectors as one larger scene,
-
-    y' = f(y),   v_j' = Df(y) v_j   for every tangent vector v_j of the scene at the initial state,
-
-which any solver runs as it runs the scene itself, with the same tolerances.  The tangents are part of
-the error control, so the steps are those of the larger system and not those of the plain run.  The
-derivative belongs to the map of the larger run: contact form and drift are evaluated at the states of
-that run, which differ from the plain ones by as much as the tolerance allows (with the plain states
-the mismatch would be counted as drift; measured, up to five times the drift itself).
-
-Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995), doi:10.1016/0168-9274(95)00033-Q, §1;
-Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
-"""
+"""What the solvers of other libraries have in common: their method, their run and its call."""
 
 from __future__ import annotations
 
@@ -57,15 +43,9 @@ class Peer(Adaptive):
     takes_atol: bool = True
     costs: Mapping[str, float] = field(default_factory=dict)
     largest: int = Adaptive.largest
-    #: components of a scene of many sites at most, and why no more
-    most: int = 0
-    reason: str = "has a dense Jacobian"
     own_time = True
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.by_sites and self.most and scene.motion > self.most:
-            size = f"scene {scene.name!r} has {scene.motion} components, more than {self.most}"
-            return f"{self.name} {self.reason}: {size}"
         return self.lacks(self.engines[0])
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:
@@ -99,10 +79,6 @@ class Call(ABC):
     3. ``last(y0)`` is the library's own call, by its fastest way: packed state to packed final state, unchecked.
     """
 
-    #: how the library differentiates its map, in `sensitivity(y0, tangents)`; empty: variational equations do
-    derivative = ""
-    #: whether it runs equations of first order, as the variational ones are
-    first_order = True
     #: spent on recording and compiling
     seconds = 0.0
 
@@ -120,10 +96,6 @@ class Call(ABC):
     def last(self, y0: np.ndarray) -> np.ndarray:
         """Run from a packed state to the last one, and nothing else."""
 
-    def sensitivity(self, y0: np.ndarray, tangents: list[np.ndarray]) -> np.ndarray:
-        """Return the derivative of the saved states along tangents, (k, d, m), where `derivative` says how."""
-        raise NotImplementedError
-
     @property
     def spent(self) -> str:
         return f"max_steps = {self.request.max_steps} spent"
@@ -139,9 +111,6 @@ class PeerRun(Prepared):
         super().__post_init__()
         self.call = self.method_.call(self.method_, self.request)
         self.compile_s, self.bare = self.call.seconds, self.call.last  # type: ignore[method-assign]
-        varies = self.call.first_order and not self.request.scene.by_sites
-        equations = "variational equations, a run of its own" if varies else ""
-        self.sensitivity_source = self.call.derivative or equations
 
     def __call__(self, **data: object) -> Solution:
         """Run as `Prepared` does; an atol that is not the user's follows the scale of the motion."""
@@ -167,18 +136,6 @@ class PeerRun(Prepared):
         if np.ndim(r.scales):
             request = request.to_scale(self.method_.takes_atol)
         return replace(self, request=request)
-
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if self.call.derivative:
-            return y, self.call.sensitivity(y0, self.tangents(y0))
-        scene, d, run = self.request.scene, len(y0), self.variational()
-        x = scene.unpack(tuple(y0.tolist()), self.request.carry)
-        start = run.request.scene.pack(Bundle(x, tangents := tuple(scene.tangents(x))))
-        y = run.integrate(np.array(start, dtype=float)).y
-        v = y[:, d:].reshape(len(y), len(tangents), -1)
-        if scene.clock is not None:
-            v = np.insert(v, scene.clock, np.where(np.isnan(y[:, :1]), np.nan, 0.0), axis=2)
-        return y[:, :d], np.moveaxis(v, 1, 2)
 
 
 @dataclass
@@ -251,6 +208,12 @@ class Bundle(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Variational(System):
+    """A scene and tangent vectors as one larger scene: y' = f(y), v_j' = Df(y) v_j.
+
+    Any solver runs it as it runs the scene itself; the tangents are part of the error control.
+    Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995), doi:10.1016/0168-9274(95)00033-Q, §1.
+    """
+
     base: Scene
     count: int
 
@@ -263,9 +226,6 @@ class Variational(System):
     clock = property(lambda self: self.base.clock)
     motion = property(lambda self: self.base.motion)
     canonical = property(lambda self: self.base.canonical)
-
-    def unrolled(self) -> Self:
-        return self
 
     def initial(self, carry: Sequence[str], **data: object) -> Bundle:
         x = self.base.initial(carry, **data)
@@ -371,7 +331,7 @@ class Callback(Call):
     def __init__(self, method: Peer, request: Request) -> None:
         super().__init__(method, request)
         scene, carry = self.scene, request.carry
-        recorded = None if scene.by_sites else record_function(scene, "rhs", carry)
+        recorded = record_function(scene, "rhs", carry)
         self.slopes = recorded or (lambda t, y: scene.slopes(t, y, carry))
         self.nowhere = [math.nan] * len(scene.without_clock(scene.labels(carry)))
         self.jacobian: Rates | None = None

@@ -17,16 +17,14 @@ from contextlib import suppress
 from functools import cached_property
 from threading import Lock
 from types import ModuleType
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.methods.many import slopes_of
 from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.peers.base import Call, Ending, Peer, derivative
 from contactbench.scene import AnyState, Cache, Scene, key
-from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
 from contactbench.trace.compiled import compile_recorded_c, entry
 from contactbench.trace.form import Assign, Element, Function, Operation, Store, execute, read_by
@@ -65,11 +63,8 @@ type Connection = tuple[ModuleType, tuple[Any, ...]]
 _compiled: Cache[CFunctions] = Cache(256)
 
 
-def c_functions(scene: Scene, carry: tuple[str, ...], jacobian: bool = True) -> CFunctions | FieldFunctions:
+def c_functions(scene: Scene, carry: tuple[str, ...], jacobian: bool = True) -> CFunctions:
     """Return the C functions of a scene, made once; raises `CannotRecord` where it branches on values."""
-
-    if scene.by_sites:
-        return FieldFunctions(cast(Many, scene), carry)
 
     def make() -> CFunctions:
         elapsed = stopwatch()
@@ -78,20 +73,6 @@ def c_functions(scene: Scene, carry: tuple[str, ...], jacobian: bool = True) -> 
         return CFunctions(at["rhs"], at.get("jacobian", 0), execute(constants), elapsed())
 
     return _compiled.get(key(scene.identity, carry, jacobian), make)
-
-
-class FieldFunctions:
-    """The same of a scene of many sites: sweeps, one function for all sizes."""
-
-    jacobian = 0
-
-    def __init__(self, scene: Many, carry: tuple[str, ...]) -> None:
-        self.scene, self.loop = scene, slopes_of(scene, carry)
-        self.rhs, self.compile_s = self.loop.sweeps, self.loop.seconds
-
-    def data(self, numbers: Sequence[float]) -> np.ndarray:
-        self.arrays = self.loop.arrays(self.scene, np.array(numbers))  # they live as long as this
-        return self.loop.data(self.scene, self.arrays)
 
 
 def functions(scene: Scene, carry: tuple[str, ...], jacobian: bool) -> tuple[Function, dict[str, Function]]:
@@ -161,7 +142,7 @@ class Compiled(Call):
 
     @abstractmethod
     def connect(self, clock: int) -> Connection:
-        """Return the compiled `to_end`, `at_times` and `in_a_loop`, and their arguments but states and times."""
+        """Return the compiled `to_end` and `at_times`, and their arguments but states and times."""
 
     @abstractmethod
     def ending(self, flag: int) -> tuple[Status, str]:
@@ -172,11 +153,6 @@ class Compiled(Call):
 
     def last(self, y0: np.ndarray) -> np.ndarray:
         return self.to_end(y0, *self.arguments)[KNOWN:]
-
-    def many(self, starts: np.ndarray) -> np.ndarray:
-        """Return `FACTS` and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
-        found: np.ndarray = self.library.in_a_loop(np.ascontiguousarray(starts), *self.arguments)
-        return found
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `FACTS` and the state reached, and the saved states, of which those reached are filled."""

@@ -1,9 +1,8 @@
-"""CyRK's solvers, C++ throughout: DOP853, Verner 8(7), Tsitouras 5(4), Radau IIA, LSODA.
+"""CyRK's solvers, C++ throughout: DOP853, Verner 8(7), Radau IIA, LSODA.
 
 Renaud, https://github.com/jrenaud90/CyRK, doi:10.5281/zenodo.7093266.  Methods: Hairer, Nørsett, Wanner, Solving
 ODEs I, §II.5 (DOP853) and II, §IV.8 (Radau); Verner, Numer. Algorithms 53, 383 (2010),
-doi:10.1007/s11075-009-9290-3; Tsitouras, Comput. Math. Appl. 62, 770 (2011), doi:10.1016/j.camwa.2011.06.002;
-Petzold, SIAM J. Sci. Stat. Comput. 4, 136 (1983), doi:10.1137/0904010 (LSODA).
+doi:10.1007/s11075-009-9290-3; Petzold, SIAM J. Sci. Stat. Comput. 4, 136 (1983), doi:10.1137/0904010 (LSODA).
 
 CyRK's documented `nbsolve2_ivp` costs 5 µs a call from compiled code and a hundred more from Python, nearly all of it
 for boxing its arguments and its result; so it is called from compiled code, through the C entry it wraps.  That entry
@@ -69,10 +68,8 @@ class Cyrk(Compiled):
 for _solver, _order, _stages, _about in (
     ("DOP853", 8, 12, "explicit Runge–Kutta 8(5,3), C++"),
     ("Vern8", 8, 13, "Verner's explicit Runge–Kutta 8(7), C++"),
-    ("Tsit5", 5, 6, "Tsitouras' explicit Runge–Kutta 5(4), C++"),
     ("LSODA", None, None, "Adams or BDF, chosen as it goes (ODEPACK), C++"),
     ("RADAU", 5, None, "implicit Radau IIA, Jacobian by differences, C++"),
 ):
     _name, _range = f"cyrk-{_solver.lower()}", (CLAMPED, 1e-1)
-    _most = 0 if _stages else 1024
-    METHODS.add(Peer(_name, _about, Cyrk, ("c++",), _range, _solver, "CyRK", _order, _stages, most=_most))
+    METHODS.add(Peer(_name, _about, Cyrk, ("c++",), _range, _solver, "CyRK", _order, _stages))

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
-from contactbench.methods.jax_engine import Xla
 from contactbench.methods.prepared import Request
 from contactbench.peers.base import Call, Ending, Peer
+from contactbench.peers.jax_program import Xla
 from contactbench.solution import Counts, Status
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 
 class Diffrax(Call):
-    derivative = "forward-mode AD, accepted steps frozen"
-
     def __init__(self, method: Peer, request: Request) -> None:
         super().__init__(method, request)
         r, self.saves = request, len(request.save_at)
@@ -40,11 +38,6 @@ class Diffrax(Call):
         from contactbench.xla import jnp
 
         return jnp.concatenate([jnp.ravel(part) for part in self._solve(y0, fixed)])
-
-    def sensitivity(self, y0: np.ndarray, tangents: list[np.ndarray]) -> np.ndarray:
-        states = lambda y0, fixed: self._solve(y0, fixed)[0]  # noqa: E731
-        columns = [self.xla.derivative(states, y0, v, self.xla.fixed) for v in tangents]
-        return np.stack(columns, axis=-1)[: self.saves]
 
     def _solve(self, y0: jax.Array, fixed: jax.Array) -> tuple[jax.Array, ...]:
         import diffrax
@@ -103,8 +96,6 @@ class Diffrax(Call):
         )
 
         def packed(y: Any, t: jax.Array) -> Any:
-            if r.scene.by_sites:
-                return y
             components = list(y.T) if as_array else list(y)
             return jnp.stack(scene.with_clock(components, start + t), axis=-1)
 
@@ -152,7 +143,6 @@ for _solver, _order, _stages, _implicit, _about in (
             implicit=_implicit,
             # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
             costs={"jax": 2} if _implicit else {},
-            most=1024 if _implicit else 0,
             largest=64,
         )
     )

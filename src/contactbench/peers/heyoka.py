@@ -73,7 +73,7 @@ class Taylor(Call):
 
         super().__init__(method, request)
         r, size = request, len(request.start)
-        scene = r.scene.unrolled()
+        scene = r.scene
 
         _, y0 = self.split_clock(r.start)
         scaled = np.ndim(r.scales) > 0
@@ -160,8 +160,6 @@ TAYLOR = METHODS.add(
         *(Taylor, ("llvm",), (ROUNDING, 1e-1)),
         package="heyoka",
         takes_atol=False,
-        most=1024,
-        reason="compiles every component",
     )
 )
 #: the same for many scenes that differ by their numbers

@@ -59,6 +59,5 @@ for _solver, _order, _stages, _cost, _about in (
             *_fixed,
             _implicit,
             costs={"python": _cost},
-            most=1024 if _implicit else 0,
         )
     )

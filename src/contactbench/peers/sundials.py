@@ -89,8 +89,7 @@ class Cvode(Compiled):
         assert r.rtol is not None
         assert r.atol is not None
         tolerances, bounds = (r.rtol, r.atol), (SHORTEST * self.end, self.end)
-        solver = self.method.solver, self.method.implicit
-        self.memory = cvode.Memory(*solver, self.functions, self.data, size, tolerances, bounds)
+        self.memory = cvode.Memory(self.method.solver, self.functions, self.data, size, tolerances, bounds)
         place = self.memory.memory, self.memory.vector, self.memory.y
         return cvode, (*place, self.data, clock, self.end, r.max_steps)
 
@@ -142,10 +141,3 @@ for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
             costs={"c+python": 2},
         )
     )
-METHODS.add(
-    Peer(
-        "cvode-adams-fixed",
-        "variable-order Adams–Moulton, fixed-point iteration: cheaper steps, more evaluations",
-        *(cvode, ("c",), (ROUNDING, 1e-1), "Adams", "sksundae"),
-    )
-)

@@ -1,6 +1,6 @@
 """Chapters: each answers one question from the tables, in one line and then in views and figures.
 
-A renderer (markdown.py, page/) writes every part the same way and knows no question, no table and no method.
+markdown.py writes every part the same way and knows no question, no table and no method.
 """
 
 from __future__ import annotations
@@ -98,11 +98,7 @@ PROSE: dict[str, dict[str, Any]] = tomllib.loads(
 
 def gathered(kind: str) -> dict[str, dict[str, str]]:
     """Return the entries of a kind, of all chapters, by name."""
-    return {
-        name: {"source": f"{chapter['tables'][0]}.csv"} | entry
-        for chapter in PROSE.values()
-        for name, entry in chapter.get(kind, {}).items()
-    }
+    return {name: entry for chapter in PROSE.values() for name, entry in chapter.get(kind, {}).items()}
 
 
 VIEWS, CHARTS = gathered("views"), gathered("charts")
@@ -131,7 +127,7 @@ def chapter(
 def view(name: str, frame: pd.DataFrame, show: Mapping[str, Show] | None = None, **values: object) -> View:
     """Return a table to read with the title and legend of chapters.toml, `values` filled into the legend."""
     prose = VIEWS[name]
-    return View(name, prose["title"], frame, filled(prose, "legend", values), prose["source"], show or {})
+    return View(name, prose["title"], frame, filled(prose, "legend", values), show or {})
 
 
 def chart(

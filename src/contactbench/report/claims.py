@@ -10,10 +10,9 @@ from contactbench.report import paper
 from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
 from contactbench.report.drawing import Figure
 from contactbench.report.numbers import DASH, how_often
-from contactbench.report.views import Cell, Mark, View, frame_of
+from contactbench.report.views import View, frame_of
 from contactbench.results.schema import BEYOND, SEPARATOR
 
-VERDICTS = {"holds": Mark.holds, "holds, corrected": Mark.corrected, "refuted": Mark.refuted}
 CAPTIONS = {
     "repairs": "Corrected",
     "replaces": "True instead",
@@ -47,8 +46,7 @@ def claims_view(frame: pd.DataFrame) -> View:
     for _, row in frame.iterrows():
         verdict = str(row["verdict"] or row["status"])
         needed = DASH if pd.isna(row["bound"]) else f"{row['relation']} {row['bound']:.2g}"
-        judged = Cell(verdict, mark=VERDICTS.get(verdict, Mark.bad))
-        rows.append((row["id"], judged, *row[["claim", "where", "quantity", "measured"]], needed))
+        rows.append((row["id"], verdict, *row[["claim", "where", "quantity", "measured"]], needed))
     labels = ["id", "verdict", "claim", "where in the paper", "measured", "value", "needed"]
     return view("claims", frame_of(rows, labels), {"": "{:.2g}".format})
 

@@ -41,7 +41,7 @@ def answers(frames: Frames) -> Iterator[Answer]:
 def order_cell(rows: pd.DataFrame) -> Cell:
     row = rows.iloc[0]
     if row["status"] == "unsupported":
-        return Cell("unsupported", mark=Mark.none)
+        return Cell("unsupported")
     if pd.isna(row["order"]):
         return Cell("no asymptotic range")
     spread = "" if pd.isna(row["order_uncertainty"]) else f" ± {row['order_uncertainty']:.2f}"

@@ -21,7 +21,6 @@ from contactbench.results.judgement import law_rows, laws_at_equal_cost, laws_in
 from contactbench.results.schema import Column
 from contactbench.results.tables import LAWS_TABLE
 
-SOURCE = "laws.csv"
 DAGGER, DOUBLE_DAGGER = "†", "‡"
 LEGEND: str = PROSE["laws"]["legend"]
 
@@ -81,7 +80,7 @@ def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
 
 def cost_cells(frames: Frames, row: pd.Series, laws: Sequence[str]) -> list[Cell]:
     if row["status"] != "ok":
-        return [Cell(str(row["status"]), mark=Mark.none), *[Cell(DASH)] * (len(laws) + 1)]
+        return [Cell(str(row["status"])), *[Cell(DASH)] * (len(laws) + 1)]
     spent = as_cell(row["rhs_equivalents"], count)
     return [spent, order_cell(frames, row), *(drift_cell(row, law) for law in laws)]
 
@@ -109,12 +108,10 @@ def broken_view(rows: pd.DataFrame) -> View:
     for (label, scene), own in rows[rows["claimed"] & rows["broken"]].groupby(["label", "scene"], sort=False):
         over = own["value"] / own["bound"]
         worst = own.loc[over.idxmax()]
-        held = int((own["frozen"] <= own["bound"]).sum())
         methods = names(list(dict.fromkeys(own["method"])), 3)
         place = f"{worst['method']}, {worst['setting']}"
-        lines.append((label, f"`{scene}`", methods, len(own), held, over.max(), worst["value"], place))
-    labels = ["law or drift", "scene", "methods", "runs", "kept with steps held fixed"]
-    labels += ["over the bound", "deviation", "worst"]
+        lines.append((label, f"`{scene}`", methods, len(own), over.max(), worst["value"], place))
+    labels = ["law or drift", "scene", "methods", "runs", "over the bound", "deviation", "worst"]
     show: dict[str, Show] = {"over the bound": times, "deviation": scientific}
     return view("law_exceptions", frame_of(lines, labels), show)
 
@@ -129,14 +126,14 @@ def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
         rows.append((row["method"], row["engine"], row["setting"], evaluations, order, error, *drifts))
     labels = ["method", "engine", "setting", "evaluations", "order", "solution error", *map(law_label, laws)]
     title = f"{scene}, {cost:g} evaluations per unit of time"
-    return View(f"equal_cost_{scene}_{cost:g}", title, frame_of(rows, labels), "", "decay_laws.csv")
+    return View(f"equal_cost_{scene}_{cost:g}", title, frame_of(rows, labels))
 
 
 def law_view(frames: Frames, law: str, column: Column) -> View:
     rows = law_rows({"laws": frames["laws"]}, law)
     show = readable if column.type == "whole" else scientific
     frame = matrix(rows, "method", "scene", lambda own: range_cell(own, show))
-    return View(f"law_{law}", law_label(law), frame, f"{column.meaning}.", SOURCE)
+    return View(f"law_{law}", law_label(law), frame, f"{column.meaning}.")
 
 
 @chapter("laws", answers)

@@ -1,4 +1,4 @@
-"""How a method and a role look in every figure and on the page: colour = family, dash = order, marker = method.
+"""How a method and a role look in every figure: colour = family, dash = order, marker = method.
 
 The contact methods are blues, the darker the higher their order; every other family is one colour.  Any two families
 are at least 14 apart (CIEDE2000) as deuteranopes and protanopes see them (Machado, Oliveira & Fernandes 2009,

@@ -1,8 +1,7 @@
-"""A comparison to read: the notes, tables and figure of one frame, for terminal, page and plot alike."""
+"""A comparison to read: the notes and tables of one frame for the terminal, and its figure."""
 
 from __future__ import annotations
 
-import base64
 import math
 import re
 import textwrap
@@ -13,19 +12,15 @@ import pandas as pd
 
 from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
-from contactbench.report.chapters import Answer, Chapter, Contents, Part, Text, shown
-from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end, floats
-from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import law_label
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
-from contactbench.report.page import page
-from contactbench.report.views import Cell, Mark, Show, View, frame_of, pick
+from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.judgement import structural_laws
 from contactbench.results.tables import LAWS_TABLE, shipped_folder
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
-FURTHER = "For other problems, a decision in five questions:"
-ALIKE = ("tie", "undecided")
 #: what a law is about, and what follows from what
 SYMBOLS = {"momentum_law": "J", "contact_drift": "η", "distribution_drift": "ker η", "pairing_drift": "pairs"}
 IMPLIED = {"η": ("ker η", "pairs")}
@@ -35,23 +30,11 @@ LEGENDS = {
     "short": "time at each error; kept at round-off: J, η, pairs of singular values",
 }
 LEGENDS[""] = f"{LEGENDS['short']}, then evaluations"
-#: components of a motion that are drawn
-MOVING = 3
 #: rows of a table, and columns of the terminal
 ROWS, WIDTH = 10, 100
 
 
-# -- answers and notes -----------------------------------------------------------------------------------------
-def answers(frame: pd.DataFrame) -> Iterator[Answer]:
-    first = frame[frame["verdict"].isin(["win", *ALIKE])].sort_values(
-        ["kind", "error_asked"], ascending=False, kind="stable"
-    )
-    for (kind, error), rows in first.groupby(["kind", "error_asked"], sort=False):
-        ranked = rows.sort_values("time_s", kind="stable")
-        question = f"{TITLES[str(kind)]}, error {error:g}: who is cheapest?"
-        yield Answer(question, names(list(ranked["method"]), 4), duration(ranked["time_s"].min()))
-
-
+# -- notes -----------------------------------------------------------------------------------------
 def notes(frame: pd.DataFrame) -> Iterator[str]:
     yield from unbegun(frame)
     reference = frame.attrs["reference"]
@@ -120,14 +103,13 @@ def symbols(laws: Iterable[str]) -> list[str]:
     return [symbol for symbol in found if symbol not in implied]
 
 
-def time_cell(row: pd.Series) -> Cell:
+def time_text(row: pd.Series) -> str:
     if row["status"] != "ok":
-        return Cell(row["status"])
+        return str(row["status"])
     if math.isnan(row["time_s"]):
-        return Cell("not timed")
-    mark = Mark.best if row["verdict"] == "win" else Mark.tie if row["verdict"] in ALIKE else None
+        return "not timed"
     beside = {"win": "cheapest", "loss": times(row["ratio"])}.get(row["verdict"], row["verdict"])
-    return Cell(f"{duration(row['time_s'])} {beside}", row["time_s"], mark)
+    return f"{duration(row['time_s'])} {beside}"
 
 
 def kept_laws(rows: pd.DataFrame) -> str:
@@ -172,16 +154,12 @@ def times_view(frame: pd.DataFrame, kind: str) -> View:
     rows, own = [], frame[frame["kind"] == kind]
     for method in ranked(own):
         part = own[own["method"] == method]
-        cells = [time_cell(row) for _, row in part.iterrows()]
+        cells = [time_text(row) for _, row in part.iterrows()]
         rows.append((method, *cells, kept_laws(part), *part["evaluations"]))
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
     labels = [("", "method"), *(("time at error", e) for e in errors), ("", "keeps")]
     table = frame_of(rows, [*labels, *(("evaluations at error", e) for e in errors)])
-    legend = (
-        "Least time of a bare call at the coarsest setting that reaches the error; ×: over the cheapest. "
-    )
-    legend += "Kept at round-off: J the momentum, η the contact form."
-    return View(f"race_{kind}", TITLES[kind], table, legend, show={"": count})
+    return View(f"race_{kind}", TITLES[kind], table, show={"": count})
 
 
 def settings_view(frame: pd.DataFrame) -> View:
@@ -193,14 +171,7 @@ def settings_view(frame: pd.DataFrame) -> View:
         reached = {r.error_asked: f"{r.setting}, {scientific(r.error_reached)}" for r in part.itertuples()}
         rows.append((method, *(reached.get(error, DASH) for error in errors)))
     table = frame_of(rows, ["method", *(f"{error:g}" for error in errors)])
-    return View("race_settings", "Setting, and error reached", table, "Of each time above.")
-
-
-def laws_view(frame: pd.DataFrame) -> View:
-    laws = {law: law_label(law) for law in laws_of(frame)}
-    table = pick(frame[frame["status"] == "ok"], "method", "setting", error_asked="error", **laws)
-    show: dict[str, Show] = {"error": "{:g}".format, "": scientific}
-    return View("race_laws", "Laws", table, "Deviations over the run, at five times.", show=show)
+    return View("race_settings", "Setting, and error reached", table)
 
 
 def views(frame: pd.DataFrame) -> list[View]:
@@ -220,39 +191,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     if not panels:
         return None
     scene = frame["scene"].iloc[0]
-    caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
-    return Figure(f"compare_{scene}", f"{scene}: cost against error", panels, caption)
-
-
-def motion_figure(frame: pd.DataFrame) -> Figure | None:
-    """Return the motion of one run: components over time, phase portrait, and energies beside their law."""
-    rows = pd.DataFrame(frame.attrs["motion"])
-    if rows.empty:
-        return None
-    moving = [name for name in rows if name[0] in "qMy" and name[1:].isdigit()][:MOVING]
-    letter = moving[0][0]
-    others = {name: name.replace("q", "p") for name in moving}
-    if letter != "q":
-        others = dict(zip(moving, [*moving[1:], moving[0]], strict=True))
-    energies = {name: f"shade {i}" for i, name in enumerate(("H0", "H")) if name in rows} | {
-        "law of H": "law"
-    }
-
-    def curve(x: str, y: str, label: str, role: str) -> Curve:
-        return Curve(floats(rows[x]), floats(rows[y]), label, role=role, markers=False)
-
-    roles = {name: f"shade {i + 1}" for i, name in enumerate(moving)}
-    over_time = tuple(curve("t", name, name, role) for name, role in roles.items())
-    portrait = tuple(curve(name, others[name], name, role) for name, role in roles.items())
-    panels = [
-        Panel("Motion", Axis("t"), Axis(letter), over_time),
-        Panel("Phase portrait", Axis(letter), Axis("p" if letter == "q" else f"the next {letter}"), portrait),
-    ]
-    if lines := tuple(curve("t", name, name, role) for name, role in energies.items() if name in rows):
-        panels.append(Panel("Energies", Axis("t"), Axis("energy"), lines))
-    scene, run = frame["scene"].iloc[0], rows["run"].iloc[0]
-    caption = "H decays as H(0) e^{−∫Γ'}, its law." if "law of H" in rows else ""
-    return Figure(f"motion_{scene}", f"{scene}: the motion, by {run}", tuple(panels), caption, across=3)
+    return Figure(f"compare_{scene}", f"{scene}: cost against error", panels)
 
 
 def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
@@ -268,23 +207,7 @@ def front(tried: pd.DataFrame) -> pd.DataFrame:
     return ordered[ordered["error"] < errors.transform(lambda own: own.cummin().shift(fill_value=np.inf))]
 
 
-# -- documents -------------------------------------------------------------------------------------
-def html(frame: pd.DataFrame) -> str:
-    """Return a page of its own: its figures stand in it, not beside it."""
-    from contactbench.report.draw import svg  # takes long to load
-
-    scene, drawn, moving = str(frame["scene"].iloc[0]), figure(frame), motion_figure(frame)
-    chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
-    advice = Text(items=tuple(frame.attrs["recommendation"]))
-    parts: list[Part | None] = [advice, drawn, moving, *views(frame), laws_view(frame)]
-    parts.append(Text(items=(*notes(frame), f"{FURTHER} results/which.md.")))
-    contents, images = Contents(chapter, tuple(answers(frame)), tuple(shown(parts))), {}
-    for each in filter(None, (drawn, moving)):
-        picture = base64.b64encode(svg(each).encode()).decode()
-        images[each.name] = f"data:image/svg+xml;base64,{picture}"
-    return page([contents], images=images)
-
-
+# -- the terminal ----------------------------------------------------------------------------------
 def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
     """Return a race for the terminal, at its end the recommendation, and where to read on.
 
@@ -344,7 +267,7 @@ def how_to_run(frame: pd.DataFrame, scene: str) -> Iterator[str]:
 def which_method() -> Iterator[str]:
     """Yield where a decision for other problems is, if that document is there."""
     if folder := shipped_folder():
-        yield f"{FURTHER} {folder / 'which.md'}"
+        yield f"For other problems, a decision in five questions: {folder / 'which.md'}"
 
 
 def wrap(line: str) -> str:

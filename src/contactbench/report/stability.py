@@ -21,7 +21,6 @@ from contactbench.results.judgement import laws_in
 from contactbench.results.schema import numbers
 from contactbench.results.tables import STABILITY
 
-SOURCE = "stability.csv"
 #: above this condition number the round-off of a solution is more than round-off
 WELL_CONDITIONED = 1e3
 LADDER = "Settings from coarse to fine; h/n: the time that an evaluation of a fixed-step method is worth."
@@ -64,8 +63,7 @@ def rungs(rows: pd.DataFrame) -> list[str]:
 def ending(run: pd.Series) -> Cell:
     if run["status"] == "ok":
         return as_cell(run["solution_error"], lambda error: scientific(error, 0))
-    right = run["status"] == "diverged" and not pd.isna(run["blow_up_time"])
-    return Cell(str(run["status"]), mark=Mark.right if right else Mark.bad)
+    return Cell(str(run["status"]))
 
 
 def scene_view(here: pd.DataFrame, scene: str) -> View:
@@ -87,7 +85,7 @@ def scene_view(here: pd.DataFrame, scene: str) -> View:
     if condition > WELL_CONDITIONED:
         round_off = scientific(condition * np.finfo(float).eps)
         notes += f"Condition number {scientific(condition)}: round-off comes to {round_off}."
-    return View(f"hard_{scene}", scene, frame_of(lines, labels), notes.strip(), SOURCE)
+    return View(f"hard_{scene}", scene, frame_of(lines, labels), notes.strip())
 
 
 def worst_cell(runs: list[pd.Series], law: str) -> Cell:
@@ -105,7 +103,7 @@ def parts(frames: Frames) -> list[Part]:
     contests: list[Part] = []
     if len(own.contests):
         lost = {own.kind.title: own.contests}
-        contests = [winners_view(own, "hard_winners", SOURCE), losses_view(lost, "hard_losses", SOURCE)]
+        contests = [winners_view(own, "hard_winners"), losses_view(lost, "hard_losses")]
     scenes = (scene_view(here, str(scene)) for scene, here in hard.groupby("scene", sort=False))
     return [*contests, Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes))]
 

@@ -1,13 +1,12 @@
 """Tables to read: a DataFrame with labels; how a number is written, and what a cell is marked as, is decided here.
 
-Texts (`View.legend`, texts of cells) are inline Markdown of four kinds only: `code`, **strong**, *emphasis* and
-[text](address).  An address is a file beside the document, or #anchor inside it.
+Texts (`View.legend`, texts of cells) are inline Markdown.  An address is a file beside the document, or #anchor
+inside it.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -27,17 +26,11 @@ class Mark(StrEnum):
     tie = "tie"  #: no worse than the best by more than the noise
     kept = "kept"  #: a law kept to round-off
     exception = "exception"  #: contradicts what is claimed
-    holds = "holds"  #: verdicts of claims
-    corrected = "corrected"
-    refuted = "refuted"
-    right = "right"  #: a run that ended as the true motion does
-    bad = "bad"  #: a run that ended badly
-    none = "none"  #: nothing to measure: unsupported
 
 
 @dataclass(frozen=True)
 class Cell:
-    """An entry; value : what it is sorted by, None: words by `text`, a missing number last; link : an address."""
+    """An entry; value : its number, None where it is words or missing; link : an address."""
 
     text: str
     value: float | None = None
@@ -54,7 +47,7 @@ class Head:
 
 @dataclass(frozen=True)
 class View:
-    """A table to read; name : unique over all chapters, [a-z0-9_]; source : the CSV it is from.
+    """A table to read; name : unique over all chapters.
 
     frame : its entries are words, numbers or `Cell`s; the first column names the row.  Column names are labels, or
     pairs of a group and a label.  legend : one or two sentences under the title; says what marks and dashes mean.
@@ -65,7 +58,6 @@ class View:
     title: str
     frame: pd.DataFrame
     legend: str = ""
-    source: str = ""
     show: Mapping[str, Show] = field(default_factory=dict)
 
     @cached_property
@@ -88,7 +80,7 @@ class View:
 
 
 def as_cell(value: object, show: Show = readable, mark: Mark | None = None) -> Cell:
-    """Return an entry as a cell: a missing one is a dash, infinite numbers sort beyond all finite ones."""
+    """Return an entry as a cell: a missing one is a dash."""
     if isinstance(value, Cell):
         return value
     if isinstance(value, str):
@@ -97,7 +89,7 @@ def as_cell(value: object, show: Show = readable, mark: Mark | None = None) -> C
         return Cell(DASH)
     number = float(value)  # type: ignore[arg-type]
     if math.isinf(number):
-        return Cell("∞" if number > 0 else "−∞", math.copysign(sys.float_info.max, number), mark)
+        return Cell("∞" if number > 0 else "−∞", number, mark)
     return Cell(show(number), number, mark)
 
 

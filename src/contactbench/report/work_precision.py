@@ -32,7 +32,6 @@ from contactbench.results.contest import (
     standings,
 )
 
-SOURCE = "work_precision.csv"
 LEGEND: str = PROSE["work_precision"]["legend"]
 #: by kind of cost
 QUESTIONS: dict[str, str] = PROSE["work_precision"]["questions"]
@@ -98,7 +97,7 @@ def cost_cell(row: Cost, show: Callable[[float], str] = duration) -> Cell:
     return Cell(cost_text(row, show), None if math.isnan(row.cost) else row.cost, MARKS.get(row.verdict))
 
 
-def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
+def winners_view(own: Contest, name: str) -> View:
     winner = own.contests.set_index(["scene", "error"])["winner"]
     reached = own.standings[own.standings["scene"].isin(own.contests["scene"])]
     reached = reached[reached.groupby("scene")["cost"].transform("min").notna()]
@@ -112,14 +111,14 @@ def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
         return Cell(named, mark=MARKS.get(winner[first.scene, first.error]))
 
     made = view("winners", matrix(reached, "scene", "error", cell, error_label), about=own.kind.about)
-    return replace(made, name=name, title=own.kind.title, source=source)
+    return replace(made, name=name, title=own.kind.title)
 
 
 def cheapest_view(own: Contest) -> View:
     return replace(winners_view(own, f"cheapest_{own.kind.name}"), legend="")
 
 
-def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE) -> View:
+def losses_view(won: Mapping[str, pd.DataFrame], name: str) -> View:
     def cell(own: pd.DataFrame) -> Cell:
         lost, judged = own[own["winner"] == OTHER], own[own["winner"] != ""]
         if not len(lost):
@@ -131,7 +130,7 @@ def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE
 
     every = pd.concat([own.assign(kind=title) for title, own in won.items()])
     lost = every[every["scene"].isin(every[every["winner"] == OTHER]["scene"])]
-    return replace(view("losses", matrix(lost, "scene", "kind", cell)), name=name, source=source)
+    return replace(view("losses", matrix(lost, "scene", "kind", cell)), name=name)
 
 
 # -- scene by scene --------------------------------------------------------------------------------
@@ -141,7 +140,7 @@ def costs_view(own: Contest, scene: str) -> View:
     show = duration if own.kind.timed else count
     cells = {(row.method, row.error): cost_cell(row, show) for row in cost_rows(here)}
     frame = grid("method", cells, error_label)
-    return View(f"{own.kind.name}_{scene}", own.kind.title, frame, "", SOURCE)
+    return View(f"{own.kind.name}_{scene}", own.kind.title, frame)
 
 
 @chapter("work_precision", answers)

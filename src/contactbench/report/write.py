@@ -16,7 +16,7 @@ import numpy as np
 from contactbench.errors import BadInput
 from contactbench.files import replacing
 from contactbench.measure.isolation import Worker, usable_cores
-from contactbench.report import draw, headline, markdown, page
+from contactbench.report import draw, headline, markdown
 from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, discovered, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View, frame_of
@@ -52,7 +52,7 @@ def as_of(results: Path, written: tuple[int, ...]) -> Tables:
 def documents(
     results: Path, registries: Registries, readme: Path | None
 ) -> tuple[dict[Path, str], list[Figure]]:
-    frames, recorded = tables(results), runs(results)
+    frames = tables(results)
     with drawing() as draws:
         found, drawn = [], dict[str, Figure]()
         pictures: dict[str, Callable[[], str]] = {}
@@ -63,14 +63,11 @@ def documents(
                     drawn[figure.name], pictures[figure.name] = figure, draws(figure)
         texts = {f"figures/{name}.svg": picture() for name, picture in pictures.items()}
     if found and found[0].chapter.name == headline.NAME:
-        found[0] = replace(found[0], parts=(*found[0].parts, headline.machine(recorded)))
-    words = glossary(registries)
+        found[0] = replace(found[0], parts=(*found[0].parts, headline.machine(runs(results))))
     pages = {one.chapter.file: markdown.document(one) for one in found}
-    pages["glossary.md"] = f"# Glossary\n\n{markdown.parts(words)}\n"
+    pages["glossary.md"] = f"# Glossary\n\n{markdown.parts(glossary(registries))}\n"
     if not (results.parent / "docs" / "reading.md").exists():  # as in a repository of one's own
         pages = {name: TO_DOCS.sub("", text) for name, text in pages.items()}
-    links = {label: to for label, to in page.LINKS.items() if to in pages or to.startswith("..")}
-    pages["report.html"] = page.page(found, recorded, words, links)
     paths = {results / name: text for name, text in (pages | texts).items()}
     return paths | ({readme: with_answers(readme, frames)} if readme else {}), list(drawn.values())
 
@@ -123,7 +120,7 @@ def computed_part(readme: Path) -> tuple[str, str] | None:
 def report(
     results: Path, registries: Registries, readme: Path | None = None, png: bool = False
 ) -> list[Path]:
-    """Write every document and figure the tables allow, and the page; return the paths.
+    """Write every document and figure the tables allow; return the paths.
 
     Figures of an earlier report that no table gives any more are removed.
     readme : a file whose computed part is filled in too.  png : whether figures are saved as pictures too.
@@ -170,7 +167,7 @@ def differing(results: Path, readme: Path | None, registries: Registries) -> lis
             lines.append(f"{path}: missing")
         elif not same(path.read_text(encoding="utf-8"), text, path.suffix == ".svg"):
             lines.append(f"{path}: not what the tables say")
-    there = {path for pattern in ("*.md", "*.html", "figures/*.svg") for path in results.glob(pattern)}
+    there = {path for pattern in ("*.md", "figures/*.svg") for path in results.glob(pattern)}
     return lines + [f"{path}: no table gives it" for path in sorted(there - wanted.keys())]
 
 

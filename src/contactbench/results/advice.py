@@ -36,8 +36,6 @@ FIRST, UNTRIED = 4, 0.4
 NOT_TRIED = (
     "quinlan-tremaine8",
     "quinlan-tremaine12",
-    "stormer12",
-    "gauss6",
     "cvode-adams",
     "cyrk-dop853",
     "cyrk-vern8",

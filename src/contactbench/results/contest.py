@@ -33,8 +33,6 @@ from contactbench.solution import EXACT, GROWING, PILOTS
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 #: the family of the contact methods
 CONTACT = "contact"
-#: rows that do not compete: plain C loops
-LIMIT = "limit"
 #: the winner of a contest of two sides
 OURS, OTHER = "ours", "other"
 CALLBACKS = ("python", "c+python")
@@ -122,7 +120,7 @@ def cost_rows(frame: pd.DataFrame) -> list[Cost]:
 
 def contestants(work: pd.DataFrame) -> pd.DataFrame:
     """Return the rows that compete: one setting of one method, no C loops."""
-    return work[(work["family"] != LIMIT) & work["variant"].fillna("").isin(["", GROWING, PILOTS])]
+    return work[work["variant"].fillna("").isin(["", GROWING, PILOTS])]
 
 
 def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "method")) -> pd.DataFrame:

@@ -7,18 +7,15 @@ from collections.abc import Mapping
 import pandas as pd
 
 from contactbench.measure.law import JUDGEMENT
-from contactbench.results.contest import LIMIT
 from contactbench.results.schema import Column, Rule, Table, numbers
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 
-#: the same law with the steps held fixed
-FROZEN = "_frozen"
 #: the tables whose rows are judged
 JUDGED_TABLES = ("laws", "stability")
 #: the judgement of a run
 FLAGS = ("claimed", "kept", "undecided", "judged")
 #: the columns of `law_rows` but for `broken`
-COLUMNS = ("scene", "method", "family", "setting", "value", "clamped", "frozen", "bound", *FLAGS)
+COLUMNS = ("scene", "method", "family", "setting", "value", "clamped", "bound", *FLAGS)
 
 
 def laws_in(table: Table, view: str = "laws") -> dict[str, Column]:
@@ -38,21 +35,21 @@ def law_rows(frames: Mapping[str, pd.DataFrame], law: str) -> pd.DataFrame:
     """Return all runs of all tables that have a value of a law.
 
     Columns: scene, method, family, setting; value; clamped (at how many times it is relative to a thousandth of the
-    terms that cancel); frozen (with the steps held fixed); claimed, kept, undecided, bound; judged (the run follows
+    terms that cancel); claimed, kept, undecided, bound; judged (the run follows
     the motion); broken (judged, and neither kept nor undecided).  A law that is not structural is not judged.
     """
     judged = []
     for name in JUDGED_TABLES:
         frame = frames.get(name)
         if frame is not None and len(frame) and law in frame:
-            rows = frame[(frame["status"] == "ok") & frame[law].notna() & (frame["family"] != LIMIT)]
+            rows = frame[(frame["status"] == "ok") & frame[law].notna()]
             limit = numbers(rows, f"{law}_bound")
             flags = {
                 f: rows[f"{law}_{f}"].fillna(False)
                 for f in JUDGEMENT
                 if f != "bound" and f"{law}_{f}" in rows
             }
-            found = {"value": numbers(rows, law), "frozen": numbers(rows, law + FROZEN), "bound": limit}
+            found = {"value": numbers(rows, law), "bound": limit}
             found |= {"clamped": numbers(rows, f"{law}_clamped", 0.0), "judged": limit.notna()}
             judged.append(rows.assign(**found, **dict.fromkeys(FLAGS[:3], False) | flags))
     rows = pd.concat(judged or [pd.DataFrame()], ignore_index=True).reindex(columns=list(COLUMNS))

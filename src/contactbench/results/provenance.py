@@ -26,7 +26,7 @@ from contactbench.plugins import LOADED
 from contactbench.results.schema import TABLES, Row
 
 PACKAGES = """contactbench numpy scipy pandas matplotlib mpmath
-numba llvmlite jax jaxlib diffrax scikit-sundae heyoka cyrk sundials4py rebound"""
+llvmlite numba jax jaxlib diffrax scikit-sundae heyoka cyrk"""
 #: what decides the tables
 SOURCES = ("src", "bench", "references", "pyproject.toml", "constraints.txt", "tox.ini")
 CHANGES = ("status", "--porcelain", "--untracked-files=no", "--", *SOURCES)

@@ -75,8 +75,6 @@ LAWS_TIME = declare("laws_time")
 MOTION = declare("motion")
 DECAY_LAWS = declare("decay_laws")
 WORK_PRECISION = declare("work_precision")
-ENSEMBLE_TABLE = declare("ensemble")
-SCALING = declare("scaling")
 DEFINITIONS = declare("definitions")
 CLAIMS_TABLE = declare("claims")
 PAPER_FIGURES = declare("paper_figures")
@@ -84,19 +82,12 @@ STABILITY = declare("stability")
 STABILITY_LIMITS = declare("stability_limits")
 DAMPING_RATES = declare("damping_rates")
 STRONG_DAMPING = declare("strong_damping")
-LONG_TIME = declare("long_time")
 STRUCTURE_BUYS = declare("structure_buys")
 POPULATION = declare("population")
 POPULATION_PROBLEMS = declare("population_problems")
 POPULATION_HARD = declare("population_hard")
-GRADIENTS = declare("gradients")
-REVERSIBILITY = declare("reversibility")
 #: what the motion is compared with, and over which time at its end the orbit is drawn
 TRUTH, ORBIT = "truth", 14.4
-#: the quantities that long runs are averaged for: H0 once in a period, where the force vanishes; Lyapunov's exponent
-#: per unit of time; the dimension of Kaplan and Yorke, of the section once in a period; and 0 for the true flow
-ENERGY, EXPONENT, DIMENSION = "mean H0 at phase 0", "largest exponent", "dimension"
-SUM = "sum of exponents plus γ"
 
 
 # -- those that come with the package ----------------------------------------------------------------
@@ -116,7 +107,7 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
     Parameters
     ----------
     name
-        Of a table, such as "laws", "work_precision", "stability", "claims", "ensemble".
+        Of a table, such as "laws", "work_precision", "stability", "claims".
     folder
         Of a run of your own; by default the tables that came with the package.
 

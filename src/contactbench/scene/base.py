@@ -33,7 +33,7 @@ from contactbench.trace.formula import Formula, formula
 #: by how much a function of floats may differ from its formula: powers are products there
 SAME = 1e-6
 #: what a scene may ask to be run by
-EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability", "scaling")
+EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability")
 #: what the functions of scenes, and step maps, are called with besides the parameters
 ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time
@@ -157,8 +157,6 @@ class System(metaclass=Kind):
     optional: ClassVar[tuple[str, ...]] = ("s",)
     #: those that the dynamics cannot do without
     required: ClassVar[tuple[str, ...]] = ()
-    #: whether a component of its state is an array, of one number a site
-    by_sites: ClassVar[bool] = False
     #: whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise
     has_jacobian: ClassVar[bool] = True
 
@@ -244,10 +242,6 @@ class System(metaclass=Kind):
             elif each is not None:
                 flat.append(each)
         return flat
-
-    def unrolled(self) -> System:
-        """Return the scene component by component, for solvers that know no arrays: itself, but of many sites."""
-        return self
 
     # -- numbers -------------------------------------------------------------------------------
     @abstractmethod
@@ -392,8 +386,8 @@ class Scene(System):
         and L_X η = −Γ' η, Γ' = ∂H/∂s; a `conformal_rate` that is not None is Γ'.
      7. H0 does not grow unless it `may_gain_energy`; J' = −Γ' J where it `has_momentum_law`; the ``…_terms``
         are no smaller than what they are the terms of.
-     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies, of many sites a few vectors
-        at random; ``displaced`` leaves along them.
+     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies;
+        ``displaced`` leaves along them.
      9. ``exact``, where given, starts at the initial state and solves the equations.
 
     Parameters
@@ -468,8 +462,6 @@ class Scene(System):
     rate_changes: ClassVar[bool] = False
     #: J' = −Γ'(s) J
     has_momentum_law: ClassVar[bool] = False
-    #: one component of J obeys J' = −γJ + torque instead, at a constant γ
-    has_torque: ClassVar[bool] = False
     #: its states lie on a manifold that methods may drift off: see `departure`
     constrained: ClassVar[bool] = False
     #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
@@ -491,7 +483,7 @@ class Scene(System):
         for name in getattr(self, "parameters", {}):
             if name in taken:
                 raise BadInput(f"parameter {name!r}: {wanted}")
-        for name in () if self.by_sites else self.given:
+        for name in self.given:
             self._require_arguments(name)
         for name, kept in self.reciprocals.items():
             value = getattr(self, name)
@@ -571,10 +563,6 @@ class Scene(System):
     def layout(self) -> Sequence[object]:
         """Return what the motion depends on besides functions, numbers and initial data."""
         return ()
-
-    def unrolled(self) -> Scene:
-        """Return the scene component by component, for solvers that know no arrays."""
-        return self
 
     def orders(self) -> list[tuple[int, int, bool]]:
         """Return pairs (i, j, strict): number i is below number j, 0 being one more number, or else not above it.

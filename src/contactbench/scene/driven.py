@@ -87,7 +87,7 @@ class Driven(Mechanical):
         Increasing times at which force or damping changes abruptly or a pulse sits, such as (13.3,); of a pulse its
         middle and both ends.  No step of any method straddles one: each starts afresh there, a few roundings behind
         it, so that it does not matter what a function returns at its jump.  Substeps that lead far out of a step do
-        see the other side: processors (contact-rkn8) and contact-yoshida6 are of order two over a jump (measured).
+        see the other side: a processor (contact-rkn8) is of order two over a jump (measured).
     span
         ``(t, h, xp, **parameters) -> (G, φ)`` where it is known in closed form: G = ∫_t^{t+h} γ and
         φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.  By default both come
@@ -116,8 +116,8 @@ class Driven(Mechanical):
     state: ClassVar[type[AnyState]] = DrivenState
     flows: ClassVar[Mapping[str, Flow]] = {
         **Mechanical.flows,
-        "damp": Flow(plain, driven_damp, {}, driven_log_factor),
-        "drift_damp": Flow(_driven_constants, driven_drift_damp, {}, driven_log_factor),
+        "damp": Flow(plain, driven_damp, {}),
+        "drift_damp": Flow(_driven_constants, driven_drift_damp, {}),
     }
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "t", "s")
     checks: ClassVar[dict[str, Check]] = {
@@ -193,7 +193,6 @@ class Driven(Mechanical):
 
     #: ∂∇V/∂t is not asked for: solvers difference
     has_jacobian = False
-    has_torque = False
     has_hamiltonian_law = False
     may_gain_energy = True
     bounds_energy = False

@@ -20,11 +20,6 @@ def plain(scene: object, h: Arithmetic, xp: Namespace) -> Arithmetic:
     return h
 
 
-def no_damping(scene: object, x: object, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    """Return 0, the log of the factor of flows that keep η."""
-    return 0.0
-
-
 #: what `Flow.constants` returns and `Flow.apply` takes
 Constants = Any
 
@@ -50,19 +45,11 @@ class Flow(NamedTuple):
     costs
         What one application adds to the counts, by kind ("gradient", "rotation"; "attitude": the rotations that R
         takes beside the others, where it is carried).
-    log_factor
-        ``(scene, x, h, xp) -> log c`` with φ_h*η = c η at x.
     """
 
     constants: Callable[..., Constants]
     apply: Callable[..., Any]
     costs: dict[str, int]
-    log_factor: Callable[..., Arithmetic] = no_damping
-
-
-def linear_log_factor(scene: Damped, x: object, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    """Return −γh, the log of the factor under linear damping."""
-    return -scene.gamma * h
 
 
 def damped_time(gamma: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:

@@ -138,10 +138,6 @@ def damp_generally(scene: GeneralDamping, x: State, h: Arithmetic, xp: Namespace
     return settle(State(x.q, tuple(factor * p for p in x.p), s), xp)
 
 
-def general_log_factor(scene: GeneralDamping, x: State, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    return decayed(scene, x.s, h, xp)[1]
-
-
 @dataclass(frozen=True, kw_only=True)
 class GeneralDamping(Mechanical):
     """Describe a point mass with any smooth damping: H = ‖p‖²/2m + V(q) + Γ(s), split into kick, drift and damping.
@@ -184,7 +180,7 @@ class GeneralDamping(Mechanical):
     #: no merged flow is known, hence three parts
     flows: ClassVar[Mapping[str, Flow]] = {
         **{name: Mechanical.flows[name] for name in ("kick", "drift")},
-        "damp": Flow(plain, damp_generally, {}, general_log_factor),
+        "damp": Flow(plain, damp_generally, {}),
     }
     parts: ClassVar[tuple[str, ...]] = ("kick", "drift", "damp")
     checks: ClassVar[dict[str, Check]] = {

@@ -15,12 +15,11 @@ from contactbench.blame import is_ours, their_code
 from contactbench.checks import finite, function, positive, switch, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
-from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import AnyState, DrivenState, State, Vector, cross, dot, norm, scaled, times
 from contactbench.scene.base import Check, Numeric, OwnState, Scene, named_numbers, optional
 from contactbench.scene.contact_system import on_metric
-from contactbench.scene.flow import Constants, Flow, damped_time, damping, linear_log_factor, plain
+from contactbench.scene.flow import Constants, Flow, damped_time, damping, plain
 from contactbench.scene.scales import in_order, reach
 from contactbench.trace.formula import Formula, formula
 
@@ -108,11 +107,8 @@ class Canonical(Scene):
 
     def sizes(self, x: State, end: float) -> tuple[np.ndarray, np.ndarray]:
         far, fast = reach(self, x, end)
-        masses = tuple(1 / each for each in self.velocity(tuple(1.0 + 0 * c for c in x.p)))
-        flat = self.pack(State(x.q, tuple(fast * mass for mass in masses)))
-        momenta = np.array(np.broadcast_arrays(*flat), dtype=float)[len(flat) // 2 :]
-        places = np.broadcast_to(far, momenta.shape)
-        return np.concatenate([places, momenta]), in_order(far) * in_order(momenta.max(axis=0))
+        momenta = np.array([fast * (1 / each) for each in self.velocity((1.0,) * len(x.p))])
+        return np.concatenate([np.full(len(x.q), far), momenta]), in_order(far) * in_order(momenta.max())
 
     @property
     def rate_changes(self) -> bool:  # type: ignore[override]
@@ -152,27 +148,6 @@ def kick(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> State:
     return x._replace(p=p, s=None if x.s is None else x.s - h * scene.potential_at(x))
 
 
-def force_gradient(scene: Canonical, x: Any, h: Arithmetic, xp: Namespace) -> OwnState:
-    """The kick of V − (g²/48) {V, {V, T + Γ}}, {V, {V, T + Γ}} = ‖∇V‖²/m + κV², for h = ⅔ g, the part Chin's 4A has.
-
-    V'' ∇V/m is the derivative of the gradient along ∇V/m, by dual numbers.
-    """
-    gradient, share, kappa = tuple(scene.gradient_at(x)), 3 * h * h / 32, scene.kappa
-    way = scene.velocity(gradient)
-    lifted = {"t": Dual(x.t, 0 * x.t)} if "t" in x._fields else {}
-    there = x._replace(q=tuple(map(Dual, x.q, way)), **lifted)
-    turn = [slope(each) for each in scene.gradient_at(there)]
-    V = scene.potential_at(x) if scene.nonlinear_damping or x.s is not None else 0.0
-    if scene.nonlinear_damping:
-        turn = [a + kappa * V * b for a, b in zip(turn, gradient, strict=True)]
-    p = tuple(p - h * (a - share * b) for p, a, b in zip(x.p, gradient, turn, strict=True))
-    if x.s is None:
-        return x._replace(p=p)
-    square = scene.product(gradient, way)
-    square = square + kappa * V * V if scene.nonlinear_damping else square
-    return x._replace(p=p, s=x.s - h * (V - share / 2 * square))
-
-
 def drift(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> State:
     """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
     q = tuple(map(add, x.q, scaled(times(scene.inverse_mass, h), x.p)))
@@ -201,12 +176,6 @@ def damp(scene: Mechanical, x: State, constants: Constants, xp: Namespace) -> St
 def _over_D(x: State, half_kappa: Arithmetic, xp: Namespace) -> Arithmetic:
     D = 1 + half_kappa * x.s
     return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
-
-
-def damp_log_factor(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    if not scene.nonlinear_damping:
-        return -scene.gamma * h
-    return -scene.gamma * h - 2 * xp.log1p(scene.kappa * x.s * damped_time(scene.gamma, h, xp) / 2)
 
 
 def _drift_damp_constants(scene: Canonical, h: Arithmetic, xp: Namespace) -> Constants:
@@ -293,14 +262,6 @@ def _pinney_of_any_sign(
     return a, choose(alive, 1 / choose(alive, y, 1.0, xp), xp.inf, xp), path
 
 
-def drift_damp_log_factor(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    linear = linear_log_factor(scene, x, h, xp)
-    if not scene.nonlinear_damping:
-        return linear
-    _, over_y, _ = _pinney(scene, x, _drift_damp_constants(scene, h, xp), xp)
-    return linear + xp.log(over_y)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Mechanical(Canonical):
     """Describe a point mass in a potential: H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
@@ -377,10 +338,9 @@ class Mechanical(Canonical):
     canonical = separable = True
     flows: ClassVar[Mapping[str, Flow]] = {
         "kick": Flow(plain, kick, {"gradient": 1}),
-        "force_gradient": Flow(plain, force_gradient, {"gradient": 2}),
         "drift": Flow(plain, drift, {}),
-        "damp": Flow(_damp_constants, damp, {}, damp_log_factor),
-        "drift_damp": Flow(_drift_damp_constants, drift_damp, {}, drift_damp_log_factor),
+        "damp": Flow(_damp_constants, damp, {}),
+        "drift_damp": Flow(_drift_damp_constants, drift_damp, {}),
     }
     parts: ClassVar[tuple[str, ...]] = ("kick", "drift_damp")
 
@@ -505,10 +465,6 @@ class Mechanical(Canonical):
     @property
     def has_momentum_law(self) -> bool:  # type: ignore[override]
         return self.rotation_invariant and len(self.q) in (2, 3)
-
-    @property
-    def has_torque(self) -> bool:  # type: ignore[override]
-        return len(self.q) == 2 and not self.rotation_invariant and not self.nonlinear_damping
 
     def momentum_terms(self, x: State) -> Numeric:
         return norm(x.q) * norm(x.p)

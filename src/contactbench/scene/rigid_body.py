@@ -26,7 +26,7 @@ from contactbench.scene.algebra import (
     rotate,
 )
 from contactbench.scene.base import Check, Numeric, Scene, optional
-from contactbench.scene.flow import Constants, Flow, damping, linear_log_factor, plain, time_and_damping
+from contactbench.scene.flow import Constants, Flow, damping, plain, time_and_damping
 from contactbench.scene.free_body import free
 
 UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -170,9 +170,9 @@ BODY = {
     "turn": Flow(plain, turn, {"rotation": 1}),
     "top": Flow(plain, top, {"rotation": 1}),
     "free": Flow(plain, free, FREE_COSTS),
-    "damp": Flow(_body_damp_constants, body_damp, {}, linear_log_factor),
+    "damp": Flow(_body_damp_constants, body_damp, {}),
 }
-ISOTROPIC = BODY | {"free_damp": Flow(time_and_damping, free_damp, FREE_COSTS, linear_log_factor)}
+ISOTROPIC = BODY | {"free_damp": Flow(time_and_damping, free_damp, FREE_COSTS)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,6 @@ from contactbench.scene.mechanical import (
     Mechanical,
     _drift_damp_constants,
     _pinney,
-    drift_damp_log_factor,
 )
 from contactbench.trace.formula import Formula
 
@@ -261,7 +260,7 @@ class Spheres(Mechanical):
         "kick": Flow(plain, sphere_kick, {"gradient": 1}),
         "drift": Flow(plain, sphere_drift, {}),
         "damp": Mechanical.flows["damp"],
-        "drift_damp": Flow(_drift_damp_constants, sphere_drift_damp, {}, drift_damp_log_factor),
+        "drift_damp": Flow(_drift_damp_constants, sphere_drift_damp, {}),
     }
 
     def __post_init__(self) -> None:

@@ -7,10 +7,9 @@ from contactbench.scene.base import SCENES
 from contactbench.scenes.contact_systems import CONTACT_SYSTEMS
 from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
-from contactbench.scenes.many import MANY
 from contactbench.scenes.standard import STANDARD
 
-for _scene in (*STANDARD, *DRIVEN, *CONTACT_SYSTEMS, *HARD, *MANY):
+for _scene in (*STANDARD, *DRIVEN, *CONTACT_SYSTEMS, *HARD):
     SCENES.add(_scene)
 
 

@@ -75,14 +75,6 @@ def height_hessian(q: Vector, weight: Arithmetic) -> tuple[Vector, ...]:
     return ((0.0, 0.0, 0.0),) * 3
 
 
-def hanging_ring(q: tuple[Vector, ...], weight: Arithmetic, coupling: Arithmetic) -> Arithmetic:
-    """V = Σ w q_i₂ − c q_i·q_{i+1}: plane pendulums on one axle, each twisted against the next."""
-    V: Arithmetic = 0.0
-    for a, b in zip(q, (*q[1:], q[0]), strict=True):
-        V = V + weight * a[1] - coupling * dot(a, b)
-    return V
-
-
 # -- closed forms: ``(scene, t, mp)`` with an mpmath context and mpmath numbers ----------------------
 def damped_oscillator(scene: Mechanical, t: Arithmetic, mp: MPContext) -> State:
     """V = ½ ω² q², Γ = γ s: the linear damped oscillator, and s = ½ q p + e^{−γt} (s0 − ½ q0 p0).
@@ -243,30 +235,6 @@ SPHERICAL_PENDULUM = Spheres(
     experiments=("convergence", "laws", "decay_laws", "work_precision", "stability"),
 )
 
-#: of length one as decimals: 3-4-5 and 5-12-13 have powers that are
-_STARTS = (
-    (0.6, -0.8),
-    (0.28, -0.96),
-    (0.0, -1.0),
-    (-0.28, -0.96),
-    (-0.6, -0.8),
-    (-0.8, -0.6),
-    (-0.352, -0.936),
-    (0.8, -0.6),
-)
-
-PENDULUM_RING = Spheres(
-    name="pendulum_ring",
-    about="a ring of 16 plane pendulums, each coupled to the next: points on a torus of 16 circles",
-    potential=hanging_ring,
-    parameters={"weight": 1.0, "coupling": 0.5},
-    gamma=0.2,
-    q=_STARTS * 2,
-    p=tuple((-0.5 * y, 0.5 * x) for x, y in _STARTS) + ((0.0, 0.0),) * 8,
-    t_end=5.0,
-    experiments=("laws",),
-)
-
 PARTICLE_LONG = PARTICLE.with_(
     name="particle_long",
     about="the particle with γ = 10⁻³ over a hundred times the span",
@@ -293,7 +261,6 @@ STANDARD = (
     RIGID_BODY_ANISOTROPIC,
     HEAVY_TOP,
     SPHERICAL_PENDULUM,
-    PENDULUM_RING,
     PARTICLE_LONG,
     QUADRATIC_DAMPING,
 )

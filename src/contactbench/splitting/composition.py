@@ -17,7 +17,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import accumulate, chain, groupby
-from itertools import repeat as repeated
 from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
@@ -32,8 +31,6 @@ Stage = tuple[str, Fraction]
 #: a state, and the stage or the clock it is at
 Clocked = tuple[BodyState, Any]
 HALF, ONE = Fraction(1, 2), Fraction(1)
-#: the flow with second derivatives of V, which lets all coefficients be positive
-FORWARD = "force_gradient"
 
 
 @dataclass(frozen=True)
@@ -119,11 +116,6 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
         return f"{composition.name} needs parts with exact flows; scene {scene.name!r} has none{scene.lacks}"
     if composition.nystrom and "drift_damp" not in scene.flows:
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
-    if FORWARD in dict(composition.stages):
-        if FORWARD not in scene.flows:
-            return f"{composition.name} needs the kick of ‖∇V‖²/m; scene {scene.name!r} has none"
-        if floats := scene.functions_of_floats:
-            return f"{composition.name} needs the derivative of the {floats[0]} of scene {scene.name!r}, of floats only"
     return scene.own_equations
 
 
@@ -193,9 +185,6 @@ def advance(
     run = runner((*opening, *inner, *closing, *joint), scene, h, xp, repeat)
     if not joint:
         return run(closing, repeat(n, lambda x: run(inner, x), run(opening, x)))
-    if repeat.joint_first:
-        x = repeat(n - 1, lambda x: run((*joint, *inner), x), run((*opening, *inner), x))
-        return run(closing, x)
     x = repeat(n - 1, lambda x: run((*inner, *joint), x), run(opening, x))
     return run((*inner, *closing), x)
 
@@ -242,20 +231,6 @@ def runner(
         return repeat(len(stages) // period, another, (x, 0))[0]
 
     return run
-
-
-def log_factor(
-    composition: Composition, scene: Scene, x: OwnState, h: Arithmetic, n: int, xp: Namespace
-) -> Arithmetic:
-    """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
-    flows, steps = scene.flows, plan(composition, scene)
-    total: Arithmetic = 0.0
-    rounds = chain.from_iterable(repeated((*steps.inner, *steps.joint), n - 1))
-    for name, coefficient in chain(steps.opening, rounds, steps.inner, steps.closing):
-        flow, span = flows[name], number(coefficient, xp) * h
-        total = total + flow.log_factor(scene, x, span, xp)
-        x = flow.apply(scene, x, flow.constants(scene, span, xp), xp)
-    return total
 
 
 def shortest_period(names: list[str]) -> int:

@@ -18,11 +18,6 @@ from contactbench.study.experiment import Profile, Row
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 
 
-def methods_of(profile: Profile) -> list[str]:
-    """Return the methods that a profile runs: those of the appendix in the largest one alone."""
-    return [name for name, method in METHODS.items() if profile.reaches("full") or not method.appendix]
-
-
 def pairs(profile: Profile, experiment: str, methods: Iterable[str]) -> list[tuple[str, str]]:
     """Return the scenes and methods of an experiment: all of them, in the smoke profile a few on scenes but one."""
     return [
@@ -47,28 +42,14 @@ TIMED_DEAR = ("oscillator", "particle", "rigid_body")
 FORCED = ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
 DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
 #: where stiffness asks for implicit solvers
-STIFF = ("overdamped", "critical", "underflow", "stiff_spring", "steep_wall", "large_step")
+STIFF = ("overdamped", "stiff_spring", "steep_wall", "large_step")
 #: those of which a run takes seconds: elsewhere CyRK's and CVODE's, compiled, stand for them
 IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
-#: compiling their maps takes seconds on the scene of the most components
-LONG_PROGRAMS = (
-    "contact-rkn8",
-    "contact-abc",
-    "contact-bm4",
-    "contact-printed",
-    "rk8",
-    "rk8-7",
-    "gauss4",
-    "gauss6",
-)
-#: others of a kind, by whose laws nothing is learnt on every scene: of pairs, multistep methods, maps without damping.
+#: others of a kind, by whose laws nothing is learnt on every scene: of pairs, multistep methods.
 #: None of them is closest to the true energy on a scene where it is left out, which would be said of another then
-ALIKE = (
-    *("cvode-adams-fixed", "cvode-bdf", "cyrk-lsoda", "cyrk-tsit5", "cyrk-vern8", "ias15", "rk8-7", "rkn8-6"),
-    *("rkn12-10", "gauss4", "gauss6", "sprk-5", "sprk-10", "quinlan-tremaine12"),
-)
+ALIKE = ("cvode-bdf", "cyrk-lsoda", "cyrk-vern8", "rk8-7", "rkn8-6", "rkn12-10", "quinlan-tremaine12")
 #: driven scenes beside two that have everything
-MORE_DRIVEN = ("detest_e1", "detest_e3", "lane_emden_0", "lane_emden_1", "duffing")
+MORE_DRIVEN = ("duffing",)
 
 
 class Left(NamedTuple):
@@ -96,19 +77,12 @@ LEFT = (
     Left(("stability",), ("diffrax-tsit5", "diffrax-dopri8")),
     Left(("stability",), ("diffrax-kvaerno5",), apart=("overdamped", "stiff_spring")),
     Left(("stability",), ("scipy-dop853",), apart=STIFF),  # its tableau is compiled by CyRK and here
-    Left(
-        ("convergence",), ("gauss6", "contact-gauss6"), apart=(*TIMED_DEAR, "central")
-    ),  # 50 digits by iteration
+    Left(("convergence",), ("contact-gauss6",), apart=(*TIMED_DEAR, "central")),  # 50 digits by iteration
     Left(("laws",), ("diffrax-kvaerno5",), apart=("particle",)),  # seconds of compilation each
-    Left(("laws",), LONG_PROGRAMS, ("pendulum_ring",)),
     Left(
         ("laws",), ALIKE, apart=(*TIMED_DEAR, "central", "kepler", "forced_oscillator", "quadratic_damping")
     ),
-    Left(
-        ("laws", "convergence"), scenes=MORE_DRIVEN, but=(*EVERYWHERE, "contact-bm4", "contact-rkn8", "rkn12")
-    ),
-    Left(("scaling",), (*IMPLICIT, "cvode-bdf", "ias15"), ("fput", "linear_ring")),
-    Left(("scaling",), ("scipy-dop853", "diffrax-dopri8")),
+    Left(("laws", "convergence"), scenes=MORE_DRIVEN, but=(*EVERYWHERE, "contact-rkn8", "rkn12")),
 )
 #: the tightest tolerance of `IMPLICIT` where laws are measured, but for the full profile
 DEAREST = 1e-9
@@ -146,9 +120,7 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: 
 
 
 #: on callbacks a rival is timed on one scene alone: elsewhere compiled, and by its evaluations
-RIVALS = {"contact-yoshida6", "contact-rkn6a", "contact-rkn8b", "gauss4", "gauss6", "discrete-gradient"}
-RIVALS |= {"contact-gauss2", "contact-gauss4", "contact-gauss6"}
-RIVALS |= {"quinlan-tremaine8", "quinlan-tremaine12", "stormer12", "sprk-5", "sprk-10"}
+RIVALS = {"contact-gauss2", "contact-gauss4", "contact-gauss6", "quinlan-tremaine8", "quinlan-tremaine12"}
 RIVALS |= {"rk8", "rk8-7", "rkn8", "rkn12", "rkn8-6", "rkn12-10"}
 #: of the other scenes a method is timed on one in so many by the smoke profile
 SOME = 3
@@ -157,9 +129,9 @@ SOME = 3
 def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
     """Return every (method, engine) to be timed on a scene.
 
-    A method's first engine, and on some scenes what calls back into Python; others (the cross-checks) on one scene
-    only.  Elsewhere the first engine, unless it is dear.  The smoke profile has everything on that one scene but few
-    of the cross-checks, and elsewhere a part without JAX.  What a user brings no profile leaves out.
+    A method's first engine, and on some scenes what calls back into Python.  Elsewhere the first engine, unless it is
+    dear.  The smoke profile has everything on one scene, and elsewhere a part without JAX.  What a user brings no
+    profile leaves out.
     """
 
     def chosen(name: str, engine: str) -> bool:
@@ -174,12 +146,11 @@ def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
         if name in RIVALS and not (first or here):
             return False
         if not profile.brief or here or brought:
-            cross_checked = here and (not profile.brief or brought or engine != "jax" or name in EVERYWHERE)
-            return first or "python" in engine or cross_checked
+            return True
         part = name in EVERYWHERE or crc32(f"{scene.name} {name}".encode()) % SOME == 0
-        return part and engine != "jax" and (first or "python" in engine)
+        return part and engine != "jax"
 
-    every = [(name, engine) for name in methods_of(profile) for engine in METHODS[name].engines]
+    every = [(name, engine) for name, method in METHODS.items() for engine in method.engines]
     return [each for each in every if chosen(*each)]
 
 
@@ -202,8 +173,7 @@ def controlled(control: str, value: float, variant: str = "") -> Row:
 
 
 def key(scene: str, method: str, engine: str, control: str, value: float, variant: str = "") -> Row:
-    family = METHODS[method].family if method in METHODS else "limit"
-    own = {"scene": scene, "method": method, "family": family, "engine": engine}
+    own = {"scene": scene, "method": method, "family": METHODS[method].family, "engine": engine}
     return own | controlled(control, value, variant)
 
 

@@ -66,7 +66,7 @@ def compare(
         A scene or the name of one.  Where it `slows_after` some time, fixed steps grow geometrically.
     methods :
         Names, by default all: then those that hardly ever lead (of order one and two, where no error above 1e-3 is
-        asked for, and those of the benchmark's appendix) are begun when all others are done.
+        asked for) are begun when all others are done.
     errors :
         Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs and, of y*, the start.
     budget :

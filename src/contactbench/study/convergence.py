@@ -17,7 +17,7 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.tables import CONVERGENCE
 from contactbench.scene import Scene
 from contactbench.solution import keywords
-from contactbench.study.choice import key, methods_of, outcome, pairs
+from contactbench.study.choice import key, outcome, pairs
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.settings import halving_steps, times
 
@@ -69,7 +69,7 @@ def points(measured: Sequence[tuple[Row, float, float]]) -> tuple[list[float], l
 
 @experiment(
     lambda profile: pairs(
-        profile, "convergence", [name for name in methods_of(profile) if cb.METHODS[name].control == "step"]
+        profile, "convergence", [name for name, method in cb.METHODS.items() if method.control == "step"]
     )
 )
 def convergence(cell: Cell, profile: Profile) -> Recorded:

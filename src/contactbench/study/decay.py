@@ -12,7 +12,7 @@ from contactbench.results.tables import DECAY_LAWS
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
-from contactbench.study.choice import contestants, methods_of, outcome, small, step_budget
+from contactbench.study.choice import contestants, outcome, small, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import times
@@ -22,8 +22,6 @@ FEW = ("oscillator", "particle", "central", "rigid_body")
 #: right-hand sides per unit of time: what the better methods take to follow these motions to three digits, and more
 COSTS = (30.0, 100.0)
 SAVES = 5
-#: where the momentum is not kept but for its decay, it is compared with the truth's
-IN_PLACE_OF = {"momentum_law": "momentum_balance"}
 
 
 def ladder(profile: Profile) -> list[Cell]:
@@ -31,7 +29,7 @@ def ladder(profile: Profile) -> list[Cell]:
         (scene.name, method, cost)
         for scene in scenes_of("decay_laws")
         if scene.name in FEW or scene.experiments
-        for method in contestants("decay_laws", scene, methods_of(profile), profile)
+        for method in contestants("decay_laws", scene, cb.METHODS, profile)
         for cost in (COSTS[:1] if profile.brief else COSTS)
         if not profile.brief or small(scene.name, method)
     ]
@@ -62,10 +60,7 @@ def laws_row(scene: Scene, method: Method, value: float, budget: int | None) -> 
     solution = cb.solve(scene, method.name, save_at=times(scene, SAVES), max_steps=budget, **setting)
     if not solution.ok:
         return {"status": str(solution.status), "message": solution.message}
-    columns = law_columns(solution)
-    for law, instead in IN_PLACE_OF.items():
-        columns.setdefault(law, columns.get(instead))
-    return {name: value for name, value in columns.items() if name in DECAY_LAWS.columns}
+    return {name: value for name, value in law_columns(solution).items() if name in DECAY_LAWS.columns}
 
 
 @experiment(ladder)

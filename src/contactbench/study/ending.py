@@ -56,6 +56,5 @@ def moved(results: Path) -> Iterator[str]:
 
 
 def documents(results: Path) -> Iterator[str]:
-    for name, about in (("README.md", "all tables"), ("report.html", "one page with everything")):
-        if (results / name).exists():
-            yield f"{results / name}: {about}"
+    if (results / "README.md").exists():
+        yield f"{results / 'README.md'}: all tables"

@@ -5,7 +5,7 @@ A question is a module of this package, found without being listed; it decorates
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -60,15 +60,12 @@ class Timing:
     """What is timed of a cell, and the table its row goes to.
 
     prepare : gives, of the arguments, what the row says beside its times, and the call;
-    another process may be asked for both.  cores : where the call runs, if not on the one of this process.
-    derived : columns that follow from the row with its times.
+    another process may be asked for both.
     """
 
     table: Table
     prepare: Callable[..., tuple[Row, Call]]
     arguments: tuple[object, ...]
-    cores: Sequence[int] = ()
-    derived: Callable[[Row], Row] = lambda row: {}
 
 
 @dataclass(frozen=True)

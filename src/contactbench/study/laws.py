@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 import contactbench as cb
+from contactbench.measure.law import relative_deviation
 from contactbench.measure.laws import LAWS, energies, row
 from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
 from contactbench.solution import Solution, keywords
-from contactbench.study.choice import affordable, methods_of, outcome, pairs, step_budget
+from contactbench.study.choice import affordable, outcome, pairs, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.settings import halving_steps, times
 
@@ -21,7 +22,7 @@ SHOWN = RTOLS[1]
 MANY = 32
 
 
-@experiment(lambda profile: pairs(profile, "laws", methods_of(profile)))
+@experiment(lambda profile: pairs(profile, "laws", cb.METHODS))
 def laws(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     steps, rtols = halving_steps(scene, 6)[::2], affordable(RTOLS, method.name, profile)
@@ -41,12 +42,13 @@ def laws(cell: Cell, profile: Profile) -> Recorded:
 
 
 #: the columns of `laws_time`, and the laws whose deviations they hold
-DEVIATIONS = {"energy": "energy_law_relative", "hamiltonian": "hamiltonian_law"}
-DEVIATIONS |= {"momentum": "momentum_law", "contact": "contact_drift"}
+DEVIATIONS = {"hamiltonian": "hamiltonian_law", "momentum": "momentum_law", "contact": "contact_drift"}
 
 
 def along_time(solution: Solution) -> Iterator[Row]:
-    columns = {"t": solution.t, "energy": energies(solution)[0]}
+    numerical, exact = energies(solution)
+    columns = {"t": solution.t, "energy": numerical}
+    columns["energy_deviation"] = relative_deviation(numerical, exact)
     for name, law in DEVIATIONS.items():
         found = LAWS[law].along(solution) if LAWS[law].applies(solution.scene) else np.nan
         columns[f"{name}_deviation"] = getattr(found, "size", np.full(len(solution.t), np.nan))

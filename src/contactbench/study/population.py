@@ -43,9 +43,8 @@ RACED = (
         "rk4",
         "quinlan-tremaine8",
         "quinlan-tremaine12",
-        "stormer12",
     ),
-    *("gauss6", "cvode-adams", "cyrk-dop853", "cyrk-vern8", "cyrk-lsoda", "heyoka-taylor"),
+    *("cvode-adams", "cyrk-dop853", "cyrk-vern8", "cyrk-lsoda", "heyoka-taylor"),
 )
 #: what runs under a name, where it is not what is registered
 ALIKE = {SHARED.name: SHARED}

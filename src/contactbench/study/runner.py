@@ -28,7 +28,7 @@ from contactbench.results import provenance
 from contactbench.results.schema import TABLES, Table
 from contactbench.results.store import OldTable, check, read
 from contactbench.study.experiment import Cell, Experiment, Profile, Row, experiments
-from contactbench.study.timetable import Entry, Remote, Timetable
+from contactbench.study.timetable import Entry, Timetable
 
 
 @dataclass(frozen=True)
@@ -146,28 +146,21 @@ class Run:
         assert task.experiment.timing is not None
         row = self.untimed(task)
         timing = task.experiment.timing(task.cell, self.profile, row)
-        call: Call | Remote | None = None
-        if row["status"] == "ok" and timing.cores:
-            call = timetable.remote(timing.cores, timing.cores, timing)
-            row |= call.prepared.result()[1]
-        elif row["status"] == "ok":
+        call: Call | None = None
+        if row["status"] == "ok":
             more, call = timing.prepare(*timing.arguments)
             row |= more
         row = self.complete(task, timing.table, row)
 
         def keep(columns: Row) -> None:
-            times = columns | (timing.derived(row | columns) if columns else {})
-            self.cells.save([(timing.table, self.complete(task, timing.table, row | times))], task.key)
+            self.cells.save([(timing.table, self.complete(task, timing.table, row | columns))], task.key)
 
         timetable.ahead.discard(task.key)
         if call is None:
             keep({})
             return None
-        again = None
-        if not timing.cores:
-            call.warm_up()
-            if task.key in timetable.sample:
-                again = timetable.second(timing)
+        call.warm_up()
+        again = timetable.second(timing) if task.key in timetable.sample else None
         timetable.entries.append(Entry(call, again, keep))
         return timetable.entries[-1]
 

@@ -58,7 +58,7 @@ COMPILATIONS, RUNS = 2.0, 100.0
 #: seconds that compiling a derivative takes at least, where the method itself was found compiled
 CACHED = 0.2
 #: measures of a run that are no laws, or that another one covers
-LEFT_OUT = ("solution_error", "energy_law_relative", "energy_increases", "own_factor_drift")
+LEFT_OUT = ("solution_error", "energy_increases")
 #: components from which on compiling it takes longer, as their cube
 MANY = 20
 
@@ -317,13 +317,13 @@ class Schedule:
 
 def unraced(law: str) -> bool:
     """Return whether a race does not measure a law, of this name."""
-    return law in LEFT_OUT or law.endswith("_frozen")
+    return law in LEFT_OUT
 
 
 def waits(method: Method, errors: Sequence[float]) -> bool:
     """Return whether a method of this package is not expected to lead: it is begun when all others are done."""
     low = not method.adaptive and (method.order or MIDDLE) <= LOW_ORDER and max(errors) <= HIGH_ERROR
-    return is_fixed(method) and not method.package and (method.appendix or low)
+    return is_fixed(method) and not method.package and low
 
 
 def halves(visits: list[Visit]) -> float:
@@ -332,6 +332,5 @@ def halves(visits: list[Visit]) -> float:
 
 def differentiation_time(search: Search, attempt: Attempt) -> float:
     scene = search.question.scene
-    components = 0 if scene.by_sites else scene.motion
-    compilation = max(search.compile_s, CACHED) * (1 + (components / MANY) ** 3)
+    compilation = max(search.compile_s, CACHED) * (1 + (scene.motion / MANY) ** 3)
     return COMPILATIONS * compilation + RUNS * attempt.seconds

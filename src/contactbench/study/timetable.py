@@ -54,11 +54,6 @@ def sweeps_between(lasts: float) -> int:
     return next((sweeps for seconds, sweeps in SPARED.items() if lasts > seconds), 1)
 
 
-def last_cores(count: int) -> list[int]:
-    """Return the cores of a call that takes several, none for one: it stays on that of this process."""
-    return usable_cores()[-count:] if count > 1 else []
-
-
 @dataclass(frozen=True)
 class Remote:
     """A call that another process prepares, without being waited for, and times."""
@@ -82,7 +77,7 @@ class Entry:
     told : takes the least time of all visits.
     """
 
-    call: Call | Remote
+    call: Call
     again: Remote | None
     record: Callable[[Row], None]
     told: Row = field(default_factory=dict)
@@ -115,16 +110,13 @@ class Timetable(AbstractContextManager["Timetable"]):
         self.entries: list[Entry] = []
         self.workers: dict[tuple[int, ...], Worker] = {}
 
-    def remote(self, cores: Sequence[int], timed_on: Sequence[int], timing: Timing) -> Remote:
-        """Let a process on some cores prepare a call that it will time on others."""
-        worker = self.workers.setdefault(tuple(cores), Worker(cores))
-        return Remote(worker, worker.submit(prepare, timing.prepare, *timing.arguments), timed_on)
-
     def second(self, timing: Timing) -> Remote:
         """Let a second process prepare a call on another core than this one's, and time it on the same."""
         cores = usable_cores()
         mine = sorted(os.sched_getaffinity(0)) if cores else []
-        return self.remote([core for core in cores if core not in mine][:1] or mine, mine, timing)
+        beside = [core for core in cores if core not in mine][:1] or mine
+        worker = self.workers.setdefault(tuple(beside), Worker(beside))
+        return Remote(worker, worker.submit(prepare, timing.prepare, *timing.arguments), mine)
 
     def go(self) -> None:
         """Visit all of them in turns, slow ones less often; each is recorded with its last visit."""

@@ -37,8 +37,6 @@ from contactbench.study.settings import (
 
 #: of tolerances down to this a profile chooses some; tighter ones are all run
 TIGHT = 1e-13
-#: settings of a method on JAX, beside its first engine, in the standard profile: each is compiled for a second and more
-CROSS_CHECKS = 2
 #: contact methods from this order on are given tolerances too
 HIGH_ORDER = 4
 PILOTED = [10.0**-k for k in range(3, 13)]
@@ -63,8 +61,6 @@ def ladder(profile: Profile) -> list[Cell]:
                     values.append(rungs[-1])
             else:
                 values = profile.choose(steps(scene, method))
-            if engine == "jax" and engine != method.engines[0] and not profile.reaches("full"):
-                values = values[2::2][:CROSS_CHECKS] or values
             rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
             if by_pilots(scene, method, engine) and (not profile.brief or scene.name == SMOKE):
                 rows += [(scene.name, name, engine, "rtol", rtol) for rtol in profile.choose(PILOTED)]

@@ -24,7 +24,7 @@ from contactbench.errors import BadInput, excerpt, one_line
 from contactbench.numbers.protocol import Arithmetic, Namespace
 from contactbench.scene import AnyState, Cache, Scene, key, verify
 from contactbench.scene.base import OwnState, scene_of
-from contactbench.scene.definition import difference, verify_along
+from contactbench.scene.definition import verify_along
 from contactbench.truth.engines import (
     LOOKS,
     NEVER,
@@ -47,8 +47,8 @@ from contactbench.truth.engines import (
     with_decimals,
 )
 from contactbench.truth.frozen import digest, entries, frozen
-from contactbench.truth.many import FEW, doubles
 from contactbench.truth.survey import Survey
+from contactbench.truth.two_solvers import doubles
 
 #: bits of the lower of two precisions, tried in turn until enough digits agree
 LIVE_BITS = (140, 300, 600)
@@ -156,15 +156,10 @@ def reference(
     t = checked_times(times)
     verify(scene)
     verify_along(scene)
-    exact = scene.by_sites and scene.exact is not None and solves_on_arrays(scene, float(t.max()))
-    in_doubles = scene.by_sites and (scene.motion > FEW or exact)
 
     def make() -> Reference:
-        if in_doubles:
-            return of_many(scene, t, carry, begun + seconds, exact)
-        single = scene.unrolled()
-        stored = closed_form(single, t, carry, begun + HIGH * seconds) or frozen(single, t, carry)
-        decimals, digits, source = stored or live(single, t, carry, begun + HIGH * seconds)
+        stored = closed_form(scene, t, carry, begun + HIGH * seconds) or frozen(scene, t, carry)
+        decimals, digits, source = stored or live(scene, t, carry, begun + HIGH * seconds)
         y = np.array([[float(x) for x in row] for row in decimals])
         t.setflags(write=False)
         y.setflags(write=False)  # shared by every caller through the cache
@@ -174,8 +169,7 @@ def reference(
     try:
         return _cache.get(key(identity, digest(scene), scene.exact, carry, t.tobytes()), make)
     except (OutOfTime, DoublesOnly):
-        if in_doubles:
-            raise
+        pass
     try:  # their part of the time is theirs, whatever high precision, which may compile for long, has had
         return by_two_solvers(scene, t, carry, max(begun + seconds, perf_counter() + (1 - HIGH) * seconds))
     except OutOfTime as why:
@@ -184,20 +178,11 @@ def reference(
 
 def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> Reference:
     unique, back = np.unique(t, return_inverse=True)
-    survey = None if scene.by_sites else surveyed(scene, carry, float(unique[-1]), deadline)
+    survey = surveyed(scene, carry, float(unique[-1]), deadline)
     y, digits = doubles(scene, unique, carry, deadline, survey.stops if survey else ())
     if survey and survey.ended and scene.clock is not None:  # both may have stepped over a pulse
         raise survey.ended
     return Reference(scene, carry, t, y[back], [], digits, "two solvers")
-
-
-def of_many(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float, exact: bool) -> Reference:
-    """Return the truth of a scene of many sites in double precision; exact : by its closed form."""
-    if not exact:
-        return by_two_solvers(scene, t, carry, deadline)
-    states = [exact_state(scene, time, np) for time in t.tolist()]
-    rows = [scene.pack(x if "s" in carry else x._replace(s=None)) for x in states]
-    return Reference(scene, carry, t, np.array(rows), [], 13, "closed form")
 
 
 # -- closed forms ------------------------------------------------------------------------------------
@@ -295,20 +280,6 @@ def solves_equations(scene: Scene, carry: tuple[str, ...], end: float, deadline:
         before, after = twin.pack(exact(t - step)), twin.pack(exact(t + step))
         difference = [(b - a) / (2 * step) for a, b in zip(before, after, strict=True)]
         if distance(slope, difference) > 1e-15 * max(map(abs, slope)):
-            return False
-    return True
-
-
-def solves_on_arrays(scene: Scene, end: float) -> bool:
-    """Return the same of a scene of many sites, in double precision."""
-    exact = lambda t: np.asarray(scene.pack(exact_state(scene, t, np)))  # noqa: E731
-    start = np.asarray(scene.pack(scene.initial(scene.carry())))
-    if not np.abs(exact(0.0) - start).max() <= CLOSE * np.abs(start).max():
-        return False
-    for t in (end / 3, end):
-        slope = np.asarray(scene.pack(scene.rhs(scene.unpack(exact(t), scene.carry()))))
-        found, error = difference(lambda t: exact(float(t)), t, 1.0)  # type: ignore[arg-type]
-        if not np.abs(found - slope).max() <= CLOSE * np.abs(slope).max() + 8 * error:
             return False
     return True
 
@@ -429,7 +400,7 @@ def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
     """Return the digits, at most 20, that extrapolation confirms; None without the time, or for its own result."""
     if not found.decimals or (found.source == "live" and importlib.util.find_spec("heyoka") is None):
         return None
-    scene = found.scene.unrolled()
+    scene = found.scene
     digits, deadline = 20, perf_counter() + seconds
     try:
         stops = surveyed(scene, found.carry, float(found.t.max()), deadline).stops

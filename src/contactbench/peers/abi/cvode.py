@@ -31,7 +31,6 @@ from contactbench.peers.compiled import (
     RHS_CALLS,
     TOO_MUCH_WORK,
     CFunctions,
-    FieldFunctions,
 )
 
 #: linear multistep methods, and integration tasks
@@ -42,7 +41,7 @@ PATTERNS = ("libsundials_cvode-*", "libsundials_cvode.so*", "libsundials_cvode*.
 #: the functions used, by their signatures as words; n is the type SUNDIALS counts with
 SIGNATURES = {
     "iip": "SUNContext_Create",
-    "ip": "SUNContext_ClearErrHandlers SUNContext_Free SUNLinSolFree SUNNonlinSolFree",
+    "ip": "SUNContext_ClearErrHandlers SUNContext_Free SUNLinSolFree",
     "vp": "N_VDestroy SUNMatDestroy CVodeFree",
     "pp": "N_VGetArrayPointer SUNDenseMatrix_Data",
     "pnpp": "N_VMake_Serial",
@@ -52,11 +51,9 @@ SIGNATURES = {
     "ippdp": "CVodeInit",
     "ipdd": "CVodeSStolerances",
     "ipdp": "CVodeReInit CVodeSVtolerances",
-    "ipp": "CVodeSetNonlinearSolver CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails "
+    "ipp": "CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails "
     "CVodeGetNumStepSolveFails",
     "ippp": "CVodeSetLinearSolver",
-    "ppip": "SUNNonlinSol_FixedPoint",
-    "ppiip": "SUNLinSol_SPGMR",
     "ipl": "CVodeSetMaxNumSteps",
     "ipd": "CVodeSetMinStep CVodeSetMaxStep CVodeSetStopTime",
     "ipdppi": "CVode",
@@ -200,16 +197,6 @@ def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: igno
 
 
 @kept
-def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    out = np.empty((len(starts), KNOWN + starts.shape[1]))
-    for k in range(len(starts)):
-        row = to_end(starts[k], memory, vector, y, data, clock, end, max_steps)
-        for i in range(len(row)):
-            out[k, i] = row[i]
-    return out
-
-
-@kept
 def on_to_times(saved, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     """Take so many more steps of a run that `at_times` has begun and that has saved some states, at most."""
     flag, now = np.int32(TOO_MUCH_WORK), np.zeros(1)
@@ -247,8 +234,7 @@ class Memory:
     def __init__(
         self,
         method: str,
-        newton: bool,
-        functions: CFunctions | FieldFunctions,
+        functions: CFunctions,
         data: np.ndarray,
         size: int,
         tolerances: tuple[float, float | np.ndarray],
@@ -262,12 +248,11 @@ class Memory:
         self.vector = library.N_VMake_Serial(size, self.y.ctypes.data, context)
         self.memory = memory = library.CVodeCreate(METHODS[method], context)
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
-        many = isinstance(functions, FieldFunctions)
-        solvers = self.choose(newton and not (many and method == "Adams"), many, size, context)
+        solvers = self.choose(size, context)
         weakref.finalize(self, free, library, "CVodeFree", memory, solvers, self.vector, context)
         self.tolerate(*tolerances, context)
         check("CVodeSetUserData", memory, self.user.ctypes.data)
-        if functions.jacobian and "SUNMatDestroy" in solvers:
+        if functions.jacobian:
             check("CVodeSetJacFn", memory, _jacobian.address)
         check("CVodeSetMinStep", memory, bounds[0])
         check("CVodeSetMaxStep", memory, bounds[1])
@@ -281,19 +266,12 @@ class Memory:
         check("CVodeSVtolerances", self.memory, rtol, given)  # which copies it
         library.N_VDestroy(given)
 
-    def choose(self, newton: bool, many: bool, size: int, context: c_void_p) -> dict[str, int]:
-        """Connect what solves for a step (no dense matrix of many sites), and return it by what frees it."""
-        if not newton:
-            iteration = library.SUNNonlinSol_FixedPoint(self.vector, 0, context)
-            check("CVodeSetNonlinearSolver", self.memory, iteration)
-            return {"SUNNonlinSolFree": iteration}
-        if many:
-            matrix, linear = None, library.SUNLinSol_SPGMR(self.vector, 0, 0, context)
-        else:
-            matrix = library.SUNDenseMatrix(size, size, context)
-            linear = library.SUNLinSol_Dense(self.vector, matrix, context)
+    def choose(self, size: int, context: c_void_p) -> dict[str, int]:
+        """Connect what solves for a step, and return it by what frees it."""
+        matrix = library.SUNDenseMatrix(size, size, context)
+        linear = library.SUNLinSol_Dense(self.vector, matrix, context)
         check("CVodeSetLinearSolver", self.memory, linear, matrix)
-        return {"SUNLinSolFree": linear} | ({"SUNMatDestroy": matrix} if matrix else {})
+        return {"SUNLinSolFree": linear, "SUNMatDestroy": matrix}
 
 
 def check(name: str, *arguments: object) -> None:

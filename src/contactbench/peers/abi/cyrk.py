@@ -14,7 +14,7 @@ from CyRK.nb import numba_c_api
 from contactbench.peers.abi import external, join, kept, split
 from contactbench.peers.compiled import KNOWN, RHS_CALLS, SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR
 
-__all__ = ["at_times", "find_ode_method_int", "get_error_message", "in_a_loop", "to_end"]
+__all__ = ["at_times", "find_ode_method_int", "get_error_message", "to_end"]
 
 #: the version whose C interface is known
 INTERFACE = "0.20."
@@ -77,16 +77,6 @@ def to_end(start, rhs, method, data, clock, end, rtol, atol, max_steps):  # type
     y, own = separate(start, data, clock)
     result = solve(rhs, method, y, own, np.empty(0), end, rtol, atol, max_steps)
     return facts(result, y, own, clock, status_of(result) == SUCCESS)
-
-
-@kept
-def in_a_loop(starts, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
-    out = np.empty((len(starts), KNOWN + starts.shape[1]))
-    for k in range(len(starts)):
-        row = to_end(starts[k], rhs, method, data, clock, end, rtol, atol, max_steps)
-        for i in range(len(row)):
-            out[k, i] = row[i]
-    return out
 
 
 @kept

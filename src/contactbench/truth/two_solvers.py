@@ -1,4 +1,4 @@
-"""The truth where high precision takes too long, as of many sites: two solvers in double precision.
+"""The truth where high precision takes too long: two solvers in double precision.
 
 SciPy's DOP853 and extrapolation share nothing but the right-hand side, and run at their tightest: the truth is known
 as far as they agree.
@@ -27,8 +27,6 @@ from contactbench.truth.engines import (
     lost_at_breaks,
 )
 
-#: numbers of a state up to which its components are solved to 30 digits
-FEW = 128
 #: of the two solvers in double precision
 TIGHTEST, COLUMNS = 1e-13, 12
 #: the least size of a state, as a part of that of the motion, to whose digits it is solved
@@ -89,8 +87,6 @@ def doubles(
     try:
         y, digits = agreed(explicit)
     except OutOfTime as late:
-        if scene.by_sites:  # a dense Jacobian
-            raise
         try:
             y, digits = agreed(implicit)
         except OutOfTime:

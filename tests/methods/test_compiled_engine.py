@@ -122,7 +122,7 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
     """
     for carry in {scene.carry(()), scene.carry()}:
         options = {"step": 0.06, "save_at": [0.5, 0.75, 2.0], "carry": carry}
-        run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("numba", "python"))
+        run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("llvm", "python"))
         if not (end := plain()).ok:
             assert scene.name in ("kepler_drag", "thermostat")
             assert run().status is end.status
@@ -157,7 +157,7 @@ def test_one_program_serves_all_compositions_parameters_and_steps():
 @pytest.mark.quick(scene="rigid_body")
 @pytest.mark.quick(scene="particle", method=("contact-rkn6", "herglotz2"))
 def test_what_is_computed_ahead_has_the_same_bits_in_python_and_compiled(method, scene):
-    loop = cb.prepare(scene, method.name, engine="numba", step=0.1).loop.loop
+    loop = cb.prepare(scene, method.name, engine="llvm", step=0.1).loop.loop
     spans = np.array([[h, n] for n in (1, 2, 7) for h in (1e-9, 0.03, 2.0 / 3, 4.1, 40.0)])
     numbers = np.array(scene.numbers())
     vars(loop).pop("setup", None)

@@ -1,6 +1,0 @@
-def test_ensemble_errors(measure):
-    measure()
-
-
-def test_ensemble(measure):
-    measure()

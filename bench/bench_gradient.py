@@ -1,6 +1,0 @@
-def test_gradients_errors(measure):
-    measure()
-
-
-def test_gradients(measure):
-    measure()

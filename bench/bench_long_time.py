@@ -1,2 +1,0 @@
-def test_long_time(measure):
-    measure()

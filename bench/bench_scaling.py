@@ -1,6 +1,0 @@
-def test_scaling_errors(measure):
-    measure()
-
-
-def test_scaling(measure):
-    measure()

@@ -1,0 +1,109 @@
+"""The code of docs/trajectories.md gives what runs of `cb.prepare` give: in one process, and divided among two."""
+
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import REPOSITORY
+
+PAGE = (REPOSITORY / "docs" / "trajectories.md").read_text(encoding="utf-8")
+ONE, SAVED, DIVIDED = re.findall(r"^```python[^\n]*\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+STEPS = 100
+#: a few roundings a step, of states of size 1
+ROUND_OFF = 4 * np.finfo(float).eps * STEPS
+#: seconds that two processes have, imports included
+LIMIT = 120
+#: what a process writes of the third block's variables
+WRITE = """
+import sys
+np.savez(sys.argv[1], start=start, gamma=gamma, own=own, mean=mean, devices=mesh.size)
+"""
+
+
+def state_at(times, start, gamma):
+    """Return the states (d, n) of every trajectory at the last time, or (n, times, d) at each of several."""
+    made = []
+    for q1, q2, p1, p2, rate in zip(*start, gamma, strict=True):
+        scene = cb.SCENES["particle"].with_(q=(q1, q2), p=(p1, p2), gamma=rate)
+        made.append(cb.prepare(scene, "contact-rkn4", step=0.1, carry=(), save_at=times)().y)
+    return np.array(made) if len(times) > 1 else np.array(made)[:, 0].T
+
+
+def variables(block):
+    """Return the variables of a block that runs by itself."""
+    made = {}
+    exec(compile(block, "trajectories.md", "exec"), made)
+    return made
+
+
+def test_mapped_trajectories_are_those_of_single_runs():
+    made = variables(ONE)
+    found, n = np.array(made["ends"]), made["n"]
+    assert found.shape == (4, n)
+    np.testing.assert_allclose(found, state_at([10.0], made["start"], made["gamma"]), rtol=0, atol=ROUND_OFF)
+    shift = 1e-5
+    ahead, behind = (state_at([10.0], made["start"], made["gamma"] + s)[0] for s in (shift, -shift))
+    # differences are off by 10⁻¹⁰ of a third derivative, and by round-off over 10⁻⁵
+    np.testing.assert_allclose(made["slopes"], (ahead - behind) / (2 * shift), rtol=0, atol=1e-7)
+
+
+def test_saved_states_are_those_of_single_runs():
+    made = variables(SAVED)
+    times = [0.1 * k for k in range(10, STEPS + 1, 10)]
+    expected = state_at(times, made["start"], [cb.SCENES["particle"].gamma] * made["n"])
+    np.testing.assert_allclose(made["paths"], expected, rtol=0, atol=ROUND_OFF)
+
+
+def processes(folder, count, devices, block=DIVIDED):
+    """Run a block in so many processes on this host; return what each has written."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    given = {name: value for name, value in os.environ.items() if not name.lower().endswith("_proxy")}
+    given |= {"COORDINATOR": f"127.0.0.1:{port}", "HOSTS": str(count), "JAX_PLATFORMS": "cpu"}
+    given |= {"JAX_CPU_COLLECTIVES_IMPLEMENTATION": "gloo", "JAX_NUM_CPU_DEVICES": str(devices)}
+    program, ends = folder / "trajectories.py", time.monotonic() + LIMIT
+    program.write_text(block + WRITE, encoding="utf-8")
+    paths, reports = ([folder / f"{host}.{kind}" for host in range(count)] for kind in ("npz", "txt"))
+    started = []
+    try:
+        for host, (path, report) in enumerate(zip(paths, reports, strict=True)):
+            line, own = [sys.executable, str(program), str(path)], given | {"HOST": str(host)}
+            with report.open("w") as told:
+                started.append(subprocess.Popen(line, env=own, stdout=told, stderr=told))
+        while None in (codes := [process.poll() for process in started]) and not any(codes):
+            assert time.monotonic() < ends, f"not done after {LIMIT} s"
+            time.sleep(0.05)
+        for code, told in zip(codes, reports, strict=True):  # one that fails leaves the other waiting for it
+            assert not code, told.read_text()
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+    return [np.load(path) for path in paths]
+
+
+@pytest.mark.timeout(LIMIT + 30)
+def test_trajectories_divided_among_two_processes_are_those_of_single_runs(tmp_path):
+    shares = processes(tmp_path, 2, 2)
+    assert [int(share["devices"]) for share in shares] == [4, 4]
+    assert not np.array_equal(shares[0]["gamma"], shares[1]["gamma"])
+    found = np.hstack([share["own"] for share in shares])
+    for share in shares:
+        expected = state_at([10.0], share["start"], share["gamma"])
+        np.testing.assert_allclose(share["own"], expected, rtol=0, atol=ROUND_OFF)
+        assert float(share["mean"]) == pytest.approx(found[0].mean(), abs=1e-14)
+
+
+@pytest.mark.timeout(LIMIT)
+def test_a_process_that_fails_ends_the_other_and_the_test(tmp_path):
+    fault = "import os\nif os.environ['HOST'] == '1':\n    raise SystemExit('out of memory')\n"
+    with pytest.raises(AssertionError, match="out of memory"):
+        processes(tmp_path, 2, 1, fault + DIVIDED)
