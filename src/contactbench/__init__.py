@@ -34,12 +34,11 @@ from contactbench.truth import reference
 if TYPE_CHECKING:
     from contactbench.interop import diffrax, scipy
     from contactbench.measure.own_composition import composition
-    from contactbench.study.advice import advise
     from contactbench.study.compare import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "ContactSystem", "Counts", "Driven"]
 __all__ += ["Equations", "GeneralDamping", "HeavyTop", "Mechanical"]
-__all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "advise", "compare", "composition"]
+__all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "compare", "composition"]
 __all__ += [
     "fixed_step",
     "geometric_steps",
@@ -53,7 +52,7 @@ __version__ = "0.1.0"
 
 
 #: what not every program needs, and where it is imported from when first asked for
-LATER = {"composition": "measure.own_composition", "compare": "study.compare", "advise": "study.advice"}
+LATER = {"composition": "measure.own_composition", "compare": "study.compare"}
 #: parts that are modules, named as the library that they go with
 PARTS = ("diffrax", "scipy")
 

@@ -27,7 +27,7 @@ LONG = [page for page in PAGES if page.name in ("adding.md", "gallery.md", "tuto
 def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     made = folder(tmp_path / "tables")  # a clone's may be those of any run
-    for table in (REPOSITORY / "results").glob("population*.csv"):  # that of advice is large
+    for table in (REPOSITORY / "results").glob("population*.csv"):  # those that lead are found in it
         copy(table, made)
     monkeypatch.setattr(tables, "shipped_folder", lambda: made)
     monkeypatch.setattr(cb, "compare", partial(cb.compare, budget=BUDGET))

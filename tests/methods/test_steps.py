@@ -11,6 +11,7 @@ from chains import chain
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_until
 from contactbench.methods.step_choice import FIRST, ChosenStep, Pilot
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.xla import jax, jnp
 
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step]
@@ -277,6 +278,15 @@ def test_numba_calls_it_in_a_compiled_loop():
     for _ in range(50):
         y = step(y, STEP)
     np.testing.assert_allclose(run(step.start, STEP, 50), y, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", [method.name for method in FIXED if method.iterates])
+def test_numba_refuses_one_that_iterates_and_jax_takes_it(name):
+    step = cb.step_map("particle", name)
+    for compiled in (lambda: step.compiled, lambda: numba.njit(lambda y: step(y, STEP))(step.start)):
+        with pytest.raises(CannotRecord, match=rf"'{name}' iterates.*jax\.jit, or use cb\.prepare"):
+            compiled()
+    np.testing.assert_allclose(jax.jit(step)(step.start, STEP), step(step.start, STEP), rtol=1e-14)
 
 
 def test_jax_compiles_vectorises_and_differentiates_it():

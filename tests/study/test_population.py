@@ -1,27 +1,21 @@
-"""Random problems: they are what the document says, their costs are measured right, advice follows from tables."""
+"""Random problems: they are what the document says, their costs are measured right, answers follow from tables."""
 
-import json
 import math
-import re
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench.cli import main
 from contactbench.measure.statistics import NORMAL, quantile_interval, wilson
 from contactbench.peers import heyoka
 from contactbench.report import population as report
-from contactbench.report.advice import text
-from contactbench.results import advice as tables
 from contactbench.results.tables import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
-from contactbench.study import advice, population, trial
+from contactbench.study import population
 from contactbench.study.experiment import PROFILES
 from contactbench.study.features import features, force_cost
 from contactbench.study.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, REPLICATE, SEED, draw
 from contactbench.study.search import Question
-from contactbench.study.settings import carry_of
 
 #: those that start at the bottom of a well whose smallest frequency is ω
 WELLS = ["well-4", "well-6", "pendulum", "cosine-lattice", "morse", "henon-heiles", "toda-5", "fput-3"]
@@ -215,7 +209,7 @@ def test_an_interval_of_a_median_has_it_in_nineteen_of_twenty_samples():
     assert 88 <= inside <= 100
 
 
-# -- advice ----------------------------------------------------------------------------------------
+# -- the report ------------------------------------------------------------------------------------
 def planted():
     """Where damping is weak "rk4" is three times cheaper than "contact-rkn8", where it is strong the other way."""
     problems, rows = [], []
@@ -231,9 +225,7 @@ def planted():
                 "cost": 20.0,
             }
             problems.append(
-                name
-                | known
-                | {"size": 1, "kind": "mechanical", "structure": f"f{k % 4}", "hard": "", "short": False}
+                name | known | {"size": 1, "kind": "mechanical", "structure": f"f{k % 4}", "hard": ""}
             )
             for method, family in (
                 ("rk4", "established"),
@@ -253,225 +245,22 @@ def planted():
     return pd.DataFrame(rows), pd.DataFrame(problems)
 
 
-@pytest.mark.parametrize(("gamma", "best"), [(1e-5, "rk4"), (1.0, "contact-rkn8")])
-def test_advice_names_what_was_best_on_problems_like_it(monkeypatch, gamma, best):
-    rows, problems = planted()
-    own = problems.set_index(["seed", "scene"])
-    monkeypatch.setattr(advice, "known", lambda: (rows, own, tables.threshold(problems)))
-    monkeypatch.setattr(trial, "SHORT", 0.0)  # nothing is tried
-    scene = cb.SCENES["oscillator"].with_(gamma=gamma, t_end=2 * math.pi * 12)
-    found = cb.advise(scene, error=2e-6)
-    first = found.iloc[0]
-    assert first["method"] == best
-    assert (pytest.approx(1.0), 1.0, "step") == (first["best"], first["regret"], first["setting"])
-    assert first["value"] == pytest.approx(0.1, rel=1e-3)
-    assert first["evaluations"] == pytest.approx(100, rel=0.1)
-    assert found.attrs["error"] == 1e-6
-    assert found["regret"].iloc[1] == pytest.approx(3.0)
-    assert "contact-exact" not in set(found["method"])  # it cannot run this scene
-    assert best in text(found)
-    assert cb.advise(scene.with_(t_end=6e6), error=1e-6).attrs["far"]
-
-
-@pytest.mark.parametrize("name", ["particle", "rigid_body", "spherical_pendulum", "quadratic_damping"])
-def test_what_advice_has_tried_reaches_the_error_at_the_cost_it_says(name):
-    scene, error = cb.SCENES[name], 3e-7
-    found = cb.advise(scene, error=error, cost="evaluations", methods=5)
-    own = found[found["tried"] & (found["setting"] != "exact")]
-    assert len(own) >= 2
-    assert own["expected"].is_monotonic_increasing
-    assert (found["expected"].iloc[0], found.attrs["far"]) == (1.0, False)
-    ends = [scene.t_end / 2, scene.t_end]
-    for row in own.itertuples():
-        truth, given = cb.reference(scene, ends, ()).y, {row.setting: row.value}
-        runs = [cb.solve(scene, row.method, save_at=[end], carry=carry_of(scene), **given) for end in ends]
-        size = max(np.linalg.norm(truth, axis=1).max(), np.linalg.norm(scene.pack(scene.initial(()))))
-        off = [np.linalg.norm(run.y[-1, : len(y)] - y) for run, y in zip(runs, truth, strict=True)]
-        assert max(off) < 1.5 * error * size
-        assert runs[-1].counts.rhs_equivalents == pytest.approx(row.evaluations, rel=0.1)
-
-
-def test_what_a_method_takes_on_the_problem_itself_outweighs_what_it_took_on_others():
-    score, each = np.array([0.0, 0.5, 1.0, math.inf, 2.0]), np.log([1.0, 1.0, 2.0, 3.0, 1.0])
-    spent = np.array([100.0, 40.0, math.nan, 10.0, math.inf])
-    found = tables.with_tried(score, spent, each)
-    assert np.exp(found[[0, 1, 3]]) == pytest.approx([100, 40, 30])
-    assert found[4] == math.inf  # it did not reach the error
-    shift = np.median([math.log(100), math.log(40) - 0.5])
-    assert found[2] == pytest.approx(1.0 + shift + tables.UNTRIED)
-    assert tables.with_tried(score, np.full(5, math.nan), each) is score
-
-
-def test_an_evaluation_costs_what_it_cost_on_problems_alike_or_as_much_more_than_others_as_elsewhere():
-    rates = np.log([[1.0, 4.0, math.nan], [1.0, 2.0, math.nan], [3.0, 3.0, 24.0]])
-    found = tables.an_evaluation(rates, np.array([0]), np.array([1.0]))
-    assert np.exp(found) == pytest.approx(
-        [1.0, 4.0, 2 * 24 / 6]
-    )  # 24 over the mean of its problem, from the mean 2
-    assert tables.an_evaluation(np.zeros((2, 2)), np.array([1]), np.array([1.0])) == pytest.approx([0, 0])
-
-
-def test_the_best_are_tried_first_and_then_what_fewest_of_the_problems_can_run(monkeypatch):
-    monkeypatch.setattr(tables, "FIRST", 2)
-    score = np.array([1.0, 0.5, math.inf, 0.2, math.inf, 3.0])
-    runs = np.array([True, True, True, True, False, True])
-    known = np.array(
-        [[1.0, 2.0, math.nan, 1.0, 1.0, 1.0], [1.0, 2.0, 1.0, 1.0, 1.0, math.nan], [1.0] * 2 + [math.nan] * 4]
-    )
-    methods = pd.Index(["rk4", "rk8", "contact-log8", "cvode-adams", "rkn8", "rk8-7"])
-    found = methods[tables.to_try(score, methods, runs, known)].tolist()
-    assert found == ["rk8", "rk4", "rk8-7", "contact-log8"]
-
-
-def of_floats(q):
-    return float(q[0]) ** 2 / 2
-
-
-def in_a_domain(q):
-    return -cb.math.sqrt(4 - q[0] * q[0])
-
-
-@pytest.mark.parametrize(
-    ("given", "tried"),
-    [
-        ({"potential": of_floats, "gradient": lambda q: (float(q[0]),)}, True),
-        ({"potential": in_a_domain, "q": (1.5,)}, True),  # steps that are too long leave it
-        ({"potential": lambda q: 0 * q[0]}, True),
-        ({"potential": lambda q: q[0] ** 60 / 60, "q": (0.5,), "p": (1.0,)}, True),  # a step overflows
-        ({"potential": lambda q: q[0] * q[0] / 2, "q": (0.0,)}, False),  # at rest: nothing has an error
-    ],
-)
-def test_advice_copes_with_unkind_functions(given, tried):
-    scene = cb.Mechanical(name="unkind", **{"q": (1.0,), "p": (0.0,), "gamma": 0.1, "t_end": 20.0} | given)
-    found = cb.advise(scene)
-    assert (len(found), any(found["tried"])) == (3, tried)
-
-
-def test_no_method_is_tried_on_a_long_motion():
-    scene = cb.SCENES["particle"]
-    assert cb.advise(scene)["tried"].all()
-    assert not cb.advise(scene.with_(t_end=1e5))["tried"].any()
-
-
-def test_advice_is_judged_without_the_family_that_it_is_asked_for():
-    rows, problems = planted()
-    problems["structure"] = np.where(problems["damping"] < 0.1, "weak", "strong")
-    own = tables.judged(rows, problems, 1e-6, "evaluations", 1, 1)
-    assert len(own) == 40
-    assert (own["regret"] > 2.9).all()  # it has only seen the other kind
-    assert (own["of_three"] == 1.0).all()
-    other = tables.judged(rows, problems, 1e-6, "evaluations", 1, 2)
-    assert (other["regret"] == 1.0).all()
-    tried = tables.judged(rows, problems.assign(short=True), 1e-6, "time_s", 1, 1)
-    assert (tried["regret"] == 1.0).all()  # tried, it is known for what it is
-
-
-@pytest.mark.parametrize(
-    ("scene", "time"),
-    [
-        (cb.Equations(name="own", rhs=lambda t, y: (1 + y[0] ** 2,), y0=(0.0,), t_end=3.0), math.pi / 2),
-        (
-            cb.Mechanical(name="own", potential=lambda q: -(q[0] ** 4), q=(0.5,), p=(0.5**1.5,), t_end=9.0),
-            2**0.5,
-        ),
-        (
-            cb.Mechanical(
-                name="own", potential=lambda q: -(q[0] ** 4) / 4, gamma=0.0, q=(1.0,), p=(0.0,), t_end=20.0
-            ),
-            1.8541,  # √2 Γ(1/4)² / (4 √(2π)) = √2 · 1.31103
-        ),
-    ],
-)
-def test_advice_says_where_a_motion_ends(scene, time):
-    with pytest.raises(cb.BadInput, match="its motion left its scale by a factor 1e6") as refused:
-        cb.advise(scene, error=1e-6)
-    assert float(re.search(r"t = ([\d.]+)", str(refused.value))[1]) == pytest.approx(time, rel=5e-3)
-    assert len(cb.advise(scene.with_(t_end=0.9 * time), error=1e-6)) > 0
-
-
-@pytest.mark.parametrize(
-    "scene",
-    [
-        cb.Equations(name="own", rhs=lambda t, y: (cb.math.sin(t) - y[0],), y0=(0.0,), t_end=20.0),
-        cb.Driven(
-            name="own", potential=lambda q, t: q[0] ** 2 / 2 - 1e-20 * q[0] * cb.math.sin(t),
-            q=(0.0,), p=(0.0,), gamma=0.1, t_end=20.0,
-        ),
-        cb.Mechanical(
-            name="own", potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
-            q=(1e-7,), p=(0.0,), gamma=0.1, t_end=40.0,
-        ),
-        cb.Mechanical(
-            name="own", potential=lambda q: 0 * q[0], q=(1.0,), p=(1.0,), gamma=0.0, t_end=1e7
-        ),
-    ],
-)  # fmt: skip
-def test_a_motion_that_only_grows_from_little_is_no_diverging_one(scene):
-    """As for every run: from rest, next to an equilibrium, and where a free particle goes far by itself."""
-    assert cb.solve(scene, "rk8-7", rtol=1e-8).ok
-    assert cb.advise(scene, error=1e-6)["tried"].any()
-
-
-@pytest.mark.parametrize(
-    ("given", "says"), [({"error": 0.0}, "error = 0.0"), ({"cost": "money"}, "cost = 'money'")]
-)
-def test_advice_refuses_what_it_does_not_take(given, says):
-    with pytest.raises(cb.BadInput, match=says):
-        cb.advise("particle", **given)
-
-
-# -- the report ------------------------------------------------------------------------------------
 def test_a_problem_lost_changes_the_count_of_the_answers():
     rows, problems = planted()
     frames = report_frames(rows, problems)
-    (evaluations, _, advice) = report.answers(frames)
+    evaluations, time = report.answers(frames)
     assert evaluations.count == "20 of 40, 0 tied"
     assert evaluations.answer == "10⁻⁶: 50 % [35, 65]"
-    assert (advice.answer, advice.count) == ("10⁻⁶: ×1.00", "median of 40 problems; 90 %: ×1.00")
+    assert (time.answer, time.count) == (evaluations.answer, evaluations.count)
     lost = (rows["scene"] == "a-1") & (rows["method"] == "rk4")
     changed = rows.assign(evaluations=rows["evaluations"].where(~lost, 10.0))
     (evaluations, *_) = report.answers(report_frames(changed, problems))
     assert evaluations.count == "19 of 40, 0 tied"
     titles = [part.title for part in report.parts(frames) if part is not None]
-    assert len(titles) == 5 - 1  # no hard ones
+    assert len(titles) == 4 - 1  # no hard ones
 
 
 def report_frames(rows, problems):
     from contactbench.report.chapters import Tables
 
     return Tables(population=rows, population_problems=problems, population_hard=pd.DataFrame())
-
-
-# -- the command -----------------------------------------------------------------------------------
-def test_the_command_takes_a_file_and_a_name_and_prints_text_or_json(
-    tmp_path, monkeypatch, capsys, registries
-):
-    rows, problems = planted()
-    own = problems.set_index(["seed", "scene"])
-    monkeypatch.setattr(advice, "known", lambda: (rows, own, tables.threshold(problems)))
-    file = tmp_path / "own.py"
-    file.write_text(
-        "import contactbench as cb\n"
-        "cb.SCENES.add(cb.SCENES['oscillator'].with_(name='advised-one', gamma=1e-5, t_end=75.0))\n"
-    )
-    try:
-        assert main(["advise", f"{file}:advised-one"]) == 0
-        said = capsys.readouterr().out
-        assert main(["advise", "advised-one", "--json", "--cost", "evaluations"]) == 0
-        found = json.loads(capsys.readouterr().out)
-    finally:
-        cb.SCENES.pop("advised-one", None)
-    assert "advised-one: angular frequency about 1, damping 1e-05 of it" in said
-    assert "Tried on this very motion, in Python: " in said
-    assert found["rows"][0]["method"] == "contact-rkn8"  # whatever the planted rows say
-    assert found["features"]["size"] == 1
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["double_pendulum", "thermostat", "heavy_top", "spherical_pendulum", "forced_oscillator"],
-)
-def test_there_is_advice_for_every_kind_of_scene(name):
-    advice = cb.advise(name)
-    assert len(advice) == 3
-    assert all(cb.METHODS[each].refuses(cb.SCENES[name]) is None for each in advice["method"])

@@ -8,12 +8,11 @@ import pytest
 
 import contactbench as cb
 from contactbench.measure.clock import Race, Visit
-from contactbench.methods.fixed_step import FixedStep
 from contactbench.report import race
 from contactbench.solution import Counts, Status
 from contactbench.study.compare import frame_of
 from contactbench.study.recommendation import recommendation
-from contactbench.study.schedule import Schedule, waits
+from contactbench.study.schedule import Schedule
 from contactbench.study.search import Attempt
 
 NAMES = ["rkn12", "contact-rkn8", "rk8", "cyrk-vern8", "cyrk-dop853", "heyoka-taylor", "scipy-dop853"]
@@ -78,18 +77,21 @@ def test_a_rival_that_was_not_begun_is_named_and_a_slow_one_that_was_reached_by_
     assert found.startswith("Nothing to take for 10⁻⁴⁰: the reference is known to ")
 
 
-def test_those_not_expected_to_lead_wait_unless_they_are_named_and_do_not_leave_it_undecided():
-    low = {name for name, method in cb.METHODS.items() if waits(method, (1e-3, 1e-6))}
-    assert {"contact-printed", "contact-strang", "herglotz1", "herglotz2", "discrete-gradient"} <= low
-    assert not low & {*NAMES, "whfast", "rk4", "contact-rkn4", "gauss4"}
-    assert not waits(cb.METHODS["contact-strang"], (1e-2,))
-    step = FixedStep("my-own", 2, lambda scene, x, h, xp: x)
-    assert not waits(step, (1e-6,))
-    for named in (False, True):
-        race = Schedule(cb.SCENES["oscillator"], ["contact-printed", "rk4"], (1e-3,), 60.0, named=named)
+def test_those_not_expected_to_lead_wait_and_do_not_leave_it_undecided():
+    names = ["contact-rkn8", "rk4"]
+    for leading, unbegun in (((), names), (("rk4",), ["rk4"])):
+        race = Schedule(cb.SCENES["oscillator"], names, (1e-3,), 60.0, leading=leading)
         race.left = lambda part: 0.0
         race.search()
-        assert {*race.unbegun} == ({"contact-printed", "rk4"} if named else {"rk4"})
+        assert race.unbegun == unbegun
+        assert {*frame_of(race)["reason"]} == {"no time was left to begin it"}
+        least = frame_of(race).set_index("method")["at_least"]
+        assert math.isnan(least["contact-rkn8"]) == bool(leading)
+        assert least["rk4"] == 0.0
+    race = Schedule(cb.SCENES["oscillator"], names, (1e-3,), 60.0, leading=("rk4",))
+    race.search()
+    assert race.searches[1].done  # and then the other
+    assert race.searches[0].attempts
 
 
 def test_the_leaders_are_visited_until_it_is_decided_and_the_field_no_more():

@@ -1,4 +1,4 @@
-"""The command line: ``contactbench list | solve | advise | compare | check | claim | report | bench | gate | …``."""
+"""The command line: ``contactbench list | solve | compare | check | claim | report | bench | gate | …``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ SECONDS = "60"
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "list": runs.listing,
     "solve": runs.solve,
-    "advise": runs.advise,
     "compare": runs.compare,
     "check": runs.check,
     "claim": tables.claim,

@@ -160,7 +160,8 @@ def compare(arguments: argparse.Namespace) -> int:
     from contactbench.report import race
 
     scene = scene_of(arguments)
-    methods, budget = arguments.method + arguments.more or None, duration(arguments.budget)
+    methods = arguments.method + arguments.more or ("all" if arguments.all else None)
+    budget = None if arguments.budget is None else duration(arguments.budget)
     frame = cb.compare(scene, methods, numbers(arguments.error), budget, progress=not arguments.quiet)
     if arguments.csv:
         write_csv(frame, arguments.csv)
@@ -178,20 +179,6 @@ def compare(arguments: argparse.Namespace) -> int:
         ]
         print(race.text(frame, arguments.all, " ".join([arguments.scene, *options])))
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
-
-
-def advise(arguments: argparse.Namespace) -> int:
-    from contactbench.report.advice import text
-    from contactbench.study.advice import advise
-
-    scene = scene_of(arguments)
-    frame = advise(scene, arguments.error, arguments.cost)
-    if arguments.json:
-        rows = json.loads(frame.to_json(orient="records", double_precision=15))
-        print_json({**frame.attrs, "rows": rows}, arguments)
-    else:
-        print(text(frame))
-    return 0
 
 
 def numbers(text: str) -> list[float]:

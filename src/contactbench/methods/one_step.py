@@ -22,8 +22,6 @@ from contactbench.scene import Scene, Vector
 from contactbench.trace.form import Function, Unpack, Update, execute
 from contactbench.trace.formula import argument_names, formula
 
-#: a packed state; of many sites an array
-Packed = Vector | np.ndarray
 Numbers = Sequence[Arithmetic]
 
 
@@ -31,13 +29,12 @@ Numbers = Sequence[Arithmetic]
 class OneStep:
     """Take one step: ``step(y, h, numbers=None, **parameters) -> y``, of size h from the packed state y.
 
-    y is a tuple with an entry for each of `labels`; of a scene of many sites an array.  numbers are the scene's
-    parameters as a tuple in the order of `names`, by default its own; any of them can also be given by name, as in
-    ``step(y, h, gamma=0.2)``.
+    y is a tuple with an entry for each of `labels`.  numbers are the scene's parameters as a tuple in the order of
+    `names`, by default its own; any of them can also be given by name, as in ``step(y, h, gamma=0.2)``.
     All of it may be floats, NumPy arrays (entry by entry), or JAX values under ``jit``, ``vmap`` and ``grad``,
     for which ``jax_enable_x64`` must be set.  In a function compiled with ``numba.njit`` call it as
-    ``step(y, h)`` or ``step(y, h, numbers)``, of floats; of many sites it is not compiled.  A step map has no state
-    and keeps none.
+    ``step(y, h)`` or ``step(y, h, numbers)``, of floats; a method that iterates is not compiled.  A step map has no
+    state and keeps none.
 
     Numbers may make the scene another problem, which has other flows: another sign of κ, another order of the moments
     of inertia.  The step is then that one's, of traced numbers too for κ; where the method or what is carried has none
@@ -54,12 +51,8 @@ class OneStep:
     carry: tuple[str, ...]
 
     def __repr__(self) -> str:
-        y = f"an array ({len(self.start)},)" if self.many else f"({', '.join(self.labels)})"
-        return f"<step map of {self.method.name} on {self.scene.name}: step(y, h), y = {y}>"
-
-    @property
-    def many(self) -> bool:
-        return self.scene.by_sites
+        y = ", ".join(self.labels)
+        return f"<step map of {self.method.name} on {self.scene.name}: step(y, h), y = ({y})>"
 
     @property
     def labels(self) -> list[str]:
@@ -72,18 +65,17 @@ class OneStep:
         return self.scene.number_names()
 
     @property
-    def start(self) -> Packed:
+    def start(self) -> Vector:
         """Return the scene's initial state, packed."""
-        y: Any = self.scene.pack(self.scene.initial(self.carry))
-        return y if self.many else tuple(map(float, y))
+        return tuple(map(float, self.scene.pack(self.scene.initial(self.carry))))
 
     def __call__(
         self,
-        y: Packed,
+        y: Vector,
         h: Arithmetic,
         numbers: Numbers | None = None,
         **parameters: Arithmetic,
-    ) -> Packed:
+    ) -> Vector:
         given: list[Any] = list(self.scene.numbers() if numbers is None else numbers)
         for name, value in parameters.items():
             if name not in self.names:
@@ -94,10 +86,9 @@ class OneStep:
                 refuse(name, value, "a finite number")
             given[self.names.index(name)] = value
         if len(y) != len(self.start):
-            labels = "" if self.many else f", {', '.join(self.labels)}"
-            raise BadInput(f"y has {len(y)} entries: must be {len(self.start)}{labels}")
-        y = y if self.many else tuple(y)
-        xp = namespace(*((y,) if self.many else y), h, *given)
+            raise BadInput(f"y has {len(y)} entries: must be {len(self.start)}, {', '.join(self.labels)}")
+        y = tuple(y)
+        xp = namespace(*y, h, *given)
         if numbers is None and not parameters:
             return self.step(y, h, self.scene, xp)
         if shape := np.broadcast_shapes(*map(np.shape, given)):  # each entry has stage constants of its own
@@ -126,7 +117,7 @@ class OneStep:
             raise BadInput(f"{told}: makes scene {scene.name!r} another problem: {why}")
         return scene
 
-    def traced(self, y: Packed, h: Arithmetic, numbers: Numbers, xp: Any) -> Packed:
+    def traced(self, y: Vector, h: Arithmetic, numbers: Numbers, xp: Any) -> Vector:
         """Step with numbers that may not be looked at; nan, derivatives too, where there is no step of that kind."""
         scene = self.scene.with_numbers(numbers)
         place = self.names.index("kappa") if "kappa" in scene.coefficients else None
@@ -140,14 +131,10 @@ class OneStep:
         return self.step(y, h, scene, xp, xp.where(kappa == 0, xp.sqrt(kappa * kappa), math.nan))
 
     def step(
-        self, y: Packed, h: Arithmetic, scene: Scene, xp: Namespace, lack: Arithmetic | None = None
-    ) -> Packed:
-        end: Any = scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp))
-        end = end if self.many else tuple(end)
-        if lack is not None:
-            end = end + lack if self.many else tuple(c + lack for c in end)
-        after: Packed = end
-        return after
+        self, y: Vector, h: Arithmetic, scene: Scene, xp: Namespace, lack: Arithmetic | None = None
+    ) -> Vector:
+        end = tuple(scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp)))
+        return end if lack is None else tuple(c + lack for c in end)
 
     @property
     def _numba_type_(self) -> object:
@@ -156,16 +143,17 @@ class OneStep:
 
     @cached_property
     def compiled(self) -> Any:
-        """The step, compiled by numba; `CannotRecord` where scene or method branch on values, and of many sites."""
+        """The step, compiled by numba; `CannotRecord` where scene or method branch on values, or a step iterates."""
         import numba
 
-        if self.many:
-            why = "numba.njit takes no step map of many sites: call it outside, or use `cb.prepare`"
-            raise CannotRecord(why)
+        if self.method.iterates:
+            instead = "call it outside, on floats, NumPy arrays or under jax.jit, or use cb.prepare"
+            why = "iterates until nothing changes, and numba.njit takes no step map that does"
+            raise CannotRecord(f"method {self.method.name!r} {why}: {instead}")
 
         d = len(self.labels)
 
-        def whole(y: Vector, h: Arithmetic, numbers: Numbers, xp: Namespace) -> Packed:
+        def whole(y: Vector, h: Arithmetic, numbers: Numbers, xp: Namespace) -> Vector:
             return self.step(y, h, self.scene.with_numbers(numbers), xp)
 
         recorded = formula(whole, (d, 0, len(self.names), "xp"), ())

@@ -1,4 +1,4 @@
-"""Random problems: who is the cheapest, how often, by how much, with intervals; what advice costs; hard problems."""
+"""Random problems: who is the cheapest, how often, by how much, with intervals; hard problems."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from contactbench.measure.statistics import COUNTED, quantile_interval, wilson
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, view
 from contactbench.report.numbers import DASH, power, times
 from contactbench.report.views import Cell, Mark, View, frame_of
-from contactbench.results.advice import COSTS, judged, regrets
 from contactbench.results.contest import CONTACT, OTHER, OURS
+from contactbench.results.regret import COSTS, regrets
 
 #: costs in words, and the questions about them
 LABELS = {"evaluations": "evaluations", "time_s": "compiled time"}
@@ -77,12 +77,6 @@ def of(frames: Frames, seed: int, cost: str, error: float) -> pd.DataFrame:
     return own[(own["seed"] == seed) & (own["by"] == cost) & (own["error"] == error)]
 
 
-@lru_cache(32)
-def advised(frames: Frames, asked: int, cost: str, error: float) -> pd.DataFrame:
-    """Return what advice costs on the problems of a seed, from those of the first."""
-    return judged(frames["population"], problems_of(frames), error, cost, seeds(frames)[0], asked)
-
-
 def errors(frames: Frames) -> list[float]:
     return sorted(frames["population"]["error"].unique(), reverse=True)
 
@@ -121,12 +115,6 @@ def answers(frames: Frames) -> Iterator[Answer]:
             says.append(f"{power(error)}: {percent(part, len(own))}")
             counts.append(f"{part} of {len(own)}, {int((own['winner'] == 'tie').sum())} tied")
         yield Answer(QUESTIONS[cost].format(drawn), ", ".join(says), "; ".join(counts))
-    for asked in seeds(frames)[1:]:
-        found = {error: advised(frames, asked, COSTS[-1], error)["regret"] for error in errors(frames)}
-        says = [f"{power(error)}: {times(own.median())}" for error, own in found.items()]
-        most = ", ".join(times(own.quantile(0.9)) for own in found.values())
-        counted = ", ".join(str(len(own)) for own in found.values())
-        yield Answer(QUESTIONS["advice"], ", ".join(says), f"median of {counted} problems; 90 %: {most}")
 
 
 # -- views -----------------------------------------------------------------------------------------
@@ -210,20 +198,6 @@ def strata_view(frames: Frames) -> View:
     return view("population_strata", frame_of(joined.itertuples(index=False), [("", "problems"), *heads]))
 
 
-def advice_view(frames: Frames) -> View:
-    first, *others = seeds(frames)
-    lines = []
-    for asked, label in ((first, "another family"), *((seed, f"seed {seed}") for seed in others)):
-        for cost in COSTS:
-            for error in errors(frames):
-                own = advised(frames, asked, cost, error)
-                cells = [quantile(own[name], q) for name in ("regret", "of_three") for q in (0.5, 0.9)]
-                lines.append([f"{label}, {LABELS[cost]}, {power(error)}", len(own), *cells])
-    labels = [("", "judged on"), ("", "problems")]
-    labels += [(what, q) for what in ("the first", "the best of three") for q in ("median", "90 %")]
-    return view("population_advice", frame_of(lines, labels))
-
-
 def ending(rows: pd.DataFrame) -> pd.Series:
     ok = rows["right"].map({True: "right", False: "wrong"})
     return rows["status"].where(rows["status"] != "ok", ok)
@@ -249,5 +223,5 @@ def hard_view(frames: Frames) -> View | None:
 def parts(frames: Frames) -> Iterable[Part | None]:
     if not told(frames):
         return []
-    made = (contests_view, methods_view, strata_view, advice_view, hard_view)
+    made = (contests_view, methods_view, strata_view, hard_view)
     return [one(frames) for one in made]

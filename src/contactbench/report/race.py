@@ -227,7 +227,7 @@ def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
         found.append("\n".join([f"{each.title}: {legend}", *in_width(lines)]))
     said = list(notes(frame))[len(missing) :]
     if short:
-        more = f"{hidden} more rows, evaluations, settings, and why a method got no further: --all."
+        more = f"{hidden} more rows, evaluations, settings, and why a method got no further: --csv, --html, --all."
         said = [*said[:1], more]
     blocks = (missing, said, [*frame.attrs["recommendation"], *how_to_run(frame, scene)])
     first, last, end = ("\n".join(map(wrap, block)) for block in blocks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,9 @@ def in_order(sizes: object) -> np.ndarray:
 
 def size(vector: Vector) -> float:
     """Return the largest magnitude among some numbers, nan if one of them is."""
-    total = sum(vector)
-    return max(map(abs, vector)) if total == total else np.nan
+    total: Any = sum(vector)
+    largest: Any = max(map(abs, vector))
+    return float(largest) if total == total else math.nan
 
 
 def reach(scene: Any, x: Any, end: float) -> tuple[float, float]:

@@ -37,8 +37,7 @@ class Features:
     """What a problem is like.  omega : rate at which the force changes along the motion, as an angular frequency.
 
     damping : over omega.  span : in periods 2π/omega.  spread : largest of these rates over their mean.  cost : of a
-    right-hand side, in additions.  size : components.  kind : of the scene.  left : time at which it had diverged,
-    infinite if the pilot did not see it; no column.
+    right-hand side, in additions.  size : components.  kind : of the scene.
     """
 
     omega: float
@@ -48,10 +47,9 @@ class Features:
     cost: float
     size: int
     kind: str
-    left: float = math.inf
 
     def row(self) -> dict[str, Any]:
-        return {name: value for name, value in asdict(self).items() if name != "left"}
+        return asdict(self)
 
 
 def recorded_slopes(scene: Scene) -> Formula | None:
@@ -100,17 +98,14 @@ def features(scene: Scene) -> Features:
         own: Any = scene
         return np.array(x.q, dtype=float), np.array(own.velocity(own.gradient_at(x)), dtype=float)
 
-    passed, until, left = list[tuple[float, float, float]](), process_time() + SECONDS, math.inf
+    passed, until = list[tuple[float, float, float]](), process_time() + SECONDS
     with np.errstate(all="ignore"), their_code(f"scene {scene.name!r}"):
         most = furthest(scene, carry, packed, scene.t_end)
         scale = max(1e-30, np.abs(y0).max() or scene.scales(begin, scene.t_end).max())
         solver = DOP853(attempt, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * scale)
         q, force = pull(0.0, y0)
         while len(passed) < STEPS and solver.status == "running" and process_time() < until:
-            reached = np.abs(solver.y[: len(most)])
-            if np.any(reached > most):
-                left = solver.t
-            if not (math.isfinite(solver.h_abs) and np.all(reached <= most)):
+            if not (math.isfinite(solver.h_abs) and np.all(np.abs(solver.y[: len(most)]) <= most)):
                 break
             before = solver.t
             solver.step()
@@ -126,9 +121,8 @@ def features(scene: Scene) -> Features:
     size = len(y0) // 2 if scene.canonical else len(y0)
     spread = float(max([omega, *rates])) / omega
     span = scene.t_end * omega / (2 * math.pi)
-    return Features(
-        omega, max(damping, 0.0) / omega, span, spread, force_cost(scene, recorded), size, scene.kind, left
-    )
+    cost = force_cost(scene, recorded)
+    return Features(omega, max(damping, 0.0) / omega, span, spread, cost, size, scene.kind)
 
 
 def loss(slope: Any, t: float, y: np.ndarray, momenta: int) -> float:

@@ -27,7 +27,7 @@ from contactbench.study.problems import (
 )
 from contactbench.study.search import Question
 from contactbench.study.settings import carry_of
-from contactbench.study.trial import CLEAR, ENDS, Trial, Tried, agreed, short_truth
+from contactbench.study.trial import CLEAR, ENDS, Trial, Tried, agreed, is_short
 from contactbench.truth import Reference
 
 #: those that are best on such problems in the tables, the classical ones, and what libraries compile soon; first those
@@ -84,7 +84,7 @@ def problem_row(problem: Problem, known: Features, digits: int, source: str) -> 
         "structure": problem.family,
         "hard": problem.hard,
         "t_end": problem.scene.t_end,
-        "short": short_truth(problem.scene, known, engine=None) is not None,
+        "short": is_short(problem.scene, known),
         "digits": digits,
         "source": source,
     } | known.row()

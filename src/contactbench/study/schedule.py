@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -18,8 +18,8 @@ from contactbench.errors import BadInput
 from contactbench.measure.clock import VISITS, Call, Race, Visit, least, ratio_column, time_columns
 from contactbench.measure.laws import row as laws_row
 from contactbench.measure.statistics import PROCESSES, margin, ties
-from contactbench.methods.base import Method, prepare
-from contactbench.methods.loops import is_fixed
+from contactbench.methods.base import prepare
+from contactbench.results.contest import CUT
 from contactbench.scene import Scene
 from contactbench.solution import GROWING, Solution
 from contactbench.study.experiment import Row
@@ -41,8 +41,6 @@ KINDS = ("compiled", "callbacks")
 DRAWN, LARGEST_DRAWN = 400, 1000
 #: the part of the search that is kept for those that have begun: runs of one setting each are no race
 SECOND_RUNS = 0.35
-#: methods of this package of this order and below do not lead at errors of this size and below
-LOW_ORDER, HIGH_ERROR = 2, 1e-3
 #: the part of the timing that the whole field gets; the rest is for those that may lead
 FIELD = 0.6
 #: who leads is settled where the margin of a pair is no wider than this, and left open after so many visits
@@ -66,9 +64,9 @@ MANY = 20
 class Schedule:
     """The state of one race: what was found of each method, and the laws and times at the settings that reach an error.
 
-    floor : what the reference may be off by, relative to the largest state; no error below is claimed.  unbegun :
-    methods that no time was left for; unrefined : those without a last search for a coarser setting; last : those
-    that wait until all others are done.  named : whether a user asked for these methods, each as good as another.
+    floor : what the reference may be off by, relative to the largest state; no error below is claimed.  unrefined :
+    methods without a last search for a coarser setting.  leading : methods that may lead, if not all: the others, which
+    are `last`, wait until these are done.  begun : when the budget began, by default now.
     """
 
     def __init__(
@@ -79,9 +77,10 @@ class Schedule:
         budget: float,
         progress: bool = False,
         truth: Reference | None = None,
-        named: bool = True,
+        leading: Collection[str] = (),
+        begun: float | None = None,
     ) -> None:
-        self.begun, self.budget = perf_counter(), budget
+        self.begun, self.budget = perf_counter() if begun is None else begun, budget
         self.bar = tqdm(total=len(methods) + 3, disable=None if progress else True, unit="", leave=False)
         self.bar.set_description("reference")
         truth = truth or self.reference_of(scene)
@@ -93,11 +92,8 @@ class Schedule:
             raise BadInput(f"no reference for scene {scene.name!r}: {why}")
         self.bar.update()
         self.searches = [Search(self.question, name) for name in methods]
-        self.last = set() if named else {each for each in self.searches if waits(each.method, errors)}
-        #: methods that are begun before others, in this order
-        self.first: list[str] = []
+        self.last = {each for each in self.searches if leading and each.method.name not in leading}
         self.interrupted = False
-        self.unbegun: list[str] = []
         self.unrefined: list[str] = []
         self.motion: Solution | None = None
         self.laws: dict[int, Row] = {}
@@ -146,28 +142,19 @@ class Schedule:
     def search(self) -> None:
         """Give every method a first run, then the next turn to what has had the least time.
 
-        What a cheap method leaves goes to the others.  First runs: those of `first`, then high orders first, one of
-        each engine and family in turn, those of JAX last, which compiles for seconds.  When most of the time is over
-        those that have begun go on.
+        What a cheap method leaves goes to the others.  First runs: high orders first, those of JAX last, which compiles
+        for seconds.  When most of the time is over those that have begun go on.
         """
         for each in self.searches:
             if (why := each.method.refuses(self.question.scene)) is not None:
                 each.why = ("unsupported", why)
-        ranked = sorted(self.searches, key=lambda one: -(one.method.order or MIDDLE))
+        ranked = sorted(self.searches, key=lambda one: (one.engine == "jax", -(one.method.order or MIDDLE)))
         turns = {each: each.turns() for each in ranked if each.why is None}
         self.bar.update(len(self.searches) - len(turns))
         kept = SECOND_RUNS * self.left(SEARCH)
-        kinds = [(each.engine, each.method.family) for each in ranked]
-        places = {each: kinds[:k].count(kinds[k]) for k, each in enumerate(ranked)}
 
-        begun_first = {name: place for place, name in enumerate(self.first)}
-
-        def turn(one: Search) -> tuple[bool, bool, float, bool, float]:
-            early, last = self.left(SEARCH) > kept, one in self.last
-            if one.attempts:
-                return last, early, 0.0, False, one.spent
-            place = begun_first.get(one.method.name, len(begun_first))
-            return last, not early, place, one.engine == "jax", places[one]
+        def turn(one: Search) -> tuple[bool, bool, float]:
+            return one in self.last, bool(one.attempts) == (self.left(SEARCH) > kept), one.spent
 
         while turns and (left := self.left(SEARCH)) > 0:
             each = min(turns, key=turn)
@@ -176,7 +163,6 @@ class Schedule:
             expected = 0.0 if each.attempts else max(COMPILING.get(each.engine, 0.0), min(seen, default=0.0))
             if expected > left:
                 each.why = ("budget", f"compiling it takes about {expected:.2g} s, {left:.2g} s were left")
-                self.unbegun.append(each.method.name)
                 del turns[each]
                 continue
             begun, compiled = perf_counter(), each.compile_s
@@ -193,15 +179,18 @@ class Schedule:
     def stop(self, status: str, before: str, after: str, some: Iterable[Search]) -> None:
         for each in (each for each in some if each.why is None):
             last = each.finest
-            if last is None and each in self.last and status == "budget":
-                each.why = (status, "begun when all others are done: no time was left")
-            elif last is None:
+            if last is None:
                 each.why = (status, before)
-                self.unbegun.append(each.method.name)
             elif not each.done:
                 each.why = (status, f"{after} {last.setting}, {each.spent:.2g} s of its own")
             else:
                 self.unrefined.append(each.method.name)
+
+    @property
+    def unbegun(self) -> list[str]:
+        """Return the methods that may lead and that no time was left for."""
+        cut = (each for each in self.searches if each.why and each.why[0] in (*CUT, "interrupted"))
+        return [each.method.name for each in cut if not (each.attempts or each in self.last)]
 
     # -- motion ----------------------------------------------------------------------------------------
     def follow_motion(self) -> None:
@@ -318,12 +307,6 @@ class Schedule:
 def unraced(law: str) -> bool:
     """Return whether a race does not measure a law, of this name."""
     return law in LEFT_OUT
-
-
-def waits(method: Method, errors: Sequence[float]) -> bool:
-    """Return whether a method of this package is not expected to lead: it is begun when all others are done."""
-    low = not method.adaptive and (method.order or MIDDLE) <= LOW_ORDER and max(errors) <= HIGH_ERROR
-    return is_fixed(method) and not method.package and low
 
 
 def halves(visits: list[Visit]) -> float:

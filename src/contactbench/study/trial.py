@@ -1,7 +1,6 @@
 """What does an error cost one method on one problem?  From a coarse setting towards the error by its own slope.
 
-What an error costs is interpolated between the settings around it.  `short_truth` says whether a motion is so short
-that methods can be tried on it without compiling any.
+What an error costs is interpolated between the settings around it.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from time import perf_counter
 import numpy as np
 
 from contactbench.measure.statistics import costs_to_reach
-from contactbench.methods.base import METHODS, Method, prepare
+from contactbench.methods.base import Method, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import Prepared
 from contactbench.peers.heyoka import SHARED
-from contactbench.results.advice import WORST
+from contactbench.results.regret import WORST
 from contactbench.scene import Scene
 from contactbench.solution import Solution, Status, keywords
 from contactbench.study.experiment import Row
@@ -49,27 +48,16 @@ CLEAR = 10.0
 SHORT, IN_PYTHON, TOLERANCES = 6e6, 80.0, (1e-12, 1e-13)
 
 
-def most_in_python(known: Features) -> float:
-    """Return the evaluations of a run in Python at most."""
-    return SHORT / (known.cost + IN_PYTHON)
-
-
-def short_truth(scene: Scene, known: Features, engine: str | None = "python") -> Reference | None:
-    """Return the states at `ENDS` on which two runs agree; None of a motion that would take Python too long, or ends.
-
-    engine : compiled where the method is compiled for this motion anyway.
-    """
-    method, carry = METHODS["rk8-7"], carry_of(scene)
-    most = max(1, int(most_in_python(known) / TYPICAL))
-    ends = [part * scene.t_end for part in ENDS]
-    found: list[Solution] = []
-    for rtol in TOLERANCES:
-        with np.errstate(all="ignore"):
-            run = prepare(scene, method, save_at=ends, carry=carry, rtol=rtol, engine=engine, max_steps=most)
-            found.append(run())
-        if not found[-1].ok:
-            return None
-    return agreed(scene, carry, *reversed(found))
+def is_short(scene: Scene, known: Features) -> bool:
+    """Return whether runs to `TOLERANCES` take no more evaluations than there is time for in Python."""
+    most = max(1, int(SHORT / (known.cost + IN_PYTHON) / TYPICAL))
+    ends, carry = [part * scene.t_end for part in ENDS], carry_of(scene)
+    with np.errstate(all="ignore"):
+        runs = (
+            prepare(scene, "rk8-7", save_at=ends, carry=carry, rtol=rtol, max_steps=most)
+            for rtol in TOLERANCES
+        )
+        return all(run().ok for run in runs)
 
 
 def agreed(scene: Scene, carry: tuple[str, ...], one: Solution, other: Solution) -> Reference:
@@ -99,16 +87,11 @@ class Tried:
 
 @dataclass
 class Trial:
-    """One method on one problem: the settings tried.
-
-    most : evaluations of a run.  engine : None for the method's first.
-    """
+    """One method on one problem: the settings tried."""
 
     question: Question
     method: Method
     known: Features
-    most: float = math.inf
-    engine: str | None = None
     #: evaluations that a run may make
     limit: float = math.inf
     tried: list[Tried] = field(default_factory=list)
@@ -116,12 +99,12 @@ class Trial:
     def attempt(self, value: float, control: str = "") -> Tried:
         scene, carry = self.question.scene, carry_of(self.question.scene)
         beside = OWN_WORK if self.stages == VARIABLE else BESIDE
-        most = min(self.most, self.limit, LONGEST / (self.known.cost + beside))
+        most = min(self.limit, LONGEST / (self.known.cost + beside))
         runs = []
         for part in ENDS:
             end = part * scene.t_end
             given = keywords(control or self.method.control, value)
-            given |= {"max_steps": max(100, int(most / self.stages)), "engine": self.engine}
+            given |= {"max_steps": max(100, int(most / self.stages))}
             runs.append(prepare(scene, self.method, save_at=[end], carry=carry, **given))
         solutions: list[Solution] = []
         seconds = math.inf
@@ -201,17 +184,14 @@ class Trial:
         fewest = min((one.evaluations for one in reach), default=math.nan)
         return bool(miss) and fewest <= APART * max(one.evaluations for one in miss)
 
-    def search(self, targets: Sequence[float], least: dict[float, float], given_up: float = WORST) -> None:
-        """Try settings for each error; least : evaluations that it has cost any method so far, which are kept.
-
-        given_up : how many times the least a run may cost.
-        """
+    def search(self, targets: Sequence[float], least: dict[float, float]) -> None:
+        """Try settings for each error; least : evaluations that it has cost any method so far, which are kept."""
         if self.method.exact:
             self.attempt(0.0)
             return
         last = self.attempt(self.first())
         for target in targets:
-            self.limit = given_up * least.get(target, math.inf)
+            self.limit = WORST * least.get(target, math.inf)
             for _ in range(TRIES):
                 if last.status is Status.unsupported or self.enclosed(target):
                     break
