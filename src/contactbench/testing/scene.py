@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -58,7 +58,8 @@ class SceneCase:
         return states
 
     def read(self, y: Sequence[Arithmetic]) -> AnyState:
-        return self.scene.unpack(y, self.scene.carry())
+        state: AnyState = self.scene.unpack(y, self.scene.carry())
+        return state
 
     def unit(self, j: int) -> AnyState:
         return self.read(
@@ -73,10 +74,15 @@ class SceneCase:
         delta = self.xp.mpf(DELTA)
         return [(a - b) / (2 * delta) for a, b in zip(f(delta), f(-delta), strict=True)]
 
+    def slope(
+        self, f: Callable[[AnyState], Iterable[Arithmetic]], x: AnyState, v: AnyState
+    ) -> list[Arithmetic]:
+        return self.derivative(lambda d: f(self.moved(x, v, d)))
+
     def rate(self, x: AnyState) -> Arithmetic:
         """Return Γ' = ∂H/∂s."""
         along_s = self.unit(self.scene.labels(self.scene.carry()).index("s"))
-        return self.derivative(lambda d: [self.twin.hamiltonian_at(self.moved(x, along_s, d))])[0]
+        return self.slope(lambda x: [self.twin.hamiltonian_at(x)], x, along_s)[0]
 
     def near(self, a: Iterable[Arithmetic], b: Iterable[Arithmetic], what: str) -> None:
         a, b = list(a), list(b)
@@ -130,7 +136,8 @@ def is_one_definition(case: SceneCase) -> None:
         pair = case.read([np.array([c, 2 * c]) for c in scene.pack(x)])
         for name, values in functions.items():
             plain = values(scene, x)
-            case.near([np.ravel(c)[0] for c in values(scene, pair)], plain, f"{name} on arrays")
+            first = [np.broadcast_to(np.asarray(c), 2)[0] for c in values(scene, pair)]
+            case.near(first, plain, f"{name} on arrays")
             case.near(values(twin, z), plain, f"{name} on 50-digit numbers")
 
 
@@ -146,7 +153,7 @@ def derives(case: SceneCase) -> None:
         rows = twin.jacobian(z)
         require((rows is not None) == scene.has_jacobian, f"has_jacobian = {scene.has_jacobian}")
         for j in range(len(y)) if scene.has_jacobian else ():
-            column = case.derivative(lambda d, z=z, j=j: scene.pack(twin.rhs(case.moved(z, case.unit(j), d))))
+            column = case.slope(lambda z: scene.pack(twin.rhs(z)), z, case.unit(j))
             case.near([row[j] for row in rows], column, f"jacobian, column {j}")
 
 
@@ -159,7 +166,7 @@ def is_a_contact_system(case: SceneCase) -> str | None:
     def lie_derivative(x: AnyState, v: AnyState) -> list[Arithmetic]:
         """Return that of η on v: its slope while x moves along X and v with the flow."""
         field = twin.rhs(x)
-        pushed = case.read(case.derivative(lambda d: twin.pack(twin.rhs(case.moved(x, v, d)))))
+        pushed = case.read(case.slope(lambda x: twin.pack(twin.rhs(x)), x, v))
         return case.derivative(
             lambda d: [twin.contact_form(case.moved(x, field, d), case.moved(v, pushed, d))]
         )
@@ -177,12 +184,12 @@ def is_a_contact_system(case: SceneCase) -> str | None:
 def has_its_laws(case: SceneCase) -> None:
     scene, twin = case.scene, case.twin
     for x, z in case.states:
-        along = partial(case.moved, z, twin.rhs(z))
+        field = twin.rhs(z)
         if not scene.may_gain_energy:
-            growth = case.derivative(lambda d, along=along: [twin.energy(along(d))])[0]
+            growth = case.slope(lambda z: [twin.energy(z)], z, field)[0]
             require(growth <= CLOSE, f"H0 grows, {float(growth):.1e}, though it may not")
         if scene.has_momentum_law and scene.is_contact:
-            slope = case.derivative(lambda d, along=along: twin.momentum_at(along(d)) or ())
+            slope = case.slope(lambda z: twin.momentum_at(z) or (), z, field)
             case.near(slope, [-case.rate(z) * c for c in twin.momentum_at(z) or ()], "J' is not −Γ' J")
         v, terms = scene.tangents(x)[0], []
         if scene.is_contact:
