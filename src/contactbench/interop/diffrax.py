@@ -30,7 +30,7 @@ import jax.numpy as jnp  # noqa: E402
 from jax.flatten_util import ravel_pytree  # noqa: E402
 from jaxtyping import PyTree  # noqa: E402
 
-__all__ = ["Contact", "ReversibleAdjoint", "terms_of"]
+__all__ = ["Contact", "terms_of"]
 
 #: relative differences of steps that are round-off of the times: the run goes on as it is
 EQUAL = 1e-9
@@ -82,29 +82,24 @@ class Flows:
         """Return whether, on two momenta, the damping is not −rate p or the velocity not linear."""
         flat, tree = ravel_pytree(p)
         one, two = (tree((k + jnp.arange(1.0, flat.size + 1) ** k).astype(flat.dtype)) for k in (1, 2))
-        velocities = [self.velocity.vf(t, each, self.args) for each in (one, two, moved(one, two))]
+        velocity_of_both = self.velocity.vf(t, moved(one, two), self.args)
+        velocities = moved(*(self.velocity.vf(t, p, self.args) for p in (one, two)))
         damped = jax.tree.map(lambda rate, p: -self.sign * rate * p, self.rates(t), two)
-        pairs = (self.damping.vf(t, two, self.args), damped), (moved(*velocities[:2]), velocities[2])
 
         def differ(a: PyTree, b: PyTree) -> jax.Array:
-            a, b = ravel_pytree(a)[0], ravel_pytree(b)[0]
-            far: jax.Array = jnp.linalg.norm(a - b) > LINEAR * jnp.linalg.norm(b)
-            return far
+            gap, size = (jnp.linalg.norm(ravel_pytree(x)[0]) for x in (moved(a, b, -1.0), b))
+            return jnp.asarray(gap > LINEAR * size)
 
-        return differ(*pairs[0]) | differ(*pairs[1])
+        return differ(self.damping.vf(t, two, self.args), damped) | differ(velocities, velocity_of_both)
 
     def spent(self, t: Real, h: Real) -> tuple[PyTree, PyTree]:
         """Return ∫γ over a part of a step and φ, the time that a damped momentum is worth, of each momentum."""
-        if not self.changes:
-            rates = self.rates(t)
-            total = jax.tree.map(lambda rate: rate * h, rates)
-            return total, jax.tree.map(lambda rate: damped_time(rate, h, XP), rates)
         leaves, structure = jax.tree.flatten(self.rates(t))
-
-        def integrals(i: int) -> tuple[PyTree, PyTree]:
-            return quadrature.integrals(lambda t: jax.tree.leaves(self.rates(t))[i], t, h, XP)
-
-        each = [integrals(i) for i in range(len(leaves))]
+        if self.changes:
+            rate_of = [lambda t, i=i: jax.tree.leaves(self.rates(t))[i] for i in range(len(leaves))]
+            each = [quadrature.integrals(rate, t, h, XP) for rate in rate_of]
+        else:
+            each = [(rate * h, damped_time(rate, h, XP)) for rate in leaves]
         total, phi = (jax.tree.unflatten(structure, part) for part in zip(*each, strict=True))
         return total, phi
 
@@ -123,14 +118,9 @@ class Flows:
 
     def drift_damp(self, t: Real, y: PyTree, h: Real) -> PyTree:
         """Return q + velocity(φ p) and e^{−∫γ} p: exact where the velocity is linear in p."""
-        q, p = y
-        total, phi = self.spent(t, h)
+        (q, p), (_, phi) = y, self.spent(t, h)
         worth = jax.tree.map(lambda phi, p: phi * p, phi, p)
-        q = moved(q, self.velocity.vf(t, worth, self.args), self.sign)
-        return q, jax.tree.map(lambda p, G: p + jnp.expm1(-G) * p, p, total)
-
-    def apply(self, flow: str, t: Real, y: PyTree, h: Real) -> PyTree:
-        return getattr(self, flow)(t, y, h)
+        return self.damp(t, (moved(q, self.velocity.vf(t, worth, self.args), self.sign), p), h)
 
     def run(self, stages: Sequence[Stage], t: Real, y: PyTree, h: Real) -> tuple[Real, PyTree]:
         """Apply stages, in a loop where their flows alternate; return the time and the state after them."""
@@ -144,7 +134,7 @@ class Flows:
         ) -> tuple[tuple[Real, PyTree], None]:
             t, y = carried
             for name, coefficient in zip(names, coefficients, strict=False):
-                y = self.apply(name, t, y, coefficient * h)
+                y = getattr(self, name)(t, y, coefficient * h)
                 t = t + coefficient * h if name in CLOCKS else t
             return (t, y), None
 
@@ -209,120 +199,15 @@ class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
         y = jax.lax.cond(anew, lambda: flows.run(plan.opening, t0, y0, h)[1], lambda: y)
         t, y = flows.run(plan.inner, t0 + time_of(plan.opening) * h, y, h)
         _, y1 = flows.run(plan.closing, t, y, h)
-        ends = {"y0": y0, "y1": y1}
-        for name, time, end in (("k0", t0, y0), ("k1", t1, y1)):
-            ends[name] = jax.tree.map(lambda slope: flows.sign * h * slope, self.func(terms, time, end, args))
-        return y1, None, ends, (flows.run(plan.joint, t, y, h)[1], h), diffrax.RESULTS.successful
+        k0, k1 = (self.func(terms, *end, args) for end in ((t0, y0), (t1, y1)))
+        slopes = {name: jax.tree.map(lambda k: flows.sign * h * k, k) for name, k in (("k0", k0), ("k1", k1))}
+        _, ahead = flows.run(plan.joint, t, y, h)
+        return y1, None, {"y0": y0, "y1": y1} | slopes, (ahead, h), diffrax.RESULTS.successful
 
     def func(self, terms: Terms, t0: Real, y0: PyTree, args: PyTree) -> PyTree:
         velocity, force, damping = three_terms(terms)
         q, p = y0
         return velocity.vf(t0, p, args), moved(force.vf(t0, q, args), damping.vf(t0, p, args))
-
-
-# -- the derivative without the states ---------------------------------------------------------------
-class Backward(Flows):
-    """The subflows taken back on (y, ȳ, total), ȳ the derivative in y, total in the parameters as far as summed up."""
-
-    def __init__(self, terms: Terms, t: Real, y: PyTree, args: PyTree) -> None:
-        super().__init__(terms, t, y, args)
-        self.parameters, self.rest = eqx.partition((args, terms), eqx.is_inexact_array)
-
-    def apply(self, flow: str, t: Real, y: PyTree, h: Real) -> PyTree:
-        end, slope, total = y
-        start, t_start = super().apply(flow, t, end, h), t + h if flow in CLOCKS else t
-
-        def forward(y: PyTree, parameters: PyTree) -> PyTree:
-            args, terms = eqx.combine(parameters, self.rest)
-            return Flows(terms, t_start, y, args).apply(flow, t_start, y, -h)
-
-        slope, more = jax.vjp(forward, start, self.parameters)[1](slope)
-        return start, slope, moved(total, more)
-
-
-@eqx.filter_custom_vjp
-def end_of(inputs: PyTree, ys: PyTree, run: PyTree) -> PyTree:
-    """Return ys, the saved end of a run, as a function of its inputs (y0, args, terms)."""
-    return ys
-
-
-@end_of.def_fwd
-def keep_end(perturbed: PyTree, inputs: PyTree, ys: PyTree, run: PyTree) -> tuple[PyTree, PyTree]:
-    # what is kept depends on the inputs too: a second derivative is refused by JAX, not taken without that
-    return ys, end_of(inputs, ys, run)
-
-
-@end_of.def_bwd
-def take_back(
-    ys: PyTree, slopes: PyTree, perturbed: PyTree, inputs: PyTree, _: PyTree, run: PyTree
-) -> PyTree:
-    (y0, args, terms), (solver, tolerance, t0, t1, dt0) = inputs, run
-    n = jnp.maximum(jnp.round((t1 - t0) / dt0).astype(int), 1)
-    h, plan = (t1 - t0) / n, solver.plan
-    y1 = jax.tree.map(lambda y: y[-1], ys)
-    slope = jax.tree.map(  # None where the end is not used
-        lambda y, given: jnp.zeros_like(y) if given is None else given[-1], y1, slopes
-    )
-    flows = Backward(terms, t1, y1, args)
-
-    def back(stages: Sequence[Stage], t: Real, y: PyTree) -> tuple[Real, PyTree]:
-        return flows.run(stages[::-1], t, y, -h)
-
-    def before(k: Real, y: PyTree) -> tuple[Real, PyTree]:
-        return back(plan.inner, t1 - (k + time_of(plan.closing)) * h, y)
-
-    _, y = back(plan.closing, t1, (y1, slope, jax.tree.map(jnp.zeros_like, flows.parameters)))
-    y = jax.lax.fori_loop(0, n - 1, lambda k, y: back(plan.joint, *before(k, y))[1], y)
-    _, (start, slope, total) = back(plan.opening, *before(n - 1, y))
-    off, first, last = (jnp.linalg.norm(ravel_pytree(y)[0]) for y in (moved(start, y0, -1.0), y0, y1))
-    wrong = ~(off <= tolerance * jnp.maximum(first, last)) | (jnp.abs(h - dt0) > EQUAL * jnp.abs(h))
-    return eqx.error_if((slope, *total), wrong, LOST)
-
-
-LOST = (
-    "taken back, the run does not end at its start: where dt0 divides the span, round-off has grown too much for "
-    "ReversibleAdjoint; take RecursiveCheckpointAdjoint, or several shorter runs"
-)
-
-
-class ReversibleAdjoint(diffrax.AbstractAdjoint):
-    """Differentiate `Contact` in reverse, in memory that does not grow with the steps: ``adjoint=ReversibleAdjoint()``.
-
-    The steps are taken back from the end, each flow by itself, at the cost of about one run more; the derivative is
-    that of the numerical map.  A run taken back grows where it was damped, and round-off with it, by up to e^{∫γ}: the
-    start is found again and compared.  It gives first derivatives in y0, args and terms.  A run fails whose dt0 does
-    not divide the span.
-
-    Parameters
-    ----------
-    tolerance
-        How far off the start may be, relative to y0, or to the end where that is larger; beyond, the run fails.
-
-    Raises
-    ------
-    BadInput
-        For another solver than `Contact`, steps that are not constant, an event, and where more than the end is
-        saved.
-    """
-
-    tolerance: float = 1e-6
-
-    def loop(
-        self, *, args: PyTree, terms: Terms, init_state: PyTree, **options: Any
-    ) -> tuple[PyTree, dict[str, PyTree]]:
-        solver, (t0, t1, dt0) = options["solver"], (options[name] for name in ("t0", "t1", "dt0"))
-        constant = isinstance(options["stepsize_controller"], diffrax.ConstantStepSize)
-        end_alone = eqx.tree_equal(options["saveat"], diffrax.SaveAt(t1=True))
-        if not (isinstance(solver, ContactSolver) and constant and end_alone and options["event"] is None):
-            why = "ReversibleAdjoint: for Contact with ConstantStepSize and SaveAt(t1=True), no event"
-            raise BadInput(why)
-        inputs = init_state.y, args, terms
-        once = {"args": args, "terms": terms, "init_state": init_state, **options}
-        dynamic, static = eqx.partition(once, eqx.is_array)
-        once = eqx.combine(jax.lax.stop_gradient(dynamic), static)
-        state, stats = diffrax.ForwardMode().loop(**once)
-        ys = end_of(inputs, state.save_state.ys, (solver, self.tolerance, t0, t1, dt0))
-        return eqx.tree_at(lambda state: state.save_state.ys, state, ys), stats
 
 
 def Contact(method: str) -> ContactSolver:

@@ -7,7 +7,7 @@ Each takes the numbered rules of the contract (`methods.base.Method`, `scene.bas
 returns what it found, and raises `Violation`, an `AssertionError` that says which is broken and how.
 """
 
-from contactbench.testing.method import METHOD_RULES, MethodCase, check_method, method_cases, method_findings
+from contactbench.testing.method import METHOD_RULES, check_method, method_findings
 from contactbench.testing.rules import Finding, Violation
 from contactbench.testing.scene import SCENE_RULES, check_scene, scene_findings
 

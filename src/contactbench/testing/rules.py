@@ -1,4 +1,4 @@
-"""How a rule of a contract is written: a function of a case that raises, and notes on the case what it measured.
+"""How a rule of a contract is followed: a function of a case that raises, and notes there what it measured.
 
 Where it has nothing to say about a case it returns why.
 """
@@ -53,8 +53,9 @@ def require(condition: object, message: str) -> None:
 
 
 def follow(
-    rules: Mapping[int, Callable[..., str | None]], case: Any, what: str, engine: str, scene: str
+    rules: Mapping[int, Callable[..., str | None]], case: Any, what: str, engine: str = ""
 ) -> Iterator[Finding]:
+    """Follow rules one after the other, up to the first that is broken."""
     for number, rule in rules.items():
         case.measured.clear()
         try:
@@ -62,4 +63,5 @@ def follow(
         except Exception as error:
             reason = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
             raise Violation(number, f"{what}: {reason}") from error
-        yield Finding(number, rule.__name__.replace("_", " "), engine, scene, dict(case.measured), not_here)
+        name = rule.__name__.replace("_", " ")
+        yield Finding(number, name, engine, case.scene.name, dict(case.measured), not_here)
