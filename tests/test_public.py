@@ -37,7 +37,7 @@ HEAVY |= {
     f"contactbench.{part}" for part in ("ensembles", "gate", "race", "report", "results.store", "testing")
 }
 #: what only some programs need, and the list of claims: short commands do without
-SELDOM = {"scipy", "numpy.polynomial", "difflib", "logging", "concurrent.futures", "contactbench.claims"}
+SELDOM = {"scipy", "numpy.polynomial", "difflib", "logging", "concurrent.futures", "contactbench.paper"}
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cases import few_slow
-from contactbench.claims import (
+from contactbench.paper import (
     CLAIMS,
     Correction,
     Verdict,
@@ -19,9 +19,9 @@ from contactbench.claims import (
     rigid_body,
     verdict,
 )
-from contactbench.claims.curves import FIGURES, rows
-from contactbench.claims.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
-from contactbench.claims.ledger import Claim, at_least, at_most
+from contactbench.paper.curves import FIGURES, rows
+from contactbench.paper.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
+from contactbench.paper.ledger import Claim, at_least, at_most
 from contactbench.methods import METHODS
 from contactbench.methods.contact import contact_method
 from contactbench.report import paper

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from contactbench.claims.integrator import ENERGY_LADDER, NOMINAL, PAPER_STEP, energy_errors, numerical, slope
-from contactbench.claims.rigid_body import INERTIA, criterion, direction_growths, growths, momentum_rate
+from contactbench.paper.integrator import ENERGY_LADDER, NOMINAL, PAPER_STEP, energy_errors, numerical, slope
+from contactbench.paper.rigid_body import INERTIA, criterion, direction_growths, growths, momentum_rate
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
 
