@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,18 +22,7 @@ from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.loops import trajectory
 from contactbench.paper import geometry
-from contactbench.paper.geometry import (
-    SEED,
-    Field,
-    Map,
-    canonical,
-    eta,
-    jacobian,
-    largest,
-    off_decay,
-    pack,
-    points,
-)
+from contactbench.paper.geometry import SEED, Field, canonical, eta, jacobian, largest, pack, points
 from contactbench.paper.ledger import Evidence, claim
 from contactbench.scene import Mechanical, Scene, State
 from contactbench.scenes import SCENES
@@ -79,12 +69,11 @@ def one_step(method: FixedStep, scene: Scene, h: float) -> Field:
 
 
 # -- the discrete Herglotz principle ---------------------------------------------------------------
-#: (q_k, q_{k+1}, s_k) ↦ s_{k+1}
-type Recursion = Callable[[Array, Array, Array], Array]
+def action_slope(method: str, scene: Mechanical, h: float, recursion: Callable[..., Array]) -> float:
+    """Return max |∂s_N/∂q_k| along 20 steps of a method, the ends q_0 and q_N held: 0 where it is variational.
 
-
-def action_slope(method: str, scene: Mechanical, h: float, recursion: Recursion) -> float:
-    """Return max |∂s_N/∂q_k| along 20 steps of a method, the ends q_0 and q_N held: 0 where it is variational."""
+    recursion : (q_k, q_{k+1}, s_k) ↦ s_{k+1}.
+    """
     start = scene.initial(("s",))
     path = [start, *trajectory(METHODS[method], scene, start, [(h, 1)] * 20, math)]
     q = jnp.array([x.q for x in path])
@@ -126,19 +115,16 @@ def variational_splitting(gamma: float = 0.1, h: float = 0.1) -> Evidence:
     # the kinetic part of s₁ over ‖q₁ − q₀‖²: of A after C, of A½ C A½, of A and C together
     kinetic = {PRINTED: 1 / (2 * h), ABC: decay / (h * (1 + decay)), STRANG: decay / (2 * span)}
 
-    def of(name: str) -> Recursion:
-        def recursion(a: Array, b: Array, s: Array) -> Array:
-            before, after = (h / 2 * jnp.asarray(scene.V(tuple(q))) for q in (a, b))
-            return decay * (s - before) + kinetic[name] * ((b - a) @ (b - a)) - after
+    def recursion(name: str, a: Array, b: Array, s: Array) -> Array:
+        before, after = (h / 2 * jnp.asarray(scene.V(tuple(q))) for q in (a, b))
+        return decay * (s - before) + kinetic[name] * ((b - a) @ (b - a)) - after
 
-        return recursion
-
-    yield from (action_slope(name, scene, h, of(name)) for name in kinetic)
-    yield action_slope(RK4, scene, h, of(STRANG))
+    for name, action in ((PRINTED, PRINTED), (ABC, ABC), (STRANG, STRANG), (RK4, STRANG)):
+        yield action_slope(name, scene, h, partial(recursion, action))
 
 
 # -- subflows and compositions ---------------------------------------------------------------------
-def flow_defect(flow: Callable[[float, Array], Array], hamiltonian: Map, seed: int) -> float:
+def flow_defect(flow: Callable[[float, Array], Array], hamiltonian: geometry.Map, seed: int) -> float:
     """Return max |dφ_h/dh − X_H(φ_h)|/(1 + |φ_h|) and |φ_0 − id| at random points and h: 0 for the exact flow."""
     field = geometry.contact_equations(hamiltonian)
 
@@ -223,9 +209,8 @@ def contact_structure(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 def local_orders(name: str, scene: Scene, starts: np.ndarray) -> list[float]:
     """Return the powers of h in the errors of H0 and s after a step from `starts` (k, 5), against DOP853 at 10⁻¹³."""
 
-    def state(y: np.ndarray) -> State:
-        q1, q2, p1, p2, s = y.reshape(-1, 5).T
-        return State((q1, q2), (p1, p2), s)
+    def state(y: Any) -> State:
+        return canonical(y.reshape(-1, 5).T)
 
     def rate(_: float, y: np.ndarray) -> np.ndarray:
         return np.stack(scene.pack(scene.rhs(state(y)))).T.ravel()
@@ -240,11 +225,6 @@ def local_orders(name: str, scene: Scene, starts: np.ndarray) -> list[float]:
     return [slope(of_energy), slope(of_action)]
 
 
-def half_steps(scene: Scene) -> Solution:
-    """Return a run of the printed scheme with h = ½, saved at the steps."""
-    return solve(scene, PRINTED, step=0.5, save_at=np.arange(1, 41) / 2, engine="python")
-
-
 @claim("C27")
 def energy_and_action_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     scene, starts = PARTICLE.with_(gamma=gamma), points(5, seed=seed)
@@ -253,7 +233,7 @@ def energy_and_action_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     yield from map(min, abc, strang)
     yield min(printed)
     for name in ("central", "rigid_body"):
-        yield LAWS["momentum_law"](half_steps(SCENES[name].with_(gamma=gamma)))
+        yield LAWS["momentum_law"](numerical(SCENES[name].with_(gamma=gamma), PRINTED, 0.5, 40, ("R", "s")))
 
 
 @claim("C28")
@@ -341,9 +321,9 @@ def closeness(**changes: object) -> Evidence:
     return [np.abs(printed - rk4).max() / np.abs(rk4).max()]
 
 
-def rises(name: str, gamma: float, h: float, **changes: object) -> tuple[int, float]:
+def rises(name: str, gamma: float, h: float, start: Scene = PARTICLE) -> tuple[int, float]:
     """Return how many steps raise H0, and the largest rise over H0(0); T = 20."""
-    run = numerical(PARTICLE.with_(gamma=gamma, **changes), name, h, round(20 / h))
+    run = numerical(start.with_(gamma=gamma), name, h, round(20 / h))
     energy = run.scene.energy(run.states())
     change = np.diff(energy) / energy[0]
     return int(np.count_nonzero(change > 4 * np.finfo(float).eps)), float(change.max())
@@ -359,18 +339,13 @@ def monotone_from(name: str, h: float) -> float:
 
 
 #: our start of the particle, and two at rest, at which ‖p‖ comes near 0 again
-STARTS: tuple[dict[str, object], ...] = (
-    {},
-    {"q": (0.0, 1.0), "p": (0.0, 0.0)},
-    {"q": (1.0, 0.0), "p": (0.0, 0.0)},
-)
+STARTS = PARTICLE, PARTICLE.with_(q=(0.0, 1.0), p=(0.0, 0.0)), PARTICLE.with_(q=(1.0, 0.0), p=(0.0, 0.0))
 
 
 @claim("C30")
 def monotone_methods(gamma: float = 0.1, weak: float = 1e-3, coarse: float = 0.1) -> Evidence:
     """gamma : with the paper's h.  weak, coarse : damping and step where H0 rises."""
-    cases = itertools.product(STARTS, (PRINTED, RK4))
-    found = [rises(name, gamma, PAPER_STEP, **changes) for changes, name in cases]
+    found = [rises(name, gamma, PAPER_STEP, start) for start in STARTS for name in (PRINTED, RK4)]
     yield from (n for n, _ in found)
     yield from (rises(name, weak, coarse)[0] for name in (PRINTED, STRANG, RK4))
     for name, h in itertools.product((PRINTED, STRANG), (0.1, 0.05)):
@@ -381,9 +356,9 @@ def monotone_methods(gamma: float = 0.1, weak: float = 1e-3, coarse: float = 0.1
 @claim("C43")
 def guaranteed_decay(weak: float = 1e-3, coarse: float = 0.1) -> Evidence:
     """weak, coarse : damping and step, γ below ¾ h²."""
-    yield from (rises(PRINTED, weak, coarse, **changes)[0] for changes in STARTS)
+    yield from (rises(PRINTED, weak, coarse, start)[0] for start in STARTS)
     for name, laws in (("particle", ["contact_drift"]), ("central", ["contact_drift", "momentum_law"])):
-        run = half_steps(SCENES[name])
+        run = numerical(SCENES[name], PRINTED, 0.5, 40, ("s",))
         yield max(LAWS[law](run) for law in laws)
 
 
@@ -410,24 +385,19 @@ def exponential_energy(**changes: object) -> Evidence:
     run = numerical(scene, PRINTED, PAPER_STEP, 200, ("s",))
     truth = reference(scene, run.t).states()
     energies = scene.energy(truth), scene.hamiltonian_at(truth), scene.hamiltonian_at(run.states())
-    return [off_decay(energy, run.t, scene.gamma) for energy in energies]
+    return [geometry.off_decay(energy, run.t, scene.gamma) for energy in energies]
 
 
 ENERGY_LADDER = (16, 32, 64, 128, 256, 512)  #: steps per unit of time
 
 
-def energy_errors(
-    name: str, scene: Scene, counts: Sequence[int], energy: str = "energy"
-) -> dict[float, float]:
-    """Return the paper's measure, max |E − E*| over 20 equal times, against the step; energy : which one."""
-    carry = ("s",) if energy == "hamiltonian" else ()
-    value = getattr(scene, energy)
-    t = scene.t_end * np.arange(1, 21) / 20
-    truth = value(reference(scene, t, carry).states())
+def energy_errors(name: str, scene: Scene, counts: Sequence[int], E: str = "energy") -> dict[float, float]:
+    """Return the paper's measure, max |E − E*| over 20 equal times, against the step; E : which energy."""
+    carry, value = ("s",) if E == "hamiltonian" else (), getattr(scene, E)
+    truth = value(reference(scene, scene.t_end * np.arange(21) / 20, carry).states())
     errors = {}
-    for n in counts:
-        h = scene.t_end / (20 * n)
-        run = solve(scene, name, step=h, save_at=t, carry=carry, engine="python")
+    for h in scene.t_end / 20 / np.array(counts):
+        run = numerical(scene, name, h, 20, carry)
         errors[h] = float(np.abs(value(run.states()) - truth).max())
     return errors
 
@@ -442,16 +412,12 @@ def convergence_orders(**changes: object) -> Evidence:
     yield from (orders[f"{name} {label}"] for label in ("H0", "H") for name in (PRINTED, RK4))
     yield from (abs(order - NOMINAL[name.partition(" ")[0]]) for name, order in orders.items())
 
-    def body(name: str, steps: int) -> Solution:
-        """Return a run over the span of the body, without R and s."""
-        scene = SCENES["rigid_body"]
-        t = scene.t_end * np.arange(1, 6) / 5
-        return solve(scene, name, step=scene.t_end / steps, save_at=t, carry=())
-
-    runs = [body(name, 50) for name in (PRINTED, ABC)]
+    body = SCENES["rigid_body"]
+    runs = [numerical(body, name, body.t_end / 50, 5) for name in (PRINTED, ABC)]
     yield max(relative_deviation(*energies(run)).max() for run in runs)
     for name in (PRINTED, ABC):
-        order = slope({1 / n: LAWS["solution_error"](body(name, n)) for n in (20, 40, 80, 160)})
+        ladder = body.t_end / np.array([20, 40, 80, 160])
+        order = slope({h: LAWS["solution_error"](numerical(body, name, h, 5)) for h in ladder})
         yield abs(order - NOMINAL[name])
 
 
@@ -506,9 +472,8 @@ def conservative_limit(**changes: object) -> Evidence:
     bounded = off.max(), off[20_000:].max() / off[:20_000].max()
 
     def distance(scene: Mechanical, **changes: object) -> float:
-        return nearest_return(
-            numerical(scene.with_(gamma=0.0, t_end=100.0, **changes), PRINTED, PAPER_STEP, 10_000).y
-        )
+        scene = scene.with_(gamma=0.0, t_end=100.0, **changes)
+        return nearest_return(numerical(scene, PRINTED, PAPER_STEP, 10_000).y)
 
     yield from (*bounded, distance(PARTICLE, **changes))
     yield from (*bounded, distance(SCENES["oscillator"]), distance(PARTICLE, q=(0.0, 0.5), p=(0.0, 0.3)))

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
-from typing import SupportsFloat
+from typing import Any, SupportsFloat
 
 from contactbench.registry import Registry
 from contactbench.results.schema import SEPARATOR
@@ -163,8 +163,11 @@ class Claim:
 
 def claim(name: str) -> Callable[[Callable[..., Evidence]], Claim]:
     """Return a decorator that registers a measuring function for the statement `name`."""
-    fields = {k: " ".join(v.split()) if isinstance(v, str) else v for k, v in STATEMENTS[name].items()}
-    fields["kind"] = Correction(fields["kind"]) if "kind" in fields else None
+    fields: dict[str, Any] = {
+        k: " ".join(v.split()) if isinstance(v, str) else v for k, v in STATEMENTS[name].items()
+    }
+    if "kind" in fields:
+        fields["kind"] = Correction(fields["kind"])
 
     def register(measure: Callable[..., Evidence]) -> Claim:
         own = Claim(name, measure=measure, **fields)
