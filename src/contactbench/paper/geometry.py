@@ -319,7 +319,8 @@ def oscillator_portrait(
 
     def half_turns(rate: float) -> int:
         """Return the half turns about the origin in ten periods, by sign changes of q."""
-        return np.count_nonzero(np.diff(np.sign(orbit(rate, np.linspace(0, 10 * period, 401))[:, 0])))
+        q = orbit(rate, np.linspace(0, 10 * period, 401))[:, 0]
+        return int(np.count_nonzero(np.diff(np.sign(q))))
 
     def ratios(rate: float) -> np.ndarray:
         sizes = np.linalg.norm(orbit(rate, period * np.arange(1, 11)), axis=1)
@@ -435,9 +436,11 @@ def lie_derivative_of_the_form(seed: int = SEED, gamma: float = 0.1) -> Evidence
     dH, X = gradient(function_of(scene.hamiltonian)), vector_field(scene)
     scaled, of_form = dH[-1] * eta, lie_derivative(X, eta)
     right = dH - scaled
-    defects = X @ exterior(of_form) - right, of_form - right
-    defects += exterior(of_form) + exterior(scaled), of_form + scaled, X @ exterior(eta) - right
-    return [largest(defect, points(5, seed=seed)) for defect in defects]
+    defect = partial(largest, at=points(5, seed=seed))
+    yield from map(defect, (X @ exterior(of_form) - right, of_form - right))
+    yield from map(
+        defect, (exterior(of_form) + exterior(scaled), of_form + scaled, X @ exterior(eta) - right)
+    )
 
 
 def momentum_laws(gamma: float) -> tuple[Field, Field, Field, Field]:

@@ -132,17 +132,14 @@ class Claim:
     figures: Sequence[str] = ()
 
     def measurements(self, **parameters: object) -> list[Measurement]:
-        words = {
-            name: p.default for name, p in inspect.signature(self.measure).parameters.items()
-        } | parameters
-        numbers = []
-        for found in self.measure(**parameters):
-            if isinstance(found, Mapping):
-                words |= found
-            else:
-                numbers.append(found)
-        pairs = zip((*self.measured, *self.corrected), numbers, strict=True)
-        return [compare(row, number, words) for row, number in pairs]
+        defaults = inspect.signature(self.measure).parameters.items()
+        words = {name: parameter.default for name, parameter in defaults} | parameters
+        found = list(self.measure(**parameters))
+        for own in found:
+            words |= own if isinstance(own, Mapping) else {}
+        numbers = (own for own in found if not isinstance(own, Mapping))
+        rows = zip((*self.measured, *self.corrected), numbers, strict=True)
+        return [compare(row, number, words) for row, number in rows]
 
     def row(self, **parameters: object) -> dict[str, object]:
         """Measure the claim, with parameters of `measure`, and return its row; without a verdict if that fails."""
