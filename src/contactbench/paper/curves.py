@@ -92,10 +92,7 @@ def paper_7() -> Iterator[Point]:
     scene = SCENES["particle"]
     t = np.linspace(0, scene.t_end, 101)
     truth = scene.energy(reference(scene, t, ()).states())
-
-    def law(t: np.ndarray) -> np.ndarray:
-        return np.asarray(truth[0] * np.exp(-scene.gamma * t))
-
+    law = lambda t: truth[0] * np.exp(-scene.gamma * t)  # noqa: E731
     yield from curve("energy", "true H0", "truth", t, truth)
     yield from curve("energy", "H0(0) e^{-γt}", "law", t, law(t))
     yield from curve("ratio", "true H0", "truth", t, truth / law(t) - 1)

@@ -61,19 +61,10 @@ def body_momentum_map(seed: int = SEED, **changes: object) -> Evidence:
     scene = BODY.with_(**changes)
 
     def momentum_map(y: Array) -> Array:
-        """Return J_ξ = −ι_ξ η for the rotations ξ = e_i in space."""
+        """Return J_ξ = −ι_ξ η for the rotations ξ = e_i in space, which turn the attitude by R' = ½ ξ R."""
         x = chart(y)
-        attitude = x.R or ()
-
-        def component(axis: np.ndarray) -> Array:
-            def rotated(angle: Array | float) -> tuple[Arithmetic, ...]:
-                half = angle / 2
-                return quaternion_product((jnp.cos(half), *(jnp.sin(half) * c for c in axis)), attitude)
-
-            dR = jax.jvp(rotated, (0.0,), (1.0,))[1]
-            return -jnp.asarray(scene.contact_form(x, BodyState((0.0,) * 3, dR, 0.0)))
-
-        return jnp.stack([component(axis) for axis in np.eye(3)])
+        turns = [quaternion_product((0.0, *(axis / 2)), x.R or ()) for axis in np.eye(3)]
+        return jnp.stack([-scene.contact_form(x, BodyState((0.0,) * 3, dR, 0.0)) for dR in turns])
 
     def against(candidate: Callable[[BodyState], tuple[Arithmetic, ...]]) -> float:
         return largest(lambda y: momentum_map(y) - pack(candidate(chart(y))), points(7, seed=seed))
@@ -272,9 +263,8 @@ type Case = tuple[Matrix, Sequence[float], Vector]
 
 
 def body(D: Matrix, inertia: Sequence[float] = INERTIA) -> RigidBody:
-    damping = tuple(map(tuple, D)) if np.ndim(D) == 2 else tuple(D)
     scene: RigidBody = SCENES["rigid_body_anisotropic"]
-    return scene.with_(damping=damping, inertia=tuple(inertia))
+    return scene.with_(damping=np.asarray(D).tolist(), inertia=tuple(inertia))
 
 
 def transverse(cases: Sequence[Case]) -> np.ndarray:
@@ -341,7 +331,7 @@ COUNTEREXAMPLE = ((0.5, -0.5, 0.0), (-0.5, 0.5, 0.0), (0.0, 0.0, 0.0))
 
 
 def momentum_at(D: Matrix, M: Vector, t: float) -> np.ndarray:
-    scene = body(D).with_(M=tuple(float(m) for m in M), t_end=t)
+    scene = body(D).with_(M=np.asarray(M).tolist(), t_end=t)
     return np.asarray(solve(scene, "scipy-dop853", rtol=1e-12, save_at=[t], carry=()).y[-1])
 
 
