@@ -535,8 +535,7 @@ def time_dependent_reduction(gamma: float = 0.1) -> Evidence:
 
     def reduced(t: float, y: np.ndarray) -> list[float]:
         """Return H_μ = ½ (p_r² + μ(t)²/r²) + V(r), with γ s: the contact equations of (r, p_r) alone."""
-        r, p_r = y
-        level = mu * np.exp(-scene.gamma * t)
+        (r, p_r), level = y, mu * np.exp(-scene.gamma * t)
         return [p_r, level**2 / r**3 - scene.dV((r, 0.0))[0] - scene.gamma * p_r]
 
     run = scipy.integrate.solve_ivp(reduced, (0, scene.t_end), [radius[0], speed[0]], t_eval=t, **SOLVER)

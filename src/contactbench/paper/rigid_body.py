@@ -230,13 +230,12 @@ def motions_settle(seed: int = SEED, starts: int = 1200, inertia: Sequence[float
     half, end = motions(D, M, inertia)
     slow = np.arange(starts) % KINDS >= KINDS - SLOW
     free = [(m**2).sum(axis=1) for m in motions(0 * D[:60], M[:60], inertia)]
-    rise = -np.einsum("ki,i,kij,kj->k", M, 1 / np.asarray(inertia), D, M)
     yield {"fast": (~slow).sum(), "slow": slow.sum()}
     yield max(distance_to_equilibria(m, d) for m, d in zip(end[~slow], D[~slow], strict=True))
     growth = (1 / (end[slow] ** 2).sum(axis=1) - 1 / (half[slow] ** 2).sum(axis=1)).min()
     yield growth, 10 * abs(1 / free[1] - 1 / free[0]).max()
     yield -np.einsum("ki,kij,kj->k", M, D, M).min()
-    yield rise.max()
+    yield (-np.einsum("ki,i,kij,kj->k", M, 1 / np.asarray(inertia), D, M)).max()
 
 
 # -- stability of the steady rotations -------------------------------------------------------------
