@@ -36,7 +36,7 @@ SOLVERS = {"jax", "numba", "mpmath", "diffrax", "heyoka", "sksundae", "CyRK", "s
 HEAVY = SOLVERS | {"matplotlib", "pandas", "scipy.linalg", "scipy.optimize"}
 HEAVY |= {f"contactbench.{part}" for part in ("gate", "report", "results.store", "testing")}
 #: what only some programs need, and the list of claims: short commands do without
-SELDOM = {"scipy", "numpy.polynomial", "difflib", "logging", "concurrent.futures", "contactbench.claims"}
+SELDOM = {"scipy", "numpy.polynomial", "difflib", "logging", "concurrent.futures", "contactbench.paper"}
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ import pytest
 
 import contactbench as cb
 from cases import REPOSITORY, bench, few_slow, finished, own_processes
-from contactbench.claims import CLAIMS
-from contactbench.claims.curves import FIGURES
 from contactbench.measure.clock import Part, Visit
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.paper import CLAIMS
+from contactbench.paper.curves import FIGURES
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.store import read
 from contactbench.results.tables import DEFINITIONS, WORK_PRECISION

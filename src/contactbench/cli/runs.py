@@ -41,7 +41,7 @@ def write_picture(figure: Figure, path: Path) -> None:
 
 def listing(arguments: argparse.Namespace) -> int:
     import contactbench as cb
-    from contactbench.claims import CLAIMS
+    from contactbench.paper import CLAIMS
 
     def method(item: Method) -> str:
         kind = {"fixed": "fixed step"}.get(item.stepping, item.stepping)

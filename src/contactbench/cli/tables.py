@@ -13,7 +13,7 @@ from contactbench.errors import BadInput
 
 
 def claim(arguments: argparse.Namespace) -> int:
-    from contactbench.claims import CLAIMS
+    from contactbench.paper import CLAIMS
     from contactbench.results.schema import SEPARATOR
 
     row = CLAIMS[arguments.id.upper()].row()

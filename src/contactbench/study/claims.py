@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from contactbench.claims import CLAIMS, curves
+from contactbench.paper import CLAIMS, curves
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.study.experiment import Cell, Profile, Recorded, experiment
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from cases import few_slow
-from contactbench.claims import (
+from contactbench.methods import METHODS
+from contactbench.methods.contact import contact_method
+from contactbench.paper import (
     CLAIMS,
     Correction,
     Verdict,
@@ -19,11 +21,9 @@ from contactbench.claims import (
     rigid_body,
     verdict,
 )
-from contactbench.claims.curves import FIGURES, rows
-from contactbench.claims.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
-from contactbench.claims.ledger import Claim, at_least, at_most
-from contactbench.methods import METHODS
-from contactbench.methods.contact import contact_method
+from contactbench.paper.curves import FIGURES, rows
+from contactbench.paper.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
+from contactbench.paper.ledger import BOUNDS, Claim, Measurement
 from contactbench.report import paper
 from contactbench.results.schema import BEYOND
 from contactbench.results.store import merge
@@ -187,7 +187,7 @@ def test_numbers_by_hand():
 
 
 # -- the logic -------------------------------------------------------------------------------------
-PASS, FAIL = at_most("x", 0.0, 1.0, "test"), at_least("x", 0.0, 1.0, "test")
+PASS, FAIL = Measurement("x", 0.0, "≤", 1.0, "test"), Measurement("x", 0.0, "≥", 1.0, "test")
 
 
 @pytest.mark.parametrize(
@@ -208,16 +208,27 @@ def test_verdict(statement, corrected, kind, expected):
     assert verdict(statement, corrected, kind) is expected
 
 
-NAN = at_most("x", math.nan, 1.0, "test")
-
-
 @pytest.mark.parametrize(
-    ("measure", "message"), [(lambda: 1 / 0, "ZeroDivisionError"), (lambda: [NAN], "not finite")]
+    ("measure", "message"),
+    [
+        (lambda: 1 / 0, "ZeroDivisionError"),
+        (lambda: [math.nan], "not finite"),
+        (lambda: [0.0, 0.0], "ValueError"),  # a number that the statement does not name
+        (list, "ValueError"),
+    ],
 )
 def test_what_cannot_be_measured_has_no_verdict(measure, message):
-    row = Claim("C00", "", "", "", measure).row()
+    row = Claim("C00", "", "", "", measure, measured=[["x", "≤", 1.0, "test"]]).row()
     assert (row["status"], "verdict" in row) == ("failed", False)
     assert message in row["message"]
+
+
+def test_what_the_words_and_bounds_of_a_statement_come_from():
+    rows = [["x at γ = %(gamma)g", "≤", "identity"], ["y of %(n)d", "≥", "computed"]]
+    claim = Claim("C00", "", "", "", lambda gamma=0.1: [0.0, {"n": 3}, (1.0, gamma)], measured=rows)
+    x, y = claim.measurements(gamma=0.5)
+    assert (x.quantity, x.bound, x.passes) == ("x at γ = 0.5", BOUNDS["identity"][0], True)
+    assert (y.quantity, y.bound, y.why, y.passes) == ("y of 3", 0.5, "computed", True)
 
 
 # -- the verdicts follow the formulas --------------------------------------------------------------
@@ -288,7 +299,7 @@ def without_friction(hamiltonian, equations=geometry.contact_equations):
         rate = geometry.gradient(hamiltonian)(y)[-1]
         return equations(hamiltonian)(y).at[n : 2 * n].add(rate * y[n : 2 * n])
 
-    return field
+    return geometry.Field(field)
 
 
 @pytest.mark.parametrize("name", few_slow(["C44", "C46", "C47", "C49"], "C44", "C47"))

@@ -13,14 +13,14 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from contactbench.claims.integrator import ENERGY_LADDER, NOMINAL, PAPER_STEP, energy_errors, numerical, slope
-from contactbench.claims.rigid_body import INERTIA, criterion, direction_growths, growths, momentum_rate
+from contactbench.paper.integrator import ENERGY_LADDER, NOMINAL, PAPER_STEP, energy_errors, numerical, slope
+from contactbench.paper.rigid_body import INERTIA, criterion, direction_growths, growths, momentum_rate
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
 
 type Numbers = Iterable[float]
 type Point = tuple[str, str, str, float, float, float]
-IN_THE_PLANE = itertools.repeat(math.nan)
+FLAT = itertools.repeat(math.nan)
 
 
 def rows(name: str) -> Iterator[dict[str, object]]:
@@ -31,9 +31,7 @@ def rows(name: str) -> Iterator[dict[str, object]]:
         count[panel, curve] += 1
 
 
-def curve(
-    panel: str, name: str, kind: str, x: Numbers, y: Numbers, z: Numbers = IN_THE_PLANE
-) -> Iterator[Point]:
+def curve(panel: str, name: str, kind: str, x: Numbers, y: Numbers, z: Numbers = FLAT) -> Iterator[Point]:
     for point in zip(x, y, z, strict=False):
         yield (panel, name, kind, *point)
 
@@ -72,24 +70,21 @@ def paper_5() -> Iterator[Point]:
     """Yield directions of the momentum: the flow of M/‖M‖, and its six equilibria with their stability."""
     scene = SCENES["rigid_body"]
     of_direction = direction_growths(scene)
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            e, rate = sign * np.eye(3)[axis], of_direction[axis]  # the same for e and −e: γ is isotropic
-            kind, name = "unstable" if rate > 1e-9 else "stable", f"axis {'+' if sign > 0 else '-'}{axis + 1}"
-            residual = float(np.linalg.norm(momentum_rate(scene)(e)))
-            yield ("sphere", name, kind, *e)
-            yield ("rate", name, kind, axis + 1, residual, rate)
-    free = scene.with_(gamma=0.0)
-    for axis in (0, 2):
-        for sign in (1.0, -1.0):
-            for angle in (0.25, 0.5, 0.7):  # from the axis towards axis 2
-                M = np.zeros(3)
-                M[axis], M[1] = sign * math.cos(angle), math.sin(angle)
-                path = numerical(free.with_(M=tuple(M), t_end=60.0), "contact-abc", 0.1, 200).y
-                turns = np.unwrap(np.arctan2(path[:, 1], path[:, 2 - axis]))
-                once = int(np.argmax(np.abs(turns - turns[0]) > 2 * math.pi)) or len(path)
-                name = f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad"
-                yield from curve("sphere", name, "flow", *path[: once + 1].T)
+    for axis, sign in itertools.product(range(3), (1.0, -1.0)):
+        e, rate = sign * np.eye(3)[axis], of_direction[axis]  # the same for e and −e: γ is isotropic
+        kind, name = "unstable" if rate > 1e-9 else "stable", f"axis {'+' if sign > 0 else '-'}{axis + 1}"
+        residual = float(np.linalg.norm(momentum_rate(scene)(e)))
+        yield ("sphere", name, kind, *e)
+        yield ("rate", name, kind, axis + 1, residual, rate)
+    # from the axis towards axis 2
+    for axis, sign, angle in itertools.product((0, 2), (1.0, -1.0), (0.25, 0.5, 0.7)):
+        M = np.zeros(3)
+        M[axis], M[1] = sign * math.cos(angle), math.sin(angle)
+        path = numerical(scene.with_(gamma=0.0, M=tuple(M), t_end=60.0), "contact-abc", 0.1, 200).y
+        turns = np.unwrap(np.arctan2(path[:, 1], path[:, 2 - axis]))
+        once = int(np.argmax(np.abs(turns - turns[0]) > 2 * math.pi)) or len(path)
+        name = f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad"
+        yield from curve("sphere", name, "flow", *path[: once + 1].T)
 
 
 def paper_7() -> Iterator[Point]:
@@ -97,10 +92,7 @@ def paper_7() -> Iterator[Point]:
     scene = SCENES["particle"]
     t = np.linspace(0, scene.t_end, 101)
     truth = scene.energy(reference(scene, t, ()).states())
-
-    def law(t: np.ndarray) -> np.ndarray:
-        return np.asarray(truth[0] * np.exp(-scene.gamma * t))
-
+    law = lambda t: truth[0] * np.exp(-scene.gamma * t)  # noqa: E731
     yield from curve("energy", "true H0", "truth", t, truth)
     yield from curve("energy", "H0(0) e^{-γt}", "law", t, law(t))
     yield from curve("ratio", "true H0", "truth", t, truth / law(t) - 1)

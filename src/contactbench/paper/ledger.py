@@ -5,19 +5,21 @@ that is printed is wrong, and the statement in words that the text draws from it
 *refuted* if that statement fails.  Where a text can be read in two ways, both are measured and said, and the verdict is
 that of the reading which the paper's own definitions give.
 
-A claim is a statement, in ``statements.toml``, and a function that measures it.  The verdict follows from the numbers
-by `verdict`; whether a correction repairs or replaces a statement that fails is argued in its `correction`.
+A claim is a statement with the bounds of what is measured for it, in ``statements.toml``, and a function that returns
+the numbers.  The verdict follows from the numbers by `verdict`; whether a correction repairs or replaces a statement
+that fails is argued in its `correction`.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
-from typing import SupportsFloat
+from typing import Any, SupportsFloat
 
 from contactbench.registry import Registry
 from contactbench.results.schema import SEPARATOR
@@ -25,8 +27,8 @@ from contactbench.results.schema import SEPARATOR
 CLAIMS = Registry("claim")
 #: by id, the fields of `Claim`
 STATEMENTS = tomllib.loads(files(__package__).joinpath("statements.toml").read_text(encoding="utf-8"))
-#: stands in a claim's evidence between the measurements of the paper's statement and those of the corrected one
-CORRECTED = "corrected"
+#: by name, the bounds that several claims share, each with its reason
+BOUNDS = STATEMENTS.pop("bounds")
 
 
 class Verdict(StrEnum):
@@ -73,15 +75,19 @@ class Measurement:
         return f"{self.quantity}: {self.value:.3g} {self.relation} {self.bound:.3g}{mark} ({self.why})"
 
 
-Evidence = Iterable[Measurement | str]
+#: a quantity, "≤" or "≥", and a bound with its reason, or its name in `BOUNDS`, or the reason of one that is computed
+type Row = Sequence[str | float]
+#: a number; or a number and its bound, where that is computed too; or what stands in the text of the quantities
+type Found = SupportsFloat | tuple[SupportsFloat, SupportsFloat] | Mapping[str, object]
+type Evidence = Iterable[Found]
 
 
-def at_most(quantity: str, value: SupportsFloat, bound: float, why: str) -> Measurement:
-    return Measurement(quantity, float(value), "≤", float(bound), why)
-
-
-def at_least(quantity: str, value: SupportsFloat, bound: float, why: str) -> Measurement:
-    return Measurement(quantity, float(value), "≥", float(bound), why)
+def compare(row: Row, found: Found, words: Mapping[str, object]) -> Measurement:
+    """Return the measurement of a row of the statement; words : by name, what its text shows with ``%(name)g``."""
+    quantity, relation, *rest = row
+    *bound, why = BOUNDS.get(rest[0], rest)
+    value, limit = found if isinstance(found, tuple) else (found, *bound)
+    return Measurement(str(quantity) % words, float(value), str(relation), float(limit), why)
 
 
 def verdict(
@@ -107,9 +113,10 @@ class Claim:
     """One claim of the paper, or beyond it.
 
     name : its id.  where : section and equation or figure of the paper, numbered as it is printed, or `BEYOND`.
-    says : the claim in our words.  scene, method : what it is measured on.  kind, correction : how and
-    in which words it is corrected.  figures : the paper's figures redrawn for it.  measure :
-    ``(**parameters) -> Evidence``; every parameter has a default, which is what the table shows.
+    says : the claim in our words.  scene, method : what it is measured on.  measure : ``(**parameters) -> Evidence``,
+    the numbers of `measured` and then of `corrected`; every parameter has a default, which is what the table shows.
+    measured, corrected : what is measured of the paper's statement and of the corrected one.  kind, correction : how
+    and in which words it is corrected.  figures : the paper's figures redrawn for it.
     """
 
     name: str
@@ -117,10 +124,22 @@ class Claim:
     says: str
     scene: str
     measure: Callable[..., Evidence]
+    measured: Sequence[Row]
+    corrected: Sequence[Row] = ()
     method: str = "none: the equations themselves"
     kind: Correction | None = None
     correction: str = ""
-    figures: tuple[str, ...] = ()
+    figures: Sequence[str] = ()
+
+    def measurements(self, **parameters: object) -> list[Measurement]:
+        defaults = inspect.signature(self.measure).parameters.items()
+        words = {name: parameter.default for name, parameter in defaults} | parameters
+        found = list(self.measure(**parameters))
+        for own in found:
+            words |= own if isinstance(own, Mapping) else {}
+        numbers = (own for own in found if not isinstance(own, Mapping))
+        rows = zip((*self.measured, *self.corrected), numbers, strict=True)
+        return [compare(row, number, words) for row, number in rows]
 
     def row(self, **parameters: object) -> dict[str, object]:
         """Measure the claim, with parameters of `measure`, and return its row; without a verdict if that fails."""
@@ -128,15 +147,12 @@ class Claim:
         row |= {"scene": self.scene, "method": self.method, "figures": " ".join(self.figures)}
         row |= {"command": f"contactbench claim {self.name}"}
         try:
-            measured = list(self.measure(**parameters))
+            found = self.measurements(**parameters)
         except Exception as error:
             return {**row, "status": "failed", "message": f"{type(error).__name__}: {error}"}
-        end = measured.index(CORRECTED) if CORRECTED in measured else len(measured)
-        halves = measured[:end], measured[end:]
-        statement, corrected = ([m for m in half if isinstance(m, Measurement)] for half in halves)
-        broken = [str(m) for m in (*statement, *corrected) if not math.isfinite(m.value)]
-        if broken:
+        if broken := [str(m) for m in found if not math.isfinite(m.value)]:
             return {**row, "status": "failed", "message": f"not finite: {'; '.join(broken)}"}
+        statement, corrected = found[: len(self.measured)], found[len(self.measured) :]
         row |= columns(statement) | {"verdict": str(verdict(statement, corrected, self.kind))}
         row |= {"correction_kind": str(self.kind or ""), "correction": self.correction, "status": "ok"}
         return row | columns(corrected, "corrected_") if corrected else row
@@ -144,12 +160,14 @@ class Claim:
 
 def claim(name: str) -> Callable[[Callable[..., Evidence]], Claim]:
     """Return a decorator that registers a measuring function for the statement `name`."""
-    given = STATEMENTS[name]
-    fields = {field: " ".join(text.split()) for field, text in given.items() if isinstance(text, str)}
-    kind, figures = fields.pop("kind", None), tuple(given.get("figures", ()))
+    fields: dict[str, Any] = {
+        k: " ".join(v.split()) if isinstance(v, str) else v for k, v in STATEMENTS[name].items()
+    }
+    if "kind" in fields:
+        fields["kind"] = Correction(fields["kind"])
 
     def register(measure: Callable[..., Evidence]) -> Claim:
-        own = Claim(name, measure=measure, kind=Correction(kind) if kind else None, figures=figures, **fields)
+        own = Claim(name, measure=measure, **fields)
         CLAIMS.add(own)
         return own
 
