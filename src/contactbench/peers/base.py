@@ -126,16 +126,22 @@ class PeerRun(Prepared):
         reached = np.empty((0, len(y0))) if y is None else self.from_start(y0, y)
         return self.finish(y0, reached, counts, status, message, stopped)
 
-    def variational(self) -> Self:
-        r, base = self.request, self.request.scene
-        start = base.initial(r.carry)
-        count = len(base.tangents(start))
-        name = f"variational equations of {base.name}"
-        larger: Any = Variational(name=name, t_end=base.t_end, base=base, count=count)
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        """As in `Prepared`, by variational equations: a run of its own, the tangents part of its error control."""
+        r, scene = self.request, self.request.scene
+        x = scene.unpack(tuple(y0.tolist()), r.carry)
+        tangents = tuple(scene.tangents(x))
+        name = f"variational equations of {scene.name}"
+        larger: Any = Variational(name=name, t_end=scene.t_end, base=scene, count=len(tangents))
         request = replace(r, scene=larger)
         if np.ndim(r.scales):
             request = request.to_scale(self.method_.takes_atol)
-        return replace(self, request=request)
+        start = np.array(larger.pack(Bundle(x, tangents)), dtype=float)
+        y = replace(self, request=request).integrate(start).y
+        v = y[:, len(y0) :].reshape(len(y), len(tangents), -1)
+        if scene.clock is not None:
+            v = np.insert(v, scene.clock, np.where(np.isnan(y[:, :1]), np.nan, 0.0), axis=2)
+        return np.moveaxis(v, 1, 2)
 
 
 @dataclass
