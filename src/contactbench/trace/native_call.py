@@ -10,6 +10,8 @@ import numpy as np
 
 #: a program, which runs without the interpreter's lock; with types of arguments a call would take half as long again
 PROGRAM = ctypes.CFUNCTYPE(ctypes.c_int64)
+#: the same where nobody asks for what it returns
+QUIET = ctypes.CFUNCTYPE(None)
 DOUBLE = np.dtype(np.float64)
 #: the type of an array and its number of dimensions
 Kind = tuple[np.dtype, int]
@@ -52,7 +54,7 @@ class Native:
     """
 
     def __init__(self, at: int, kinds: Sequence[Kind]) -> None:
-        self.program, self.kinds = PROGRAM(at), tuple(kinds)
+        self.program, self.quiet, self.kinds = PROGRAM(at), QUIET(at), tuple(kinds)
 
     def __call__(self, *arrays: np.ndarray) -> int:
         """Return what the program does; raise `TypeError` for arrays that it does not take."""
@@ -72,7 +74,8 @@ class Native:
         It returns a part of both (d doubles of the start, then `size` of what is after it), as a new array, and where
         it is `flagged` what the program returns too; it raises `TypeError` for any other start.
         """
-        program, double, small = self.program, DOUBLE, d + size <= SMALL
+        program: Callable[[object], Any] = self.program if flagged else self.quiet
+        double, small = DOUBLE, d + size <= SMALL
         spare: list[tuple[np.ndarray, Callable[[], np.ndarray], Any]] = []
 
         def memory() -> tuple[np.ndarray, Callable[[], np.ndarray], Any]:
