@@ -245,13 +245,12 @@ class Loop:
     ) -> Callable[[np.ndarray], Any]:
         """Return `run` as a function of a start, d doubles; one for all calls with the same rows: see `Native.bind`."""
         w, shape = rows
-
-        def make() -> Callable[[np.ndarray], Any]:
-            size = (len(shape) - len(self.program.shape)) * self.program.size
-            return self.run.bind(d, w, shape, size, slice(*part), flagged)
-
-        # what is kept keeps w, so that no other array has its id
-        return self._calls.get((id(w), part, flagged) if w.size + len(shape) <= FEW else None, make)
+        given = id(w), part, flagged  # what is kept keeps w, so that no other array has its id
+        if (known := self._calls.items.get(given)) is not None:
+            return known
+        size = (len(shape) - len(self.program.shape)) * self.program.size
+        call = self.run.bind(d, w, shape, size, slice(*part), flagged)
+        return self._calls.get(given if w.size + size <= FEW else None, lambda: call)
 
     def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
         """Return the rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
