@@ -83,22 +83,7 @@ class Unpack(NamedTuple):
     sequence: str
 
 
-class Sites(NamedTuple):
-    """A loop over the sites of a lattice; stores : (row, value).  sums : (name, value), of all sites together."""
-
-    body: tuple[Statement, ...]
-    stores: tuple[tuple[Operand, Operand], ...]
-    sums: tuple[tuple[str, Operand], ...]
-
-
-class Pairs(NamedTuple):
-    """A loop over all other sites, at one of them; sums : (name, value)."""
-
-    body: tuple[Statement, ...]
-    sums: tuple[tuple[str, Operand], ...]
-
-
-type Statement = Assign | Update | Store | Loop | While | Unpack | Sites | Pairs
+type Statement = Assign | Update | Store | Loop | While | Unpack
 
 
 @dataclass(frozen=True, eq=False)
