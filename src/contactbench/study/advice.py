@@ -34,10 +34,10 @@ SLOW = 1.0
 
 @lru_cache(1)
 def known() -> tuple[pd.DataFrame, pd.DataFrame, float]:
-    """Return the rows of the population, its problems that are not hard, and the distance that is far."""
-    problems = results("population_problems")
+    """Return the population's rows of registered methods, its problems that are not hard, and the distance that is far."""
+    problems, rows = results("population_problems"), results("population")
     problems = problems[problems["hard"] == ""].set_index(["seed", "scene"])
-    return results("population"), problems, threshold(problems)
+    return rows[rows["method"].isin(METHODS)], problems, threshold(problems)
 
 
 def advise(scene: Scene | str, error: float = 1e-6, cost: str = "time", methods: int = NAMED) -> pd.DataFrame:
