@@ -34,7 +34,7 @@ SLOW = 1.0
 
 @lru_cache(1)
 def known() -> tuple[pd.DataFrame, pd.DataFrame, float]:
-    """Return the population's rows of registered methods, its problems that are not hard, and the distance that is far."""
+    """Return rows of the registered methods, the problems that are not hard, and the distance that is far."""
     problems, rows = results("population_problems"), results("population")
     problems = problems[problems["hard"] == ""].set_index(["seed", "scene"])
     return rows[rows["method"].isin(METHODS)], problems, threshold(problems)
