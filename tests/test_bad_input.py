@@ -15,7 +15,7 @@ from contactbench.cli import main
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import definition
 from contactbench.testing import check_method, check_scene
-from own_scenes import LANE_EMDEN_0
+from own_scenes import scene_of
 from properties import GENERAL
 
 PARTICLE = cb.SCENES["particle"]
@@ -82,7 +82,7 @@ def ensemble(start):
 
 
 def changed(scene="particle", **changes):
-    return lambda: cb.SCENES[scene].with_(**changes)
+    return lambda: scene_of(scene).with_(**changes)
 
 
 def composed(**changes):
@@ -189,9 +189,9 @@ CALLS = [
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
     (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
-    (changed(LANE_EMDEN_0, kappa=0.1), "without time"),
-    (changed(LANE_EMDEN_0, gamma=0.1), "has it in it"),
-    (changed(LANE_EMDEN_0, rate=None), "its rate is missing"),
+    (changed("lane_emden_0", kappa=0.1), "without time"),
+    (changed("lane_emden_0", gamma=0.1), "has it in it"),
+    (changed("lane_emden_0", rate=None), "its rate is missing"),
     (changed(q=(1.0,)), "q has 1 components and p 2"),
     (changed(gama=0.1), "did you mean 'gamma'?"),
     (changed(BODY, inertia=(1.0, -2.0, 3.0)), "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),

@@ -32,13 +32,13 @@ def test_every_hard_scene_has_a_truth(scene):
 # -- what is known about them ----------------------------------------------------------------------
 
 
-#: with the middle axis in its kernel, that of smallest inertia, two of them
-SINGULAR = [(0.5, 0.0, 0.5), (0.0, 0.5, 0.5), (0.0, 0.0, 0.5)]
+#: dampings by what is in their kernel: the middle axis, that of least inertia, two axes
+SINGULAR = {"middle": (0.5, 0.0, 0.5), "least": (0.0, 0.5, 0.5), "two": (0.0, 0.0, 0.5)}
 
 
-@pytest.mark.parametrize("damping", few_slow(SINGULAR, *SINGULAR[1:]))
-def test_singular_damping_ends_in_a_steady_rotation_and_contact_methods_find_it(damping):
-    scene = cb.SCENES["singular_damping_2"].with_(damping=damping)
+@pytest.mark.parametrize("kernel", few_slow(SINGULAR, "least", "two"))
+def test_singular_damping_ends_in_a_steady_rotation_and_contact_methods_find_it(kernel):
+    scene = cb.SCENES["singular_damping_2"].with_(damping=SINGULAR[kernel])
     end = cb.reference(scene, [scene.t_end], ()).y[0]
     slope = np.array(scene.rhs(cb.scene.BodyState(tuple(end))).M)
     assert np.abs(end).max() > 0.1

@@ -281,17 +281,8 @@ def back_end() -> str:
     return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
-def compile_c(key: str, instructions: Instructions) -> int:
-    """Return the address of the C function ``void (double *out, double t, double *y, double *data)``.
-
-    instructions : writes them, given the builder and the arguments; key : what they depend on.
-    """
-    kinds = ("doubles", "double", "doubles", "doubles")
-    return machine().address(form.digest(back_end(), key, kinds), "void", kinds, instructions)
-
-
 def compile_recorded_c(function: form.Function) -> int:
-    """Return the address of a recorded function of (out, t, y, data) as a C function."""
+    """Return the address of a recorded function as ``void (double *out, double t, double *y, double *data)``."""
 
     def instructions(builder: IRBuilder, given: Sequence[Value]) -> None:
         named = dict(zip(function.arguments, given, strict=True))
@@ -299,7 +290,8 @@ def compile_recorded_c(function: form.Function) -> int:
         arrays = {name: Array(value) for name, value in named.items()}
         Lowering(builder, arrays, numbers, True).lower(function)
 
-    return compile_c(function.digest, instructions)
+    kinds = ("doubles", "double", "doubles", "doubles")
+    return machine().address(form.digest(back_end(), function.digest, kinds), "void", kinds, instructions)
 
 
 @cache
