@@ -158,6 +158,53 @@ def test_what_is_listed_must_be_what_the_code_makes(root, tmp_path):
     assert "base → fresh: solution_error" in red(run_gate(root, tmp_path / "c", broken))
 
 
+#: what is named as removed, and the tables after it went
+REMOVED = """
+tables = ["claims"]
+methods = ["cvode-adams"]
+columns = ["laws.saved_*"]
+engines = {jax = "llvm"}
+engine_of = {mpmath = "rk*"}
+"""
+
+
+def after_removal(which, row):
+    if which == "claims" or row["method"] == "cvode-adams" or row["engine"] == "mpmath":
+        return None
+    return {name: value for name, value in row.items() if name != "saved_times"} | {"engine": "llvm"}
+
+
+def changed_too(change):
+    return lambda which, row: (row := after_removal(which, row)) and change(which, row)
+
+
+@pytest.mark.parametrize(
+    ("named", "change", "expected"),
+    [
+        (REMOVED, same, set()),
+        ("", same, {"base → tree: table", "base → tree: row", "base → fresh: table", "base → fresh: row"}),
+        (REMOVED.replace("jax", "none"), same, {"base → tree: row", "base → fresh: row"}),
+        (
+            REMOVED.replace("saved", "else"),
+            same,
+            {f"base → {side}: saved_times" for side in ("tree", "fresh")},
+        ),
+        (
+            REMOVED,
+            without_rk4,
+            {"base → tree: table", "base → fresh: table"},
+        ),  # a row that is of nothing named
+        (REMOVED, broken, {"base → tree: solution_error", "base → fresh: solution_error"}),
+        (REMOVED.replace("cvode", 'contact-o8", "cvode'), same, set()),  # what the base does not have
+        (REMOVED.replace("laws.saved_*", "laws.s*"), same, {"removed.toml"}),  # still there
+    ],
+)
+def test_what_went_on_purpose_is_named_once_and_all_else_is_compared(named, change, expected, root, tmp_path):
+    remake(changed_too(change))(root)
+    write(root, "results/removed.toml", named)
+    assert red(run_gate(root, tmp_path, changed_too(change))) == expected
+
+
 def test_a_table_on_the_command_line_is_listed_too_and_must_be_one(root, tmp_path):
     remake(broken)(root)
     assert run_gate(root, tmp_path / "a", broken).red

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
+from contactbench.gate.removed import Removed
 from contactbench.measure.law import STRUCTURE
 from contactbench.report.markdown import escaped
 from contactbench.results import provenance
@@ -256,6 +257,8 @@ class Runs:
 
 def compare_folders(baseline: Path, fresh: Path) -> Findings:
     before, now = ({name: read(table, side) for name, table in TABLES.items()} for side in (baseline, fresh))
+    removed = Removed.read(fresh)
+    before = {name: removed.take_out(TABLES[name], rows) for name, rows in before.items()}
     return compare_fresh(before, now, Runs.of(baseline, fresh), str(baseline))
 
 
