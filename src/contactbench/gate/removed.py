@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -10,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from contactbench.errors import BadInput
 from contactbench.results.schema import Table
 from contactbench.results.store import set_types
 
@@ -23,20 +23,17 @@ class Removed:
     methods that still have it.
     """
 
-    tables: list[str] = field(default_factory=list)
-    scenes: list[str] = field(default_factory=list)
-    methods: list[str] = field(default_factory=list)
-    columns: list[str] = field(default_factory=list)
+    tables: Sequence[str] = ()
+    scenes: Sequence[str] = ()
+    methods: Sequence[str] = ()
+    columns: Sequence[str] = ()
     engines: dict[str, str] = field(default_factory=dict)
     engine_of: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, results: Path) -> Removed:
         path = results / "removed.toml"
-        try:
-            return cls(**tomllib.loads(path.read_text(encoding="utf-8"))) if path.exists() else cls()
-        except (tomllib.TOMLDecodeError, TypeError) as error:
-            raise BadInput(f"{path}: {error}") from None
+        return cls(**tomllib.loads(path.read_text(encoding="utf-8"))) if path.exists() else cls()
 
     def take_out(self, table: Table, rows: pd.DataFrame) -> pd.DataFrame:
         gone = pd.Series(table.name in self.tables, rows.index)
