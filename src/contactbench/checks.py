@@ -14,8 +14,6 @@ from contactbench.errors import BadInput, excerpt
 
 #: line breaks, other control characters, halves of characters
 CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f\\u2028\\u2029\\ud800-\\udfff]")
-
-
 #: packages that are imported by one name and installed by another, with what they need
 INSTALLED_AS = {"sksundae": "scikit-sundae numba", "diffrax": "diffrax optimistix"}
 

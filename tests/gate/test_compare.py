@@ -120,7 +120,6 @@ def test_what_may_move_is_green(baseline, tmp_path):
 BLOW_UP = row(status="diverged", blow_up_time=2.0, end_time=2.0)
 LIMIT = {"method": "rk4", "gamma": 1.0, "omega": 1.0, "profile": "smoke"}
 POINT = {"figure": "f", "panel": "p", "curve": "c", "kind": "method", "profile": "smoke", "point": 0}
-MEMBERS = row(question="error", trajectories=8, cores=1, member_deviation=1e-15)
 LOWER = {**CLAIM, "relation": "≥", "bound": 1.9, "measured": 2.0}
 UPPER = {**CLAIM, "relation": "≤", "bound": 0.01, "measured": 2e-3}
 CURVE = [{**POINT, "x": 1.0, "y": 1e-9}, {**POINT, "point": 1, "x": 0.0, "y": 1.0}]
@@ -137,7 +136,6 @@ MOVES = {
     "the time of the blow-up": ("stability", [BLOW_UP], "blow_up_time", 2.01, 2.03),
     "how far a run got": ("stability", [BLOW_UP], "end_time", 2.1, 2.3),
     "how far a run got that ended well": ("stability", [row(end_time=2.0)], "end_time", 2.0, 2.001),
-    "members of an ensemble": ("ensemble", [MEMBERS], "member_deviation", 5e-13, 3e-12),
     "a lower bound": ("claims", [LOWER], "measured", 2.01, 2.03),
     "an upper bound": ("claims", [UPPER], "measured", 3.8e-3, 5e-3),
 }

@@ -199,7 +199,6 @@ def test_a_cell_one_side_cannot_run_is_refused_and_a_broken_tree_is_not_compared
 #: at the end of the package's own module: what every public call does beside its work
 DELAYS = """
 import time
-from contactbench.ensembles import ensemble
 
 def late(function, seconds):
     def other(*given, **more):
@@ -216,7 +215,7 @@ class Late:
         return self.run(**more)
 
 time.sleep(1)
-solve, ensemble, reference, prepare = late(solve, 0.2), late(ensemble, 0.5), late(reference, 0.2), Late
+solve, reference, prepare = late(solve, 0.2), late(reference, 0.2), Late
 """
 QUICK = ("solve", "run()", "run(q=…)", "bare")
 

@@ -31,18 +31,17 @@ def root(tmp_path, monkeypatch):
     return made
 
 
+accuracy = partial(trees.gate, parts=("accuracy",))
+
+
 def run_gate(root, tmp_path, change=same, changed=(), **more):
-    run = fresh(root, tmp_path / "fresh", change, **more)
-    return trees.gate(root, fresh=run, parts=("accuracy",), changed=changed)
+    return accuracy(root, fresh=fresh(root, tmp_path / "fresh", change, **more), changed=changed)
 
 
 def red(found):
     """What is red: the measure, of which two."""
     moved = found.moved[found.moved["red"].astype(bool)]
-    return {
-        f"{which}: {measure}".removeprefix(": ")
-        for which, measure in moved[["between", "measure"]].to_numpy()
-    }
+    return set((moved["between"] + ": " + moved["measure"]).str.removeprefix(": "))
 
 
 def edit(path, old, new):
@@ -158,6 +157,53 @@ def test_what_is_listed_must_be_what_the_code_makes(root, tmp_path):
     assert "base → fresh: solution_error" in red(run_gate(root, tmp_path / "c", broken))
 
 
+#: what is named as removed, and the tables after it went
+REMOVED = """
+tables = ["claims"]
+methods = ["cvode-adams"]
+columns = ["laws.saved_*"]
+engines = {jax = "llvm"}
+engine_of = {mpmath = "rk*"}
+"""
+
+
+def after_removal(which, row):
+    if which == "claims" or row["method"] == "cvode-adams" or row["engine"] == "mpmath":
+        return None
+    return {name: value for name, value in row.items() if name != "saved_times"} | {"engine": "llvm"}
+
+
+def changed_too(change):
+    return lambda which, row: (row := after_removal(which, row)) and change(which, row)
+
+
+@pytest.mark.parametrize(
+    ("named", "change", "expected"),
+    [
+        (REMOVED, same, set()),
+        ("", same, {"base → tree: table", "base → tree: row", "base → fresh: table", "base → fresh: row"}),
+        (REMOVED.replace("jax", "none"), same, {"base → tree: row", "base → fresh: row"}),
+        (
+            REMOVED.replace("saved", "else"),
+            same,
+            {f"base → {side}: saved_times" for side in ("tree", "fresh")},
+        ),
+        (
+            REMOVED,
+            without_rk4,
+            {"base → tree: table", "base → fresh: table"},
+        ),  # a row that is of nothing named
+        (REMOVED, broken, {"base → tree: solution_error", "base → fresh: solution_error"}),
+        (REMOVED.replace("cvode", 'contact-o8", "cvode'), same, set()),  # what the base does not have
+        (REMOVED.replace("laws.saved_*", "laws.s*"), same, {"removed.toml"}),  # still there
+    ],
+)
+def test_what_went_on_purpose_is_named_once_and_all_else_is_compared(named, change, expected, root, tmp_path):
+    remake(changed_too(change))(root)
+    write(root, "results/removed.toml", named)
+    assert red(run_gate(root, tmp_path, changed_too(change))) == expected
+
+
 def test_a_table_on_the_command_line_is_listed_too_and_must_be_one(root, tmp_path):
     remake(broken)(root)
     assert run_gate(root, tmp_path / "a", broken).red
@@ -179,7 +225,7 @@ def test_a_table_that_is_made_and_not_committed_is_red(root, tmp_path):
     run = fresh(root, tmp_path / "fresh", tables={"strong_damping": "whole", **dict.fromkeys(TABLES, "part")})
     damped = {"method": "rk4", "gamma": 1.0, "damping_per_evaluation": 0.1, "error": 0.9, "profile": "smoke"}
     merge(TABLES["strong_damping"], [damped], run)
-    found = trees.gate(root, fresh=run, parts=("accuracy",)).moved
+    found = accuracy(root, fresh=run).moved
     assert found[["table", "measure", "result"]].values.tolist() == [
         ["strong_damping", "table", "not committed"]
     ]
@@ -226,7 +272,7 @@ def test_times_are_held_to_a_fresh_run_by_their_ratios(root, tmp_path):
         commit(root, "harmless")
         record = {**made_up.RUN, "commit": git(root, "rev-parse", "HEAD")}
         (run / "environment.json").write_text(json.dumps({"runs": [record]}))
-        return trees.gate(root, fresh=run, parts=("accuracy",), changed=changed)
+        return accuracy(root, fresh=run, changed=changed)
 
     assert not judged().moved["measure"].isin(["time_min_s"]).any()
     timed(root / "results", rk4=0.1)
@@ -249,7 +295,7 @@ def test_errors_are_held_to_older_revisions_of_the_tables(root, tmp_path):
         remake(changed(power))(root)
         commit(root, message)
         run = fresh(root, tmp_path / message, changed(power))
-        found = trees.gate(root, fresh=run, base="HEAD~1", parts=("accuracy",))
+        found = accuracy(root, fresh=run, base="HEAD~1")
         assert {one.partition(" → ")[2] for one in red(found)} == (
             set() if power == 1 else {"tree: solution_error", "fresh: solution_error"}
         )
@@ -258,7 +304,7 @@ def test_errors_are_held_to_older_revisions_of_the_tables(root, tmp_path):
     remake(changed(3))(root)
     commit(root, "harmless")
     run = fresh(root, tmp_path / "again", changed(3))
-    assert not trees.gate(root, fresh=run, base="HEAD~1", parts=("accuracy",)).red
+    assert not accuracy(root, fresh=run, base="HEAD~1").red
 
 
 @pytest.mark.parametrize(
@@ -295,7 +341,7 @@ def test_the_base_is_where_the_main_branch_was_left_or_what_is_asked_for(root, t
     git(root, "switch", "-q", "change")
     assert not run_gate(root, tmp_path / "a").red
     run = fresh(root, tmp_path / "b")
-    assert trees.gate(root, fresh=run, base="main", parts=("accuracy",)).red
+    assert accuracy(root, fresh=run, base="main").red
 
 
 def test_the_pinned_revision_is_that_of_the_base(root):
@@ -400,17 +446,16 @@ def test_damage_is_one_line_with_file_line_and_column(name, spoil, message, root
 
 
 def test_without_tables_git_or_revision_it_could_not_run(root, capsys, monkeypatch):
-    accuracy = ("--only", "accuracy")
     calls = {
         "--base no-such: no such revision": ("--only", "speed", "--base", "no-such"),
-        "no tables in elsewhere/": (*accuracy, "--results", "elsewhere"),
+        "no tables in elsewhere/": ("--only", "accuracy", "--results", "elsewhere"),
         "give --fresh DIR too": ("--baseline", root / "results"),
     }
     for message, arguments in calls.items():
         status, text = outcome(capsys, "gate", *arguments)
         assert (status, message in text) == (2, True), text
     monkeypatch.delenv(revisions.JUDGED)
-    status, text = outcome(capsys, "gate", *accuracy)
+    status, text = outcome(capsys, "gate", "--only", "accuracy")
     assert (status, "has no gate that could judge" in text) == (2, True)
 
 

@@ -18,7 +18,6 @@ from contactbench.limits import VARIABLE, limit
 #: seconds that a plug-in has where nobody says otherwise
 SECONDS = "60"
 
-
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "list": runs.listing,
     "solve": runs.solve,
@@ -52,16 +51,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 #: what is raced, and what it is compiled by
-PEERS = [
-    "scipy",
-    "scikit-sundae",
-    "diffrax",
-    "jax",
-    "heyoka",
-    "cyrk",
-    "numba",
-    "numpy",
-]
+PEERS = ["scipy", "scikit-sundae", "diffrax", "jax", "heyoka", "cyrk", "numba", "numpy"]
 
 
 def versions() -> str:

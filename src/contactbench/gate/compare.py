@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
+from contactbench.gate.removed import Removed
 from contactbench.measure.law import STRUCTURE
 from contactbench.report.markdown import escaped
 from contactbench.results import provenance
@@ -243,7 +244,10 @@ class Runs:
 
     @classmethod
     def of(cls, before: Path, fresh: Path) -> Runs:
-        made = benchmark_runs(fresh)
+        made = [run for run in provenance.runs(fresh) if run["profile"] in PROFILES]
+        if not made:
+            missing = "missing; the folder holds no finished benchmark run"
+            raise BadInput(f"{fresh / 'environment.json'}: {missing}")
         machines = {machine(run) for run in (*provenance.runs(before), *made)}
         profile = max((run["profile"] for run in made), key=PROFILES.index)
         return cls(profile, len(machines) == 1 and "" not in machines)
@@ -255,7 +259,9 @@ class Runs:
 
 
 def compare_folders(baseline: Path, fresh: Path) -> Findings:
-    before, now = ({name: read(table, side) for name, table in TABLES.items()} for side in (baseline, fresh))
+    removed = Removed.read(fresh)
+    before = {name: removed.take_out(table, read(table, baseline)) for name, table in TABLES.items()}
+    now = {name: read(table, fresh) for name, table in TABLES.items()}
     return compare_fresh(before, now, Runs.of(baseline, fresh), str(baseline))
 
 
@@ -273,13 +279,6 @@ def compare_fresh(before: Frames, now: Frames, runs: Runs, name: str) -> Finding
         f"counts of adaptive methods compared {counts}",
     )
     return between("base → fresh", *moved) + Findings(compared=texts)
-
-
-def benchmark_runs(results: Path) -> list[Run]:
-    found = [run for run in provenance.runs(results) if run["profile"] in PROFILES]
-    if not found:
-        raise BadInput(f"{results / 'environment.json'}: missing; the folder holds no finished benchmark run")
-    return found
 
 
 def machine(run: Run) -> str:

@@ -31,6 +31,7 @@ from contactbench.gate.compare import (
     rows_of,
     worst,
 )
+from contactbench.gate.removed import Removed
 from contactbench.plugins import brought
 from contactbench.report.write import computed_part
 from contactbench.results import provenance
@@ -99,7 +100,8 @@ def gate(
             found += compare_tables(root, root / results, old, fresh, named, base)
             found += Findings(rows_of(*check_tests(tree, root, messages), *check_report(root, results)))
         if "speed" in parts:
-            timed = read(TABLES["work_precision"], old)
+            work = TABLES["work_precision"]
+            timed = Removed.read(root / results).take_out(work, read(work, old))
             cells = speed.workload(timed) if revisions.ours(root) else speed.every(timed)
             if not cells:
                 raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {results}/")
@@ -139,9 +141,10 @@ def compare_tables(
 ) -> Findings:
     (before, rows), (head, more), (now, _) = (readable(side, changed) for side in (old, results, fresh))
     rows += more + check_record(results, head) + check_record(fresh, now) + check_commit(root, fresh)
-    found, reference, runs = Findings(), {}, Runs.of(results, fresh)
+    found, reference, runs, removed = Findings(), {}, Runs.of(results, fresh), Removed.read(results)
     for name, table in TABLES.items():
-        listed, one, tree, made = name in changed, before[name], head[name], now[name]
+        one, tree, made = removed.take_out(table, before[name]), head[name], now[name]
+        listed = name in changed
         edited = ~compared(table, tree).isin(compared(table, one))
         reference[name] = tree[~edited] if listed else one
         moved = (
@@ -152,9 +155,11 @@ def compare_tables(
         found += between("base → tree", *moved, listed=listed)
         again = compare(table, runs.expected(table, tree[edited], made), made, runs.alike)
         found += between("tree → fresh", again, compare_times(table, tree, made))
+        if removed.remains(table, tree) or removed.remains(table, made):
+            rows.append(row("removed.toml", "removed", "present", "named, but still there", table=name))
         if len(tree) or revisions.ours(root):  # of another project's tables some may not be wanted
             rows += check_rows(table, one, tree, made)
-    found += Findings(rows_of(*rows)) + compare_oldest(root, results, base, changed, head, now)
+    found += Findings(rows_of(*rows)) + compare_oldest(root, results, base, changed, removed, head, now)
     return found + compare_fresh(reference, now, Runs.of(old, fresh), "the base")
 
 
@@ -182,7 +187,7 @@ ERRORS = (Rule.error, Rule.structure)
 
 
 def compare_oldest(
-    root: Path, results: Path, base: str, changed: set[str], head: Frames, now: Frames
+    root: Path, results: Path, base: str, changed: set[str], removed: Removed, head: Frames, now: Frames
 ) -> Findings:
     """Compare errors with those of the oldest of the last revisions of a table: small moves do not add up."""
     where = str(results.relative_to(root))
@@ -194,7 +199,7 @@ def compare_oldest(
         with revisions.checkout(root, revision, where) as tree:
             for name, table in held.items():
                 with suppress(OldTable):
-                    oldest = read(table, tree / where)
+                    oldest = removed.take_out(table, read(table, tree / where))
                     for side, frames in {"tree": head, "fresh": now}.items():
                         moved = compare(table, oldest, frames[name], only=ERRORS)
                         found += between(f"{revision[:12]} → {side}", moved)
