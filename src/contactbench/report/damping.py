@@ -7,7 +7,7 @@ import pandas as pd
 
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import ALIKE, COUNTED, ties
-from contactbench.report.chapters import Frames, Part, chapter, view
+from contactbench.report.chapters import view
 from contactbench.report.numbers import DASH, count, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 
@@ -63,8 +63,3 @@ def strong_view(frame: pd.DataFrame) -> View:
 
     table = matrix(rows, "method", "gamma", cell, "γ = {:g}".format)
     return view("strong_usable", table, base=BASE)
-
-
-@chapter("damping")
-def parts(frames: Frames) -> list[Part]:
-    return [rates_view(frames["damping_rates"]), strong_view(frames["strong_damping"])]

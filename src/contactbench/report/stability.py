@@ -1,4 +1,4 @@
-"""Hard scenes: how every method ends, and at what error and cost; and the stability limits of the oscillator."""
+"""Hard scenes: how every method ends, and at what error and cost; limits of steps, and strong damping."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pandas as pd
 
 from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import best_of_each, by_method, highest
+from contactbench.report.damping import rates_view, strong_view
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import LEGEND, drift_cell, law_label
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
@@ -97,23 +98,17 @@ def worst_cell(runs: list[pd.Series], law: str) -> Cell:
     return worst if all(cell.mark is Mark.kept for cell in cells) else replace(worst, mark=None)
 
 
-@chapter("stability", answers)
-def parts(frames: Frames) -> list[Part]:
-    hard, own = frames["stability"], hard_contest(frames)
-    contests: list[Part] = []
-    if len(own.contests):
-        lost = {own.kind.title: own.contests}
-        contests = [winners_view(own, "hard_winners"), losses_view(lost, "hard_losses")]
-    scenes = (scene_view(here, str(scene)) for scene, here in hard.groupby("scene", sort=False))
-    return [*contests, Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes))]
-
-
-# -- the chapter of limits ---------------------------------------------------------------------------
+# -- limits of steps -------------------------------------------------------------------------------
 def limit_cell(rows: pd.DataFrame) -> Cell:
     row = rows.iloc[0]
     cell, theory = (as_cell(row[name], "{:.4g}".format) for name in ("limit", "theory"))
     text = cell.text if theory.value is None else f"{cell.text} ({theory.text})"
     return replace(cell, text=text, mark=Mark.exception if row["windows"] else None)
+
+
+def limits_view(frame: pd.DataFrame) -> View:
+    one = frame[(frame["omega"] == 1.0) & frame["limit"].notna()].sort_values("gamma", kind="stable")
+    return view("limit", matrix(one, "method", "gamma", limit_cell, "γ = {:g}".format))
 
 
 def stability_map(frame: pd.DataFrame) -> Figure | None:
@@ -132,9 +127,15 @@ def stability_map(frame: pd.DataFrame) -> Figure | None:
     return chart("stability_map", [panel], title=title)
 
 
-@chapter("limits")
-def limit_parts(frames: Frames) -> list[Part | None]:
-    frame = frames["stability_limits"]
-    one = frame[(frame["omega"] == 1.0) & frame["limit"].notna()].sort_values("gamma", kind="stable")
-    table = matrix(one, "method", "gamma", limit_cell, "γ = {:g}".format)
-    return [view("limit", table), stability_map(frame)]
+@chapter("stability", answers)
+def parts(frames: Frames) -> Iterator[Part | None]:
+    hard, limits, own = frames["stability"], frames["stability_limits"], hard_contest(frames)
+    if len(own.contests):
+        yield winners_view(own, "hard_winners")
+        yield losses_view({own.kind.title: own.contests}, "hard_losses")
+    yield limits_view(limits)
+    yield stability_map(limits)
+    yield rates_view(frames["damping_rates"])
+    yield strong_view(frames["strong_damping"])
+    scenes = (scene_view(here, str(scene)) for scene, here in hard.groupby("scene", sort=False))
+    yield Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes))
