@@ -13,7 +13,6 @@ from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.report.drawing import Axis, Curve, Span
 from contactbench.report.look import look
-from contactbench.report.numbers import power
 
 #: errors below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17
@@ -49,13 +48,8 @@ def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[C
     return tuple(curves)
 
 
-def decade(value: float, end: Callable[[float], int]) -> str:
-    return power(10.0 ** end(math.log10(value))) if value > 0 else "0"
-
-
-def best_of_each(curves: Iterable[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
+def best_of_each(curves: Sequence[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
     """Return the curves, muted ones first: all but the best of each family (and order), at most MOST of these."""
-    curves = list(curves)
     groups: dict[tuple[str, int | None], list[Curve]] = {}
     for curve in curves:
         if curve.method:

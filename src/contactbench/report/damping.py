@@ -18,16 +18,16 @@ BASE = "contact-strang"
 def rates_view(frame: pd.DataFrame) -> View:
     ok = frame[frame["status"] == "ok"]
     creep, weak = ok[ok["experiment"] == "overdamped"], ok[ok["experiment"] == "weak"]
-    rows = []
     adaptive = creep[creep["damping_per_step"].isna()]
-    for damping, fixed in sorted(creep.groupby("damping_per_step"), reverse=True, key=lambda group: group[0]):
-        rows.append((f"slow rate of creep, γh = {damping:g}", *at_equal_cost(fixed, adaptive)))
+    rows = [
+        (f"slow rate of creep, γh = {damping:g}", *at_equal_cost(fixed, adaptive))
+        for damping, fixed in reversed([*creep.groupby("damping_per_step")])
+    ]
     for (scene, span), part in weak.groupby(["scene", "t_end"], sort=False):
         steps = part["control"] == "step"
         name = f"rate of weak damping, `{scene}`, T = {span:.0e}"
         rows.append((name, *at_equal_cost(part[steps], part[~steps])))
-    table = frame_of(rows, ["rate", "most accurate", "evaluations allowed"])
-    return view("rates", table, alike=ALIKE)
+    return view("rates", frame_of(rows, ["rate", "most accurate", "evaluations allowed"]), alike=ALIKE)
 
 
 def at_equal_cost(fixed: pd.DataFrame, adaptive: pd.DataFrame) -> tuple[Cell, Cell]:
@@ -42,7 +42,7 @@ def best_cell(errors: pd.Series) -> Cell:
     if not len(errors):
         return Cell(DASH)
     least = float(errors.iloc[0])
-    first = [str(m) for m in errors.index[(errors <= STRUCTURE) | ties(errors, least, ALIKE)]]
+    first = list(errors.index[(errors <= STRUCTURE) | ties(errors, least, ALIKE)])
     return Cell(f"{names(first, 3)} {scientific(least)}", mark=Mark.tie if len(first) > 1 else Mark.best)
 
 
@@ -61,5 +61,4 @@ def strong_view(frame: pd.DataFrame) -> View:
     def cell(rows: pd.DataFrame) -> Cell:
         return as_cell(usable(rows, bases[rows["gamma"].iloc[0]]), "{:.2g}".format)
 
-    table = matrix(rows, "method", "gamma", cell, "γ = {:g}".format)
-    return view("strong_usable", table, base=BASE)
+    return view("strong_usable", matrix(rows, "method", "gamma", cell, "γ = {:g}".format), base=BASE)

@@ -61,9 +61,7 @@ def kinds_view(frames: Frames) -> View:
         for error in population.errors(frames):
             tables = [regrets(rows, error, cost) for cost in COSTS]
             tables = [table[inside.reindex(table.index).to_numpy(dtype=bool)] for table in tables]
-            cells = [
-                best(own) for table in tables for own in (table, table[[m for m in table if m in contact]])
-            ]
+            cells = [best(own) for each in tables for own in (each, each[[m for m in each if m in contact]])]
             lines.append([f"{label}, {power(error)}", len(tables[0]), *cells])
     labels = [("", "problems, error"), ("", "how many")]
     labels += [(population.LABELS[cost], what) for cost in COSTS for what in ("any", "a contact method")]
@@ -74,12 +72,13 @@ def hard_view(frames: Frames) -> View | None:
     rows = frames["population_hard"]
     if not len(rows):
         return None
-    right = (rows["right"] == True).groupby([rows["hard"], rows["method"]], sort=False)  # noqa: E712
-    shares = pd.DataFrame({"right": right.sum(), "runs": right.size()}).reset_index()
-    cost = rows[rows["right"] == True].groupby(["hard", "method"])["evaluations"].median()  # noqa: E712
+    right = rows["right"].fillna(False).astype(bool)
+    runs = rows.assign(right=right, cost=rows["evaluations"].where(right)).groupby(
+        ["hard", "method"], sort=False
+    )
+    shares = runs.agg(right=("right", "sum"), runs=("right", "size"), cost=("cost", "median")).reset_index()
     lines = []
     for kind, own in shares.groupby("hard", sort=False):
-        own = own.assign(cost=[cost.get((kind, method), np.inf) for method in own["method"]])
         first = own.sort_values(["right", "cost"], ascending=[False, True], kind="stable").head(NAMED)
         said = [f"{one.method} {one.right} of {one.runs}" for one in first.itertuples()]
         lines.append((kind, names(said, NAMED)))
