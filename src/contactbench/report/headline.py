@@ -10,13 +10,27 @@ from itertools import islice
 import numpy as np
 import pandas as pd
 
-from contactbench.report import claims, convergence, laws, motion, population, structure, work_precision
-from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chapters, view
+from contactbench.report import claims, convergence, laws, population, structure, work_precision
+from contactbench.report.chapters import (
+    PROSE,
+    Answer,
+    Frames,
+    Part,
+    Section,
+    Text,
+    chapter,
+    chapters,
+    chart,
+    view,
+)
+from contactbench.report.curves import floats
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, duration, how_often, names
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.contest import OTHER
 from contactbench.results.judgement import law_rows
+from contactbench.results.tables import ORBIT, TRUTH
 
 NAME = "README"
 #: the scene whose work–precision picture stands here
@@ -65,6 +79,29 @@ def answers(frames: Frames) -> Iterator[Answer]:
     yield from population.answers(frames)
     yield from structure.answers(frames)
     yield from islice(claims.answers(frames), 1)
+
+
+# -- a motion: its orbit after many turns, and its energy, by two methods at equal cost beside the truth --
+def motion_figure(rows: pd.DataFrame) -> Figure | None:
+    if not len(rows):
+        return None
+    late = rows[rows["t"] >= rows["t"].max() - ORBIT - 1e-9]
+    energy = Panel("energy", Axis("time t"), Axis(r"$H_0$"), tuple(paths(rows, "t", "energy", True)))
+    axes = Axis("$q_1$"), Axis("$q_2$")
+    orbit = Panel("the orbit at the end", *axes, tuple(paths(late, "q1", "q2", False)), equal=True)
+    methods = rows[rows["method"] != TRUTH]
+    counts = methods.groupby("method", sort=False)["evaluations"].first()
+    other = str(counts.index[-1]).upper()
+    return chart("motion", [energy, orbit], evaluations=int(counts.max()), other=other, turns=ORBIT)
+
+
+def paths(rows: pd.DataFrame, x: str, y: str, line: bool) -> Iterator[Curve]:
+    """Yield the truth as a line, below the methods, each a line or points."""
+    for name, own in sorted(rows.groupby("method", sort=False), key=lambda each: each[0] != TRUTH):
+        truth = name == TRUTH
+        points, lined = (floats(own[x]), floats(own[y])), truth or line
+        method, role = ("", TRUTH) if truth else (str(name), "")
+        yield Curve(*points, str(name), method, role, lined, not lined)
 
 
 # -- results/README.md -----------------------------------------------------------------------------
@@ -126,7 +163,7 @@ def cheapest_parts(frames: Frames) -> list[Part]:
 
 @chapter(NAME)  # its answers stand in the README of the project
 def parts(frames: Frames) -> list[Part | None]:
-    found: list[Part | None] = [motion.figure(frames["motion"]), at_equal_cost(frames, "mission")]
+    found: list[Part | None] = [motion_figure(frames["motion"]), at_equal_cost(frames, "mission")]
     if len(frames["work_precision"]):
         drawn = work_precision.figure(frames["work_precision"], PICTURED)
         found.append(drawn and replace(drawn, caption=""))

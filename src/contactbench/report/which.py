@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from contactbench.report import damping, population, structure
+from contactbench.report import population, stability, structure
 from contactbench.report.chapters import PROSE, Frames, Part, Section, Text, chapter, view
 from contactbench.report.numbers import DASH, names, power, times
 from contactbench.report.views import Cell, View, frame_of
@@ -91,7 +91,9 @@ def parts_of(name: str, frames: Frames) -> tuple[Part | None, ...]:
         return (Text(items=tuple(f"{one.answer}: {one.count}" for one in structure.answers(frames))),)
     if name == "stiff":
         rates = frames["damping_rates"]
-        return (replace(damping.rates_view(rates[rates["experiment"] == "overdamped"]), name="which_rates"),)
+        return (
+            replace(stability.rates_view(rates[rates["experiment"] == "overdamped"]), name="which_rates"),
+        )
     if name == "hard":
         return (hard_view(frames),)
     return (kinds_view(frames),) if name == "kind" else ()
