@@ -25,7 +25,7 @@ TARGETS = tuple(10.0**-k for k in range(1, 15))
 #: an axis of cost ends at so many times the least cost at any error that three curves reach
 BEYOND, CONTEST = 30.0, 3
 
-#: the greater, the better a curve is of its group; nan: it cannot be the best
+#: the greater, the better a curve is of its group, beside these; nan: it cannot be the best
 type Score = Callable[[Curve, Sequence[Curve]], float]
 
 

@@ -77,8 +77,8 @@ def cuts(frame: pd.DataFrame) -> Iterator[str]:
 
 # -- tables ----------------------------------------------------------------------------------------
 def laws_of(frame: pd.DataFrame) -> list[str]:
-    found = frame.columns[frame.columns.get_loc("reason") + 1 : -1]
-    return [] if list(found) == ["map_growth"] else list(found)
+    found = list(frame.columns[frame.columns.get_loc("reason") + 1 : -1])
+    return [] if found == ["map_growth"] else found
 
 
 def has_laws(rows: pd.DataFrame) -> pd.Series:
@@ -115,20 +115,19 @@ def kept_laws(rows: pd.DataFrame) -> str:
 
 
 def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
-    done, kept, unknown = rows[has_laws(rows)], [], []
-    for law in (name for name in laws_of(rows) if name in LAWS_TABLE.columns):
-        known = done.loc[done[law].notna(), "laws_kept"]
-        needs_derivative = law in structural_laws() and law not in OF_THE_STATE
-        if known.empty and needs_derivative:
-            unknown.append(law)
-        elif len(known) and all(law_label(law) in text.split(", ") for text in known):
+    kept, unknown = [], []
+    for law in filter(LAWS_TABLE.columns.__contains__, laws_of(rows)):
+        known = rows.loc[rows[law].notna(), "laws_kept"]
+        if len(known) and all(law_label(law) in text.split(", ") for text in known):
             kept.append(law)
+        elif known.empty and law in structural_laws() and law not in OF_THE_STATE:  # needs the derivative
+            unknown.append(law)
     return symbols(kept), symbols(unknown)
 
 
 def ranked(frame: pd.DataFrame) -> list[str]:
     """Return the methods that can run the scene, soonest done first: by errors reached, then by their mean ratio."""
-    able = frame[~frame["status"].isin(["unsupported"])]
+    able = frame[frame["status"] != "unsupported"]
     ratios = np.log(able["ratio"]).groupby(able["method"], sort=False)
     table = pd.DataFrame({"missed": -ratios.count(), "mean": ratios.mean()})
     return [str(method) for method in table.sort_values(["missed", "mean"], kind="stable").index]
@@ -147,13 +146,11 @@ def times_view(frame: pd.DataFrame, kind: str, short: bool) -> View:
 
 
 def settings_view(frame: pd.DataFrame) -> View:
-    errors = list(dict.fromkeys(frame["error_asked"]))
-    rows = []
-    done = frame[frame["status"] == "ok"]
-    for method in ranked(done):
-        part = done[done["method"] == method]
-        reached = {r.error_asked: f"{r.setting}, {scientific(r.error_reached)}" for r in part.itertuples()}
-        rows.append((method, *(reached.get(error, DASH) for error in errors)))
+    errors, done = list(dict.fromkeys(frame["error_asked"])), frame[frame["status"] == "ok"]
+    reached = {
+        (r.method, r.error_asked): f"{r.setting}, {scientific(r.error_reached)}" for r in done.itertuples()
+    }
+    rows = [(m, *(reached.get((m, error), DASH) for error in errors)) for m in ranked(done)]
     table = frame_of(rows, ["method", *(f"{error:g}" for error in errors)])
     return View("race_settings", "Setting, and error reached", table, "for each time above")
 
@@ -211,7 +208,9 @@ def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
     missing = [f"Not begun, for want of time (--budget): {late}."] if late else []
     blocks = (missing, said, [*recommended, *how_to_run(frame, scene)])
     first, last, end = ("\n".join(map(wrap, block)) for block in blocks)
-    return "\n\n".join(filter(None, [first, *found, last, end, *which_method()]))
+    folder = shipped_folder()
+    where = f"For other problems, a decision in five questions: {folder / 'which.md'}" if folder else ""
+    return "\n\n".join(filter(None, [first, *found, last, end, where]))
 
 
 def best_rows(view: View, named: set[str]) -> list[tuple[Cell, ...]]:
@@ -225,23 +224,15 @@ def how_to_run(frame: pd.DataFrame, scene: str) -> Iterator[str]:
     """Yield what an error is of, and the run at the smallest that something is recommended for."""
     carry, timed = ",".join(frame.attrs["carry"]), frame[frame["time_s"].notna()]
     what = f"the motion{f' and {carry}' if carry else ''} at the ends of five runs, the last to t_end"
-    first = timed[timed["kind"] == timed["kind"].max()].sort_values(["error_asked", "time_s"], kind="stable")[
-        :1
-    ]
+    first = timed[timed["kind"] == timed["kind"].max()].sort_values(["error_asked", "time_s"], kind="stable")
     run = ""
-    for row in first.itertuples():
+    for row in first.head(1).itertuples():
         control, _, value = str(row.setting).partition("=")
         if value and control in ("step", "rtol"):
             name, _, options = (scene or str(row.scene)).partition(" ")
             given = f"{row.method} --{control} {value} --carry '{carry}' {options}".rstrip()
             run = f": contactbench solve {name} {given}"
     yield f"Errors are those of {what}{run}"
-
-
-def which_method() -> Iterator[str]:
-    """Yield where a decision for other problems is, if that document is there."""
-    if folder := shipped_folder():
-        yield f"For other problems, a decision in five questions: {folder / 'which.md'}"
 
 
 def wrap(line: str) -> str:
@@ -252,8 +243,8 @@ def in_width(lines: list[list[str]]) -> Iterator[str]:
     """Yield the lines of a table; one too wide for the terminal goes on below, with its first column again."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     blocks = [[0]]
-    for i in range(1, len(widths)):
-        if sum(widths[k] + 2 for k in blocks[-1]) + widths[i] > WIDTH and blocks[-1] != [0]:
+    for i, width in enumerate(widths[1:], 1):
+        if sum(widths[k] + 2 for k in blocks[-1]) + width > WIDTH and blocks[-1] != [0]:
             blocks.append([0])
         blocks[-1].append(i)
     for block in blocks:
