@@ -83,9 +83,9 @@ def highest(curve: Curve, own: Sequence[Curve]) -> float:
     return -lowest(curve, own)
 
 
-def contest_end(axis: Axis, curves: Sequence[Curve], times: float = BEYOND) -> Axis:
+def contest_end(axis: Axis, curves: Sequence[Curve]) -> Axis:
     table = np.array([costs_to_reach(c.x, c.y, TARGETS) for c in curves]).reshape(-1, len(TARGETS))
     reached = np.isfinite(table).sum(axis=0) >= max(1, min(CONTEST, len(table)))
     if not reached.any():
         return axis
-    return replace(axis, within=(None, times * float(np.nanmax(np.nanmin(table[:, reached], axis=0)))))
+    return replace(axis, within=(0.0, BEYOND * float(np.nanmax(np.nanmin(table[:, reached], axis=0)))))

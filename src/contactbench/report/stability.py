@@ -46,9 +46,8 @@ def started_runs(hard: pd.DataFrame) -> pd.DataFrame:
 def answers(frames: Frames) -> Iterator[Answer]:
     rows, won = started_runs(frames["stability"]), hard_contest(frames).contests
     right = int(rows["right"].sum())
-    yield Answer(
-        "Do runs end as the true motion does?", how_often(right, len(rows)), f"{right} of {len(rows)} runs"
-    )
+    count = f"{right} of {len(rows)} runs"
+    yield Answer("Do runs end as the true motion does?", how_often(right, len(rows)), count)
     if len(won):
         yield Answer("Does a contact method need the fewest evaluations on hard scenes?", *tally(won))
 
@@ -77,11 +76,11 @@ def scene_view(here: pd.DataFrame, scene: str) -> View:
     laws = [n for n in laws_in(STABILITY, "stability") if n != "solution_error" and ok[n].notna().any()]
     lines = []
     for method, own in rows.groupby("method", sort=False):
-        runs = [run for _, run in own.iterrows()]
-        good = [run for run in runs if run["status"] == "ok"]
-        ladder = [*map(ending, runs), *[Cell(DASH)] * (len(steps) - len(runs))]
-        finest = own[own["status"] == "ok"]["rhs_equivalents"].max()
-        lines.append((method, *ladder, *(worst_cell(good, law) for law in laws), as_cell(finest, count)))
+        ladder = [ending(run) for _, run in own.iterrows()]
+        ladder += [Cell(DASH)] * (len(steps) - len(own))
+        good = own[own["status"] == "ok"]
+        finest = as_cell(good["rhs_equivalents"].max(), count)
+        lines.append((method, *ladder, *(worst_cell(good, law) for law in laws), finest))
     labels = [("", "method"), *(("solution error", step) for step in steps)]
     labels += [*(("worst", law_label(law)) for law in laws), ("", "evaluations")]
     condition, left = numbers(rows, "condition_number").max(), here[unsupported]["method"].unique()
@@ -92,9 +91,9 @@ def scene_view(here: pd.DataFrame, scene: str) -> View:
     return View(f"hard_{scene}", scene, frame_of(lines, labels), notes.strip())
 
 
-def worst_cell(runs: list[pd.Series], law: str) -> Cell:
+def worst_cell(runs: pd.DataFrame, law: str) -> Cell:
     """Return the largest deviation of a method's runs; bold only where every one of them keeps the law."""
-    cells = [drift_cell(run, law) for run in runs if not pd.isna(run[law])]
+    cells = [drift_cell(run, law) for _, run in runs.dropna(subset=law).iterrows()]
     if not cells:
         return Cell(DASH)
     worst = max(cells, key=lambda cell: cell.value or 0.0)
@@ -122,10 +121,8 @@ def stability_map(frame: pd.DataFrame) -> Figure | None:
     last = rows[rows["ratio"] == rows["ratio"].max()].set_index("method")["scaled"]
     title = "First loss of stability"
     if len(finite := last[np.isfinite(last)]):
-        title = (
-            f"At γ = {rows['ratio'].max():g} ω {finite.idxmax()} is stable to {finite.max():.3g}/ω an evaluation, the "
-            f"median method to {last.median():.2g}/ω"
-        )
+        first = f"{finite.idxmax()} is stable to {finite.max():.3g}/ω an evaluation"
+        title = f"At γ = {rows['ratio'].max():g} ω {first}, the median method to {last.median():.2g}/ω"
     panel = Panel("", Axis("γ/ω", "log"), Axis("ω × first unstable step / evaluations", "log"), curves)
     return chart("stability_map", [panel], title=title)
 

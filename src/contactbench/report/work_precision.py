@@ -174,8 +174,7 @@ def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str]) -> Panel:
 
 
 def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
-    rows = contestants(work)
-    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
+    rows = contestants(work[(work["scene"] == scene) & (work["status"] == "ok")])
     rows = rows[kind.compares(rows) & rows[kind.cost].notna()]
     totals = rows.groupby(["method", "engine"])[kind.cost].transform("median")
     best = rows.assign(total=totals).groupby("method")["total"].transform("min")
@@ -190,8 +189,7 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
-    rows = contestants(work)
-    table = contests(costs(rows[rows["scene"] == scene], COMPILED))
+    table = contests(costs(contestants(work[work["scene"] == scene]), COMPILED))
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
     if not len(table):
         return f"{scene}: cost against error", []
