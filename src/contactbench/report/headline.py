@@ -50,8 +50,8 @@ def structure_answer(frames: Frames) -> Iterator[Answer]:
     rows = laws.structural_rows(frames)
     promised = rows[rows["claimed"] & rows["law"].isin(PROMISED)]
     found = [(PROMISED[str(law)], own) for law, own in promised.groupby("law", sort=False)]
-    answer = ", ".join(f"{label} {how_often(*laws.kept_of(own))}" for label, own in found)
     if found:
+        answer = ", ".join(f"{label} {how_often(*laws.kept_of(own))}" for label, own in found)
         question = "Does it keep J and the contact form where it promises to?"
         yield Answer(question, answer, "; ".join(laws.counts(own) for _, own in found))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -99,8 +100,8 @@ def claims_view(rows: pd.DataFrame) -> View:
     groups = contact.map({True: "contact methods, not claimed", False: "others, not claimed"})
     rows = rows.assign(who=groups.where(~rows["claimed"], "claimed"))
     rows = rows.sort_values("claimed", ascending=False, kind="stable")
-    frame = matrix(rows.rename(columns={"label": "law or drift"}), "law or drift", "who", counts)
-    return view("law_claims", frame)
+    rows = rows.rename(columns={"label": "law or drift"})
+    return view("law_claims", matrix(rows, "law or drift", "who", counts))
 
 
 def broken_view(rows: pd.DataFrame) -> View:
@@ -121,9 +122,9 @@ def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
     laws = [law for law in laws_at_equal_cost() if law in part and part[law].notna().any()]
     rows = []
     for _, row in part.iterrows():
-        evaluations, order, *drifts = cost_cells(frames, row, laws)
+        spent, order, *drifts = cost_cells(frames, row, laws)
         error = as_cell(row["solution_error"], scientific)
-        rows.append((row["method"], row["engine"], row["setting"], evaluations, order, error, *drifts))
+        rows.append((*row[["method", "engine", "setting"]], spent, order, error, *drifts))
     labels = ["method", "engine", "setting", "evaluations", "order", "solution error", *map(law_label, laws)]
     title = f"{scene}, {cost:g} evaluations per unit of time"
     return View(f"equal_cost_{scene}_{cost:g}", title, frame_of(rows, labels))
@@ -202,5 +203,5 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure | None:
             panels.append(Panel(title, Axis("t"), Axis(label, "log"), curves, (ROUND_OFF,)))
     worst = rows.groupby("method")["energy_deviation"].max()
     least = power(10.0 ** math.ceil(math.log10(worst.min()))) if worst.min() > 0 else "0"
-    known = {"scene": scene, "settings": ", ".join(dict.fromkeys(rows["setting"]))}
+    known: dict[str, Any] = {"scene": scene, "settings": ", ".join(dict.fromkeys(rows["setting"]))}
     return chart("along_time", panels, f"laws_{scene}", method=worst.idxmin(), deviation=least, **known)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -79,10 +79,6 @@ def answers_by_kind(frames: Frames) -> dict[str, Answer]:
     return {name: Answer(QUESTIONS[name], *tally(won)) for name, won in found.items() if len(won)}
 
 
-def answers(frames: Frames) -> Iterable[Answer]:
-    return answers_by_kind(frames).values()
-
-
 # -- who is cheapest -------------------------------------------------------------------------------
 def error_label(error: float) -> str:
     return f"error {power(error)}"
@@ -140,7 +136,7 @@ def costs_view(own: Contest, scene: str) -> View:
     return View(f"{own.kind.name}_{scene}", own.kind.title, grid("method", cells, error_label))
 
 
-@chapter("work_precision", answers)
+@chapter("work_precision", lambda frames: answers_by_kind(frames).values())
 def parts(frames: Frames) -> list[Part]:
     work, found = frames["work_precision"], all_contests(frames).values()
     by_error = [own for own in found if own.kind.by == "oracle"]
