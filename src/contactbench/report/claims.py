@@ -44,8 +44,8 @@ def answers(frames: Frames) -> Iterator[Answer]:
 def claims_view(frame: pd.DataFrame) -> View:
     rows = []
     for _, row in frame.iterrows():
-        verdict = str(row["verdict"] or row["status"])
         needed = DASH if pd.isna(row["bound"]) else f"{row['relation']} {row['bound']:.2g}"
+        verdict = row["verdict"] or row["status"]
         rows.append((row["id"], verdict, *row[["claim", "where", "quantity", "measured"]], needed))
     labels = ["id", "verdict", "claim", "where in the paper", "measured", "value", "needed"]
     return view("claims", frame_of(rows, labels), {"": "{:.2g}".format})

@@ -102,11 +102,11 @@ def costs_view(rows: pd.DataFrame) -> View:
                 line.append(replace(cell, text=f"≤ {cell.text}") if bound else cell)
             line.append(as_cell(own["run_s"] / least.loc[end, "run_s"], times))
         at = at_allowed(rows[rows["method"] == method])
-        line.append(at["setting"].iloc[0] if len(at) else None)
-        errors = [("energy_error", end) for end in spans] + [("rate_error", spans[-1])]
-        line += [at[at["t_end"] == end][column].max() for column, end in errors]
-        ends = at[at["t_end"] == spans[-1]][["energy_error_low", "energy_error_high"]]
-        lines.append([*line, " to ".join(map(scientific, ends.iloc[0])) if len(ends) else None])
+        last = at[at["t_end"] == spans[-1]]
+        interval = last[["energy_error_low", "energy_error_high"]]
+        line += [at["setting"].iloc[0] if len(at) else None]
+        line += [*(at[at["t_end"] == end]["energy_error"].max() for end in spans), last["rate_error"].max()]
+        lines.append([*line, " to ".join(map(scientific, interval.iloc[0])) if len(last) else None])
     at_spans = [f"T = {power(end)}" for end in spans]
     heads = [(f"to 1 %, {at}", head) for at in at_spans for head in ("time", "evaluations", "ratio")]
     heads += [("one setting", "setting"), *(("its error", at) for at in at_spans)]
