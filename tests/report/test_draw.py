@@ -1,7 +1,7 @@
 """Figures: which curves are in colour and in which, where axes end, where names stand, and what a file holds."""
 
 import re
-from itertools import combinations
+from itertools import combinations, product
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -45,28 +45,26 @@ ORDERS = {name: own.order for name, own in LOOKS.items() if own.order and name.s
 
 
 def worked():
-    for k, (name, own) in enumerate(LOOKS.items()):
-        for step in STEPS:
-            spent = round((10 + k) / step)
-            cost = {"rhs_equivalents": spent, "time_median_s": 1e-7 * spent, "time_min_s": 9e-8 * spent}
-            error = min(1.0, 0.1 * step ** (own.order or 9))
-            yield row("particle", name, step, solution_error=error, engine="llvm", **cost)
+    for (k, (name, own)), step in product(enumerate(LOOKS.items()), STEPS):
+        spent = round((10 + k) / step)
+        cost = {"rhs_equivalents": spent, "time_median_s": 1e-7 * spent, "time_min_s": 9e-8 * spent}
+        error = min(1.0, 0.1 * step ** (own.order or 9))
+        yield row("particle", name, step, solution_error=error, engine="llvm", **cost)
 
 
 def converged():
-    for name, order in ORDERS.items():
-        for step in STEPS:
-            error = max(1e-17, (0.3 + 0.01 * len(name)) * step**order)
-            orders = {"order": order, "order_nominal": order}
-            yield row("particle", name, step, step=step, solution_error=error, **orders)
+    for (name, order), step in product(ORDERS.items(), STEPS):
+        error = max(1e-17, (0.3 + 0.01 * len(name)) * step**order)
+        orders = {"order": order, "order_nominal": order}
+        yield row("particle", name, step, step=step, solution_error=error, **orders)
 
 
 def deviated():
-    for name, own in LOOKS.items():
-        for step in STEPS:
-            drift = 1e-15 if own.family == "contact" else step**4
-            claims = dict.fromkeys(("contact_drift_claimed", "contact_drift_kept"), own.family == "contact")
-            yield row("central", name, step, solution_error=step**4, contact_drift=drift, **claims)
+    for (name, own), step in product(LOOKS.items(), STEPS):
+        keeps = own.family == "contact"
+        claims = dict.fromkeys(("contact_drift_claimed", "contact_drift_kept"), keeps)
+        drift = 1e-15 if keeps else step**4
+        yield row("central", name, step, solution_error=step**4, contact_drift=drift, **claims)
 
 
 FIGURES = {
@@ -84,13 +82,6 @@ def real(request):
     made.canvas.draw()
     yield figure, made
     plt.close(made)
-
-
-@pytest.mark.parametrize(("family", "shown"), [("contact", "contact"), ("", "other"), ("mine", "other")])
-def test_a_method_without_a_look_has_that_of_its_family(family, shown):
-    assert look("of-a-plugin", family).family == shown
-    taken = {own.marker for own in LOOKS.values() if own.family == shown}
-    assert look("of-a-plugin", family).marker not in taken
 
 
 def test_curves_of_the_paper_are_in_the_order_of_the_table():
@@ -111,8 +102,9 @@ def test_words_stay_on_the_canvas_and_names_off_the_curves(real):
         assert all(axes.transAxes.transform(name.xyann)[0] > right for name in names)
         for text in (axes.xaxis.label, axes.yaxis.label, axes._left_title, *names):
             box = Text.get_window_extent(text, renderer)  # without the line to the curve
-            assert made.bbox.padded(1).contains(*box.min), text.get_text()
-            assert made.bbox.padded(1).contains(*box.max), text.get_text()
+            assert all(made.bbox.padded(1).contains(*corner) for corner in (box.min, box.max)), (
+                text.get_text()
+            )
 
 
 def test_every_curve_is_there_and_every_name_once(real):
@@ -167,10 +159,12 @@ def test_nobody_shares_a_look():
 
 
 @pytest.mark.usefixtures("registries")
-def test_a_method_of_ones_own_has_the_dash_of_its_order_and_a_marker_free_in_its_family():
+@pytest.mark.parametrize(("family", "shown"), [("contact", "contact"), ("", "other"), ("mine", "other")])
+def test_a_method_of_ones_own_has_the_dash_of_its_order_and_a_marker_free_in_its_family(family, shown):
+    taken = {own.marker for own in LOOKS.values() if own.family == shown}
     for k in range(20):
         cb.fixed_step(f"own{k}", 4, family="contact")(lambda scene, x, h, xp: x)
-        own = look(f"own{k}", "contact")
-        assert (own.family, own.order) == ("contact", 4)
-        assert own.marker not in {other.marker for other in LOOKS.values() if other.family == "contact"}
+        own = look(f"own{k}", family)
+        assert (own.family, own.order) == (shown, 4)
+        assert own.marker not in taken
     assert look("nowhere").order is None

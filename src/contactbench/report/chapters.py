@@ -54,13 +54,6 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Contents:
-    chapter: Chapter
-    answers: tuple[Answer, ...]
-    parts: tuple[Part, ...]
-
-
-@dataclass(frozen=True)
 class Chapter:
     """One question.
 
@@ -77,14 +70,13 @@ class Chapter:
     tables: tuple[str, ...]
     parts: Callable[[Frames], Iterable[Part | None]]
     answers: Callable[[Frames], Iterable[Answer]] = lambda frames: ()
-    document: str = ""
 
     @property
     def file(self) -> str:
-        return self.document or f"{self.name}.md"
+        return f"{self.name}.md"
 
-    def fill(self, frames: Frames) -> Contents:
-        return Contents(self, tuple(self.answers(frames)), tuple(shown(self.parts(frames))))
+    def fill(self, frames: Frames) -> tuple[Part, ...]:
+        return tuple(shown(self.parts(frames)))
 
 
 CHAPTERS = Registry("chapter", Chapter)
@@ -94,14 +86,11 @@ CHAPTERS = Registry("chapter", Chapter)
 PROSE: dict[str, dict[str, Any]] = tomllib.loads(
     files(__package__).joinpath("chapters.toml").read_text(encoding="utf-8")
 )
-
-
-def gathered(kind: str) -> dict[str, dict[str, str]]:
-    """Return the entries of a kind, of all chapters, by name."""
-    return {name: entry for chapter in PROSE.values() for name, entry in chapter.get(kind, {}).items()}
-
-
-VIEWS, CHARTS = gathered("views"), gathered("charts")
+#: the entries of all chapters, by name
+VIEWS, CHARTS = (
+    {name: entry for own in PROSE.values() for name, entry in own.get(kind, {}).items()}
+    for kind in ("views", "charts")
+)
 
 type Parts = Callable[[Frames], Iterable[Part | None]]
 
@@ -110,15 +99,10 @@ def chapter(
     name: str, answers: Callable[[Frames], Iterable[Answer]] = lambda frames: ()
 ) -> Callable[[Parts], Parts]:
     """Return a decorator that registers the parts of a chapter of chapters.toml."""
-    own = {
-        field: PROSE[name][field]
-        for field in ("title", "question", "order", "document")
-        if field in PROSE[name]
-    }
-    tables = tuple(PROSE[name]["tables"])
 
     def register(parts: Parts) -> Parts:
-        CHAPTERS.add(Chapter(name, tables=tables, parts=parts, answers=answers, **own))
+        title, question, order, tables = (PROSE[name][f] for f in ("title", "question", "order", "tables"))
+        CHAPTERS.add(Chapter(name, title, question, order, tuple(tables), parts, answers))
         return parts
 
     return register

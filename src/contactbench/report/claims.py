@@ -21,31 +21,31 @@ CAPTIONS = {
 }
 
 
+#: how verdicts are counted
+COUNTED = {"holds": "hold", "holds, corrected": "hold once corrected", "refuted": "refuted"}
+
+
 def split_claims(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     beyond = frame["where"] == BEYOND
     return frame[~beyond], frame[beyond]
 
 
-def counts(frame: pd.DataFrame) -> str:
-    verdicts = frame["verdict"].value_counts()
-    words = {"holds": "hold", "holds, corrected": "hold once corrected", "refuted": "refuted"}
-    return ", ".join(f"{verdicts.get(name, 0)} {word}" for name, word in words.items()) + f", of {len(frame)}"
-
-
 def answers(frames: Frames) -> Iterator[Answer]:
-    own, beyond = split_claims(frames["claims"])
-    asked = {"Do the paper's claims hold as printed?": own, "Do the claims beyond the paper hold?": beyond}
-    for question, part in asked.items():
+    asked = "Do the paper's claims hold as printed?", "Do the claims beyond the paper hold?"
+    for question, part in zip(asked, split_claims(frames["claims"]), strict=True):
         if len(part):
-            holds = int((part["verdict"] == "holds").sum())
-            yield Answer(question, how_often(holds, len(part)), counts(part))
+            verdicts = part["verdict"].value_counts()
+            counts = ", ".join(f"{verdicts.get(name, 0)} {word}" for name, word in COUNTED.items())
+            yield Answer(
+                question, how_often(verdicts.get("holds", 0), len(part)), f"{counts}, of {len(part)}"
+            )
 
 
 def claims_view(frame: pd.DataFrame) -> View:
     rows = []
     for _, row in frame.iterrows():
-        verdict = str(row["verdict"] or row["status"])
         needed = DASH if pd.isna(row["bound"]) else f"{row['relation']} {row['bound']:.2g}"
+        verdict = row["verdict"] or row["status"]
         rows.append((row["id"], verdict, *row[["claim", "where", "quantity", "measured"]], needed))
     labels = ["id", "verdict", "claim", "where in the paper", "measured", "value", "needed"]
     return view("claims", frame_of(rows, labels), {"": "{:.2g}".format})

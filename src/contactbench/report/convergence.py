@@ -31,8 +31,7 @@ def fits(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
-    known = fits(frames["convergence"])
-    known = known[known["order"].notna()]
+    known = fits(frames["convergence"]).dropna(subset="order")
     right = int((~known["off"]).sum())
     count = f"{right} of {len(known)} pairs of method and scene, within {AGREES:g} or the spread"
     yield Answer(PROSE["convergence"]["question"], how_often(right, len(known)), count)
@@ -50,8 +49,7 @@ def order_cell(rows: pd.DataFrame) -> Cell:
 
 @chapter("convergence", answers)
 def parts(frames: Frames) -> list[Part | None]:
-    fit = fits(frames["convergence"])
-    orders = matrix(fit, "method", "scene", order_cell)
+    orders = matrix(fits(frames["convergence"]), "method", "scene", order_cell)
     return [view("orders", orders, agrees=AGREES), figure(frames["convergence"])]
 
 

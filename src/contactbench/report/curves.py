@@ -13,7 +13,6 @@ from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.report.drawing import Axis, Curve, Span
 from contactbench.report.look import look
-from contactbench.report.numbers import power
 
 #: errors below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17
@@ -26,7 +25,7 @@ TARGETS = tuple(10.0**-k for k in range(1, 15))
 #: an axis of cost ends at so many times the least cost at any error that three curves reach
 BEYOND, CONTEST = 30.0, 3
 
-#: the greater, the better a curve is of its group; nan: it cannot be the best
+#: the greater, the better a curve is of its group, beside these; nan: it cannot be the best
 type Score = Callable[[Curve, Sequence[Curve]], float]
 
 
@@ -49,13 +48,8 @@ def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[C
     return tuple(curves)
 
 
-def decade(value: float, end: Callable[[float], int]) -> str:
-    return power(10.0 ** end(math.log10(value))) if value > 0 else "0"
-
-
-def best_of_each(curves: Iterable[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
+def best_of_each(curves: Sequence[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
     """Return the curves, muted ones first: all but the best of each family (and order), at most MOST of these."""
-    curves = list(curves)
     groups: dict[tuple[str, int | None], list[Curve]] = {}
     for curve in curves:
         if curve.method:
@@ -89,9 +83,9 @@ def highest(curve: Curve, own: Sequence[Curve]) -> float:
     return -lowest(curve, own)
 
 
-def contest_end(axis: Axis, curves: Sequence[Curve], times: float = BEYOND) -> Axis:
+def contest_end(axis: Axis, curves: Sequence[Curve]) -> Axis:
     table = np.array([costs_to_reach(c.x, c.y, TARGETS) for c in curves]).reshape(-1, len(TARGETS))
     reached = np.isfinite(table).sum(axis=0) >= max(1, min(CONTEST, len(table)))
     if not reached.any():
         return axis
-    return replace(axis, within=(None, times * float(np.nanmax(np.nanmin(table[:, reached], axis=0)))))
+    return replace(axis, within=(0.0, BEYOND * float(np.nanmax(np.nanmin(table[:, reached], axis=0)))))

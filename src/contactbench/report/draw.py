@@ -114,8 +114,7 @@ def power(value: float) -> str:
 def seen(panel: Panel) -> list[tuple[float, float]]:
     def inside(axis: Axis, v: float) -> bool:
         low, high = axis.within
-        finite = math.isfinite(v) and (v > 0 or axis.scale == "linear")
-        return finite and (low is None or v >= low) and (high is None or v <= high)
+        return math.isfinite(v) and (v > 0 or axis.scale == "linear") and low <= v <= high
 
     points = [point for curve in panel.curves for point in zip(curve.x, curve.y, strict=True)]
     return [(x, y) for x, y in points if inside(panel.x, x) and inside(panel.y, y)]

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a panel.  within : where it ends at the latest, though curves go on; None for no end."""
+    """One axis of a panel.  within : where it ends at the latest, though curves go on."""
 
     label: str
     scale: Literal["linear", "log"] = "linear"
     inverted: bool = False
-    within: tuple[float | None, float | None] = (None, None)
+    within: tuple[float, float] = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)

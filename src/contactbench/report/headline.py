@@ -10,25 +10,39 @@ from itertools import islice
 import numpy as np
 import pandas as pd
 
-from contactbench.report import claims, convergence, laws, motion, population, structure, work_precision
-from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chapters, view
+from contactbench.report import claims, convergence, laws, population, structure, work_precision
+from contactbench.report.chapters import (
+    PROSE,
+    Answer,
+    Frames,
+    Part,
+    Section,
+    Text,
+    chapter,
+    chapters,
+    chart,
+    view,
+)
+from contactbench.report.curves import floats
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, duration, how_often, names
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.contest import OTHER
 from contactbench.results.judgement import law_rows
+from contactbench.results.tables import ORBIT, TRUTH
 
-NAME = "headline"
+NAME = "README"
 #: the scene whose work–precision picture stands here
 PICTURED = "particle"
 #: how many times as long as the longest run that was timed one may be whose time is taken from it
 FURTHER = 3.0
 #: a column of the result with the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
-#: the scenes of the mission, the methods that a reader knows, and the laws; that of J where a method claims it
-SHOWN_SCENES, SHOWN_METHODS, SHOWN_LAWS = (
-    PROSE[NAME]["shown"][what] for what in ("scenes", "methods", "laws")
-)
+#: kinds of cost that a reader asks about, in order
+ASKED = ("compiled", "tolerance", "package", "evaluations", "tolerance_evaluations")
+#: the scenes of the mission, its laws (that of J where a method claims it), and the methods of each table
+SHOWN_SCENES, SHOWN_LAWS, SHOWN_METHODS = (PROSE[NAME][what] for what in ("scenes", "laws", "methods"))
 
 
 # -- the answers -----------------------------------------------------------------------------------
@@ -36,19 +50,15 @@ def structure_answer(frames: Frames) -> Iterator[Answer]:
     rows = laws.structural_rows(frames)
     promised = rows[rows["claimed"] & rows["law"].isin(PROMISED)]
     found = [(PROMISED[str(law)], own) for law, own in promised.groupby("law", sort=False)]
-    answer = ", ".join(f"{label} {how_often(*laws.kept_of(own))}" for label, own in found)
     if found:
+        answer = ", ".join(f"{label} {how_often(*laws.kept_of(own))}" for label, own in found)
         question = "Does it keep J and the contact form where it promises to?"
         yield Answer(question, answer, "; ".join(laws.counts(own) for _, own in found))
 
 
 def cost_answers(frames: Frames) -> Iterator[Answer]:
-    costs = {answer.question: answer for answer in work_precision.answers(frames)}
-    asked = (
-        work_precision.QUESTIONS[kind]
-        for kind in ("compiled", "tolerance", "package", "evaluations", "tolerance_evaluations")
-    )
-    yield from (costs[question] for question in asked if question in costs)
+    found = work_precision.answers_by_kind(frames)
+    yield from (found[kind] for kind in ASKED if kind in found)
     won = work_precision.all_contests(frames)["compiled"].contests
     judged = won[won["winner"] != ""]
     if len(judged):
@@ -71,22 +81,38 @@ def answers(frames: Frames) -> Iterator[Answer]:
     yield from islice(claims.answers(frames), 1)
 
 
+# -- a motion: its orbit after many turns, and its energy, by two methods at equal cost beside the truth --
+def motion_figure(rows: pd.DataFrame) -> Figure | None:
+    if not len(rows):
+        return None
+    late = rows[rows["t"] >= rows["t"].max() - ORBIT - 1e-9]
+    energy = Panel("energy", Axis("time t"), Axis(r"$H_0$"), tuple(paths(rows, "t", "energy", True)))
+    axes = Axis("$q_1$"), Axis("$q_2$")
+    orbit = Panel("the orbit at the end", *axes, tuple(paths(late, "q1", "q2", False)), equal=True)
+    methods = rows[rows["method"] != TRUTH]
+    counts = methods.groupby("method", sort=False)["evaluations"].first()
+    other = str(counts.index[-1]).upper()
+    return chart("motion", [energy, orbit], evaluations=int(counts.max()), other=other, turns=ORBIT)
+
+
+def paths(rows: pd.DataFrame, x: str, y: str, line: bool) -> Iterator[Curve]:
+    """Yield the truth as a line, below the methods, each a line or points."""
+    for name, own in sorted(rows.groupby("method", sort=False), key=lambda each: each[0] != TRUTH):
+        truth = name == TRUTH
+        points, lined = (floats(own[x]), floats(own[y])), truth or line
+        method, role = ("", TRUTH) if truth else (str(name), "")
+        yield Curve(*points, str(name), method, role, lined, not lined)
+
+
 # -- results/README.md -----------------------------------------------------------------------------
 def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
     met = frame[frame["status"] == "ok"].groupby("cost").size()
     return frame[frame["cost"] == met[met == met.max()].index.max()] if len(met) else frame.iloc[:0]
 
 
-def mission_view(frames: Frames) -> View | None:
-    return at_equal_cost(frames, "mission", SHOWN_METHODS, timed=False)
-
-
-def overview(frames: Frames) -> View | None:
-    """Return the same in short, of the solvers of the mission, with the time it takes: the project's README has it."""
-    return at_equal_cost(frames, "overview", PROSE[NAME]["overview"]["methods"], timed=True)
-
-
-def at_equal_cost(frames: Frames, name: str, methods: Sequence[str], timed: bool) -> View | None:
+def at_equal_cost(frames: Frames, name: str, timed: bool = False) -> View | None:
+    """Return the laws of the mission's scenes at equal cost, of the methods of a table, with times if it has them."""
+    methods: list[str] = SHOWN_METHODS[name]
     rows = most_met_cost(frames["decay_laws"])
     rows = rows[rows["scene"].isin(SHOWN_SCENES) & rows["method"].isin(methods)]
     if not len(rows):
@@ -114,14 +140,10 @@ def time_at_cost(work: pd.DataFrame, row: pd.Series) -> float:
     """Return the time of a run that costs what a row does, from those of its method; nan where it has none."""
     if row["status"] != "ok":
         return math.nan
-    same = (
-        (work["scene"] == row["scene"])
-        & (work["method"] == row["method"])
-        & (work["engine"] == row["engine"])
-    )
-    own = work[same & (work["variant"] == "")].dropna(subset=["rhs_equivalents", "time_min_s"])
+    keys, columns = ["scene", "method", "engine"], ["rhs_equivalents", "time_min_s"]
+    own = work[(work[keys] == row[keys]).all(axis=1) & (work["variant"] == "")].dropna(subset=columns)
     own = own.drop_duplicates("rhs_equivalents").sort_values("rhs_equivalents")
-    costs, seconds = (own[name].to_numpy(dtype=float) for name in ("rhs_equivalents", "time_min_s"))
+    costs, seconds = own[columns].to_numpy(dtype=float).T
     cost: float = float(row["rhs_equivalents"])
     if not len(own) or not costs[0] <= cost <= FURTHER * costs[-1]:
         return math.nan
@@ -129,27 +151,26 @@ def time_at_cost(work: pd.DataFrame, row: pd.Series) -> float:
     return beyond * float(np.exp(np.interp(np.log(cost), np.log(costs), np.log(seconds))))
 
 
-def cheapest_parts(contests: Mapping[str, work_precision.Contest]) -> list[Part]:
+def cheapest_parts(frames: Frames) -> list[Part]:
     """Return the contests that are asked about first, and where the contact methods lose in any."""
-    found = {name: own for name, own in contests.items() if len(own.contests)}
+    found = [own for own in work_precision.all_contests(frames).values() if len(own.contests)]
     if not found:
         return []
-    shown = [own for name, own in found.items() if name in PROSE[NAME]["shown"]["contests"]]
-    tables = (work_precision.cheapest_view(own) for own in shown)
-    lost = work_precision.losses_view({own.kind.title: own.contests for own in found.values()}, "lost")
+    tables = (work_precision.cheapest_view(own) for own in found if own.kind.name in work_precision.FIRST)
+    lost = work_precision.losses_view({own.kind.title: own.contests for own in found}, "lost")
     return [Section("Who is cheapest where", (Text(PROSE[NAME]["legend"]), *tables)), lost]
 
 
-@chapter(NAME, answers)
+@chapter(NAME)  # its answers stand in the README of the project
 def parts(frames: Frames) -> list[Part | None]:
-    found: list[Part | None] = [motion.figure(frames["motion"]), mission_view(frames)]
+    found: list[Part | None] = [motion_figure(frames["motion"]), at_equal_cost(frames, "mission")]
     if len(frames["work_precision"]):
         drawn = work_precision.figure(frames["work_precision"], PICTURED)
         found.append(drawn and replace(drawn, caption=""))
-        found += cheapest_parts(work_precision.all_contests(frames))
+        found += cheapest_parts(frames)
     questions = {chapter.file: chapter.question for chapter in chapters(frames) if chapter.name != NAME}
     questions["glossary.md"] = "What is each method, scene and column?"
-    rows = [(Cell(file, link=file), question) for file, question in questions.items()]
+    rows = [(f"[{file}]({file})", question) for file, question in questions.items()]
     return [*found, view("documents", frame_of(rows, ["document", "question"]))]
 
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import DECIDABLE, UNSURE
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
-from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats
+from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
-from contactbench.report.numbers import DASH, count, how_often, names, readable, scientific, times
+from contactbench.report.numbers import DASH, count, how_often, names, power, readable, scientific, times
 from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 from contactbench.results.judgement import law_rows, laws_at_equal_cost, laws_in, structural_laws
@@ -98,19 +99,19 @@ def claims_view(rows: pd.DataFrame) -> View:
     contact = rows["family"].eq(CONTACT)
     groups = contact.map({True: "contact methods, not claimed", False: "others, not claimed"})
     rows = rows.assign(who=groups.where(~rows["claimed"], "claimed"))
-    rows = rows.sort_values("who", key=lambda who: who != "claimed", kind="stable")
-    frame = matrix(rows.rename(columns={"label": "law or drift"}), "law or drift", "who", counts)
-    return view("law_claims", frame)
+    rows = rows.sort_values("claimed", ascending=False, kind="stable")
+    rows = rows.rename(columns={"label": "law or drift"})
+    return view("law_claims", matrix(rows, "law or drift", "who", counts))
 
 
 def broken_view(rows: pd.DataFrame) -> View:
     lines = []
-    for (label, scene), own in rows[rows["claimed"] & rows["broken"]].groupby(["label", "scene"], sort=False):
-        over = own["value"] / own["bound"]
-        worst = own.loc[over.idxmax()]
-        methods = names(list(dict.fromkeys(own["method"])), 3)
-        place = f"{worst['method']}, {worst['setting']}"
-        lines.append((label, f"`{scene}`", methods, len(own), over.max(), worst["value"], place))
+    broken = rows[rows["claimed"] & rows["broken"]]
+    broken = broken.assign(over=broken["value"] / broken["bound"])
+    for (label, scene), own in broken.groupby(["label", "scene"], sort=False):
+        worst, methods = own.loc[own["over"].idxmax()], names(list(dict.fromkeys(own["method"])), 3)
+        found = worst["over"], worst["value"], f"{worst['method']}, {worst['setting']}"
+        lines.append((label, f"`{scene}`", methods, len(own), *found))
     labels = ["law or drift", "scene", "methods", "runs", "over the bound", "deviation", "worst"]
     show: dict[str, Show] = {"over the bound": times, "deviation": scientific}
     return view("law_exceptions", frame_of(lines, labels), show)
@@ -121,9 +122,9 @@ def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
     laws = [law for law in laws_at_equal_cost() if law in part and part[law].notna().any()]
     rows = []
     for _, row in part.iterrows():
-        evaluations, order, *drifts = cost_cells(frames, row, laws)
+        spent, order, *drifts = cost_cells(frames, row, laws)
         error = as_cell(row["solution_error"], scientific)
-        rows.append((row["method"], row["engine"], row["setting"], evaluations, order, error, *drifts))
+        rows.append((*row[["method", "engine", "setting"]], spent, order, error, *drifts))
     labels = ["method", "engine", "setting", "evaluations", "order", "solution error", *map(law_label, laws)]
     title = f"{scene}, {cost:g} evaluations per unit of time"
     return View(f"equal_cost_{scene}_{cost:g}", title, frame_of(rows, labels))
@@ -140,9 +141,8 @@ def law_view(frames: Frames, law: str, column: Column) -> View:
 def parts(frames: Frames) -> list[Part | None]:
     rows, time = structural_rows(frames), frames["laws_time"]
     equal = frames["decay_laws"].groupby(["scene", "cost"], sort=False)
-    ranges = [law_view(frames, law, column) for law, column in laws_in(LAWS_TABLE).items()]
-    scenes = dict.fromkeys(time["scene"])
-    along = (Section(s, (along_time(time, s),)) for s in scenes)
+    ranges = (law_view(frames, law, column) for law, column in laws_in(LAWS_TABLE).items())
+    along = (Section(scene, (along_time(time, scene),)) for scene in dict.fromkeys(time["scene"]))
     shown = [equal_cost_view(part, frames) for _, part in equal]
     ranging = f"Smallest … largest over all settings. {LEGEND}"
     return [
@@ -202,6 +202,6 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure | None:
             curves = best_of_each(by_method(rows, "t", column), lambda curve, _: -max(curve.y))
             panels.append(Panel(title, Axis("t"), Axis(label, "log"), curves, (ROUND_OFF,)))
     worst = rows.groupby("method")["energy_deviation"].max()
-    closest = {"method": worst.idxmin(), "deviation": decade(worst.min(), math.ceil)}
-    settings = ", ".join(dict.fromkeys(rows["setting"]))
-    return chart("along_time", panels, f"laws_{scene}", scene=scene, settings=settings, **closest)
+    least = power(10.0 ** math.ceil(math.log10(worst.min()))) if worst.min() > 0 else "0"
+    known: dict[str, Any] = {"scene": scene, "settings": ", ".join(dict.fromkeys(rows["setting"]))}
+    return chart("along_time", panels, f"laws_{scene}", method=worst.idxmin(), deviation=least, **known)

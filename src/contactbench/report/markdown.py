@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 
-from contactbench.report.chapters import Answer, Contents, Part, Section, Text
+from contactbench.report.chapters import Answer, Part, Section, Text
 from contactbench.report.drawing import Figure
 from contactbench.report.views import Cell, Mark, View
 
@@ -41,8 +41,6 @@ def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterabl
 
 def cell(item: Cell) -> str:
     text = escaped(item.text)
-    if item.link:
-        text = f"[{text}]({item.link})"
     return WRITTEN[item.mark].format(text) if text and item.mark in WRITTEN else text
 
 
@@ -86,7 +84,5 @@ def answers(items: Iterable[Answer]) -> str:
     return grid(["question", "answer", "count"], rows, [True] * 3) if rows else ""
 
 
-def document(item: Contents) -> str:
-    own = "" if item.chapter.document else answers(item.answers)
-    blocks = [f"# {item.chapter.title}", own, parts(item.parts)]
-    return "\n\n".join(filter(None, blocks)) + "\n"
+def document(title: str, summary: Iterable[Answer], items: Iterable[Part | None]) -> str:
+    return "\n\n".join(filter(None, [f"# {title}", answers(summary), parts(items)])) + "\n"

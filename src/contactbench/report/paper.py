@@ -129,6 +129,5 @@ PLANS: dict[str, Callable[[pd.DataFrame], Iterable[Panel]]] = {
 
 
 def all_figures(table: pd.DataFrame) -> Iterator[Figure]:
-    for name, rows in table.groupby("figure", sort=False):
-        if drawn := chart(str(name), PLANS[str(name)](rows), across=3):
-            yield drawn
+    charts = (chart(name, PLANS[name](rows), across=3) for name, rows in table.groupby("figure", sort=False))
+    return filter(None, charts)

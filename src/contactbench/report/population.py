@@ -32,7 +32,6 @@ CUTS = {
 ENDS = ("right", "wrong", "diverged", "failed", "budget")
 
 
-@lru_cache(2)
 def problems_of(frames: Frames) -> pd.DataFrame:
     problems = frames["population_problems"]
     return problems[problems["hard"] == ""]
@@ -77,8 +76,16 @@ def of(frames: Frames, seed: int, cost: str, error: float) -> pd.DataFrame:
     return own[(own["seed"] == seed) & (own["by"] == cost) & (own["error"] == error)]
 
 
+def wins(own: pd.DataFrame, winner: str = OURS) -> int:
+    return int((own["winner"] == winner).sum())
+
+
 def errors(frames: Frames) -> list[float]:
     return sorted(frames["population"]["error"].unique(), reverse=True)
+
+
+def heads(frames: Frames) -> list[tuple[str, float]]:
+    return [(cost, error) for cost in COSTS for error in errors(frames)]
 
 
 # -- cells -----------------------------------------------------------------------------------------
@@ -111,9 +118,8 @@ def answers(frames: Frames) -> Iterator[Answer]:
         says, counts = [], []
         for error in errors(frames):
             own = of(frames, seed, cost, error)
-            part = int((own["winner"] == OURS).sum())
-            says.append(f"{power(error)}: {percent(part, len(own))}")
-            counts.append(f"{part} of {len(own)}, {int((own['winner'] == 'tie').sum())} tied")
+            says.append(f"{power(error)}: {percent(wins(own), len(own))}")
+            counts.append(f"{wins(own)} of {len(own)}, {wins(own, 'tie')} tied")
         yield Answer(QUESTIONS[cost].format(drawn), ", ".join(says), "; ".join(counts))
 
 
@@ -121,26 +127,22 @@ def answers(frames: Frames) -> Iterator[Answer]:
 def contests_view(frames: Frames) -> View:
     first, *others = seeds(frames)
     lines = []
-    for cost in COSTS:
-        for error in errors(frames):
-            own = of(frames, first, cost, error)
-            part, n = int((own["winner"] == OURS).sum()), len(own)
-            low, high = wilson(part, n)
-            ours = 1 / own["ratio"].astype(float)
-            line: list[object] = [f"{LABELS[cost]}, {power(error)}", share(part, n)]
-            line += [share(int((own["winner"] == name).sum()), n) for name in ("tie", OTHER)]
-            line += [quantile(own["ratio"].astype(float), 0.5), quantile(np.maximum(1.0, ours), 0.9)]
-            for seed in others:
-                again = of(frames, seed, cost, error)
-                there = int((again["winner"] == OURS).sum())
-                inside = bool(len(again)) and overlaps((low, high), wilson(there, len(again)))
-                line.append(Cell(percent(there, len(again)), mark=None if inside else Mark.exception))
-            lines.append(line)
+    for cost, error in heads(frames):
+        own = of(frames, first, cost, error)
+        ratio = own["ratio"].astype(float)
+        line: list[object] = [f"{LABELS[cost]}, {power(error)}"]
+        line += [share(wins(own, name), len(own)) for name in (OURS, "tie", OTHER)]
+        line += [quantile(ratio, 0.5), quantile(np.maximum(1.0, 1 / ratio), 0.9)]
+        for seed in others:
+            again = of(frames, seed, cost, error)
+            inside = len(again) and overlap(*(wilson(wins(each), len(each)) for each in (own, again)))
+            line.append(Cell(percent(wins(again), len(again)), mark=None if inside else Mark.exception))
+        lines.append(line)
     labels = ["cost, error", "a contact method", "tied", "another", "other / contact, median", "regret, 90 %"]
     return view("population_contests", frame_of(lines, [*labels, *(f"seed {seed}" for seed in others)]))
 
 
-def overlaps(one: tuple[float, float], other: tuple[float, float]) -> bool:
+def overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return max(one[0], other[0]) <= min(one[1], other[1])
 
 
@@ -148,8 +150,7 @@ def methods_view(frames: Frames) -> View:
     """How often each method is the best, and what taking it always costs."""
     rows = frames["population"]
     rows = rows[rows["seed"] == seeds(frames)[0]]
-    heads = [(cost, error) for cost in COSTS for error in errors(frames)]
-    tables = {head: regrets(rows, head[1], head[0]) for head in heads}
+    tables = {(cost, error): regrets(rows, error, cost) for cost, error in heads(frames)}
     best = {head: table.le(1.0).sum() for head, table in tables.items()}
     total = pd.DataFrame(best).sum(axis=1).sort_values(ascending=False, kind="stable")
 
@@ -161,8 +162,8 @@ def methods_view(frames: Frames) -> View:
         spread = f"{times(own.median())}, {times(own.quantile(0.9))}"
         return Cell(f"{percent(part, whole)}; {spread}", part / whole)
 
-    lines = [(method, *(cell(str(method), head) for head in heads)) for method in total.index]
-    labels = [("", "method"), *((LABELS[cost], power(error)) for cost, error in heads)]
+    lines = [(method, *(cell(str(method), head) for head in tables)) for method in total.index]
+    labels = [("", "method"), *((LABELS[cost], power(error)) for cost, error in tables)]
     return view("population_methods", frame_of(lines, labels))
 
 
@@ -178,50 +179,35 @@ def strata(problems: pd.DataFrame) -> dict[str, pd.Series]:
 
 
 def strata_view(frames: Frames) -> View:
-    seed, parts = seeds(frames)[0], []
+    seed, labels, parts = seeds(frames)[0], [("", "problems")], []
     for cost in COSTS:
-        own = of(frames, seed, cost, STRATIFIED)
-        lines = {}
+        own, lines = of(frames, seed, cost, STRATIFIED), {}
         for label, inside in strata(own).items():
-            counted = own["best"][inside].value_counts()
+            part = own[inside]
+            counted = part["best"].value_counts()
             name = f"{counted.index[0]} {counted.iloc[0]}" if len(counted) else DASH
-            lines[label] = [
-                int(inside.sum()),
-                share(int((own["winner"][inside] == OURS).sum()), int(inside.sum())),
-                name,
-            ]
+            lines[label] = [len(part), share(wins(part), len(part)), name]
         parts.append(pd.DataFrame.from_dict(lines, orient="index"))
+        labels += [(LABELS[cost], what) for what in ("problems", "a contact method", "most often best")]
     joined = pd.concat(parts, axis=1).reset_index()
-    heads = [
-        (LABELS[cost], what) for cost in COSTS for what in ("problems", "a contact method", "most often best")
-    ]
-    return view("population_strata", frame_of(joined.itertuples(index=False), [("", "problems"), *heads]))
-
-
-def ending(rows: pd.DataFrame) -> pd.Series:
-    ok = rows["right"].map({True: "right", False: "wrong"})
-    return rows["status"].where(rows["status"] != "ok", ok)
+    return view("population_strata", frame_of(joined.itertuples(index=False), labels))
 
 
 def hard_view(frames: Frames) -> View | None:
     rows = frames["population_hard"]
     if not len(rows):
         return None
-    rows, lines = rows.assign(end=ending(rows)), []
+    right = rows["right"].map({True: "right", False: "wrong"})
+    rows, lines = rows.assign(end=rows["status"].where(rows["status"] != "ok", right)), []
     kinds = list(dict.fromkeys(rows["hard"]))
     for method, own in rows.groupby("method", sort=False):
-        right = int((own["end"] == "right").sum())
-        cells = []
-        for kind in kinds:
-            counted = own[own["hard"] == kind]["end"].value_counts()
-            cells.append(", ".join(f"{counted[end]} {end}" for end in ENDS if end in counted) or DASH)
-        lines.append([method, share(right, len(own)), *cells])
+        counts = [own[own["hard"] == kind]["end"].value_counts() for kind in kinds]
+        cells = [", ".join(f"{each[end]} {end}" for end in ENDS if end in each) or DASH for each in counts]
+        lines.append([method, share(int((own["end"] == "right").sum()), len(own)), *cells])
     return view("population_hard", frame_of(lines, ["method", "ok and right", *kinds]))
 
 
 @chapter("population", answers)
 def parts(frames: Frames) -> Iterable[Part | None]:
-    if not told(frames):
-        return []
-    made = (contests_view, methods_view, strata_view, hard_view)
-    return [one(frames) for one in made]
+    views = (contests_view, methods_view, strata_view, hard_view)
+    return [one(frames) for one in views] if told(frames) else []

@@ -24,19 +24,14 @@ TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: what a law is about, and what follows from what
 SYMBOLS = {"momentum_law": "J", "contact_drift": "η", "distribution_drift": "ker η", "pairing_drift": "pairs"}
 IMPLIED = {"η": ("ker η", "pairs")}
-#: what stands behind the title of a table
-LEGENDS = {
-    "race_settings": "for each time above",
-    "short": "time at each error; kept at round-off: J, η, pairs of singular values",
-}
-LEGENDS[""] = f"{LEGENDS['short']}, then evaluations"
+#: what stands behind the title of a table of times
+LEGEND = "time at each error; kept at round-off: J, η, pairs of singular values"
 #: rows of a table, and columns of the terminal
 ROWS, WIDTH = 10, 100
 
 
 # -- notes -----------------------------------------------------------------------------------------
 def notes(frame: pd.DataFrame) -> Iterator[str]:
-    yield from unbegun(frame)
     reference = frame.attrs["reference"]
     second = reference["confirmed"]
     agreed, confirmed = "two precisions of one engine agree", f"{second} of them confirmed by a second engine"
@@ -67,11 +62,6 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
         yield "Interrupted: this is what there was."
 
 
-def unbegun(frame: pd.DataFrame) -> Iterator[str]:
-    if missing := frame.attrs["unbegun"]:
-        yield f"Not begun, for want of time (--budget): {', '.join(missing)}."
-
-
 def cuts(frame: pd.DataFrame) -> Iterator[str]:
     found: dict[tuple[str, str, str], list[str]] = {}
     missing = frame[(frame["reason"] != "") & ~frame["method"].isin(frame.attrs["unbegun"])]
@@ -80,16 +70,15 @@ def cuts(frame: pd.DataFrame) -> Iterator[str]:
     for (method, status, reason), rows in missing.groupby(["method", "ended", "reason"], sort=False):
         everywhere = len(rows) == frame["error_asked"].nunique()
         at = "" if everywhere else f" at {names([f'{error:g}' for error in rows['error_asked']])}"
-        key = (at, str(status), str(reason))
-        found.setdefault(key, []).append(str(method))
+        found.setdefault((at, status, reason), []).append(method)
     for (at, status, reason), methods in found.items():
         yield f"{names(methods)}{at}: {status}: {reason}."
 
 
 # -- tables ----------------------------------------------------------------------------------------
 def laws_of(frame: pd.DataFrame) -> list[str]:
-    found = frame.columns[frame.columns.get_loc("reason") + 1 : -1]
-    return [] if list(found) == ["map_growth"] else list(found)
+    found = list(frame.columns[frame.columns.get_loc("reason") + 1 : -1])
+    return [] if found == ["map_growth"] else found
 
 
 def has_laws(rows: pd.DataFrame) -> pd.Series:
@@ -119,64 +108,56 @@ def kept_laws(rows: pd.DataFrame) -> str:
     if not has_laws(rows).any():
         return "not measured"
     kept, unknown = kept_and_unknown(rows)
-    hidden = {label for text in rows["laws_undecided"] for label in text.split(", ") if label}
+    hidden = {label for text in rows["laws_undecided"] for label in text.split(", ")}
     unclear = symbols(law for law in laws_of(rows) if law_label(law) in hidden)
-    parts = [", ".join(kept)]
-    parts += [
-        f"{', '.join(some)} {why}"
-        for some, why in ((unclear, "undecided"), (unknown, "not measured"))
-        if some
-    ]
-    return "; ".join(filter(None, parts)) or "none"
+    groups = {"": kept, " undecided": unclear, " not measured": unknown}
+    return "; ".join(f"{', '.join(some)}{why}" for why, some in groups.items() if some) or "none"
 
 
 def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
-    done, kept, unknown = rows[has_laws(rows)], [], []
-    for law in (name for name in laws_of(rows) if name in LAWS_TABLE.columns):
-        known = done.loc[done[law].notna(), "laws_kept"]
-        needs_derivative = law in structural_laws() and law not in OF_THE_STATE
-        if known.empty and needs_derivative:
-            unknown.append(law)
-        elif len(known) and all(law_label(law) in text.split(", ") for text in known):
+    kept, unknown = [], []
+    for law in filter(LAWS_TABLE.columns.__contains__, laws_of(rows)):
+        known = rows.loc[rows[law].notna(), "laws_kept"]
+        if len(known) and all(law_label(law) in text.split(", ") for text in known):
             kept.append(law)
+        elif known.empty and law in structural_laws() and law not in OF_THE_STATE:  # needs the derivative
+            unknown.append(law)
     return symbols(kept), symbols(unknown)
 
 
 def ranked(frame: pd.DataFrame) -> list[str]:
     """Return the methods that can run the scene, soonest done first: by errors reached, then by their mean ratio."""
-    able = frame[~frame["status"].isin(["unsupported"])]
+    able = frame[frame["status"] != "unsupported"]
     ratios = np.log(able["ratio"]).groupby(able["method"], sort=False)
     table = pd.DataFrame({"missed": -ratios.count(), "mean": ratios.mean()})
     return [str(method) for method in table.sort_values(["missed", "mean"], kind="stable").index]
 
 
-def times_view(frame: pd.DataFrame, kind: str) -> View:
+def times_view(frame: pd.DataFrame, kind: str, short: bool) -> View:
     rows, own = [], frame[frame["kind"] == kind]
     for method in ranked(own):
         part = own[own["method"] == method]
-        cells = [time_text(row) for _, row in part.iterrows()]
-        rows.append((method, *cells, kept_laws(part), *part["evaluations"]))
+        evaluations = [] if short else part["evaluations"]
+        rows.append((method, *part.apply(time_text, axis=1), kept_laws(part), *evaluations))
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
-    labels = [("", "method"), *(("time at error", e) for e in errors), ("", "keeps")]
-    table = frame_of(rows, [*labels, *(("evaluations at error", e) for e in errors)])
-    return View(f"race_{kind}", TITLES[kind], table, show={"": count})
+    labels = ["method", *errors, "keeps", *([] if short else errors)]
+    legend = LEGEND if short else f"{LEGEND}, then evaluations"
+    return View(f"race_{kind}", TITLES[kind], frame_of(rows, labels), legend, {"": count})
 
 
 def settings_view(frame: pd.DataFrame) -> View:
-    errors = list(dict.fromkeys(frame["error_asked"]))
-    rows = []
-    done = frame[frame["status"] == "ok"]
-    for method in ranked(done):
-        part = done[done["method"] == method]
-        reached = {r.error_asked: f"{r.setting}, {scientific(r.error_reached)}" for r in part.itertuples()}
-        rows.append((method, *(reached.get(error, DASH) for error in errors)))
+    errors, done = list(dict.fromkeys(frame["error_asked"])), frame[frame["status"] == "ok"]
+    reached = {
+        (r.method, r.error_asked): f"{r.setting}, {scientific(r.error_reached)}" for r in done.itertuples()
+    }
+    rows = [(m, *(reached.get((m, error), DASH) for error in errors)) for m in ranked(done)]
     table = frame_of(rows, ["method", *(f"{error:g}" for error in errors)])
-    return View("race_settings", "Setting, and error reached", table)
+    return View("race_settings", "Setting, and error reached", table, "for each time above")
 
 
-def views(frame: pd.DataFrame) -> list[View]:
-    found = [times_view(frame, kind) for kind in TITLES if (frame["kind"] == kind).any()]
-    return [each for each in [*found, settings_view(frame)] if each.rows]
+def views(frame: pd.DataFrame, short: bool) -> list[View]:
+    found = [times_view(frame, kind, short) for kind in TITLES if (frame["kind"] == kind).any()]
+    return [each for each in [*found, *([] if short else [settings_view(frame)])] if each.rows]
 
 
 # -- figure ----------------------------------------------------------------------------------------
@@ -188,10 +169,8 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     ok = ok.assign(error=np.maximum(ok["error"], frame.attrs["reference"]["error"]), cost=ok["evaluations"])
     found = [(title, timed[timed["kind"] == kind], "time per solve, ms") for kind, title in TITLES.items()]
     panels = tuple(panel(*one) for one in (*found, ("Evaluations", ok, "evaluations")) if len(one[1]))
-    if not panels:
-        return None
     scene = frame["scene"].iloc[0]
-    return Figure(f"compare_{scene}", f"{scene}: cost against error", panels)
+    return Figure(f"compare_{scene}", f"{scene}: cost against error", panels) if panels else None
 
 
 def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
@@ -215,29 +194,23 @@ def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
     scene : how a command names it, if not by its name.
     """
     short = not every and frame["method"].nunique() > ROWS
-    missing, found, hidden = list(unbegun(frame)), [], 0
-    for each in views(frame):
-        if short and each.name == "race_settings":
-            continue
-        shown = best_rows(each, said_of(frame)) if short else each.rows
+    recommended, said, found, hidden = frame.attrs["recommendation"], list(notes(frame)), [], 0
+    named = {word for line in recommended for word in re.findall(r"[\w-]+", line)}
+    for each in views(frame, short):
+        shown = best_rows(each, named) if short else each.rows
         hidden += len(each.rows) - len(shown)
-        columns = [i for i, head in enumerate(each.columns) if not (short and "evaluations" in head.group)]
-        lines = [[each.columns[i].label for i in columns], *([row[i].text for i in columns] for row in shown)]
-        legend = LEGENDS.get(each.name, LEGENDS["short" if short else ""])
-        found.append("\n".join([f"{each.title}: {legend}", *in_width(lines)]))
-    said = list(notes(frame))[len(missing) :]
+        lines = [[head.label for head in each.columns], *([cell.text for cell in row] for row in shown)]
+        found.append("\n".join([f"{each.title}: {each.legend}", *in_width(lines)]))
     if short:
-        more = f"{hidden} more rows, evaluations, settings, and why a method got no further: --csv, --html, --all."
-        said = [*said[:1], more]
-    blocks = (missing, said, [*frame.attrs["recommendation"], *how_to_run(frame, scene)])
+        more = f"{hidden} more rows, evaluations, settings, and why a method got no further: --csv, --all."
+        said = [said[0], more]
+    late = ", ".join(frame.attrs["unbegun"])
+    missing = [f"Not begun, for want of time (--budget): {late}."] if late else []
+    blocks = (missing, said, [*recommended, *how_to_run(frame, scene)])
     first, last, end = ("\n".join(map(wrap, block)) for block in blocks)
-    return "\n\n".join(filter(None, [first, *found, last, end, *which_method()]))
-
-
-def said_of(frame: pd.DataFrame) -> set[str]:
-    """Return the methods that the recommendation names."""
-    words = {word for line in frame.attrs["recommendation"] for word in re.findall(r"[\w-]+", line)}
-    return words & set(frame["method"])
+    folder = shipped_folder()
+    where = f"For other problems, a decision in five questions: {folder / 'which.md'}" if folder else ""
+    return "\n\n".join(filter(None, [first, *found, last, end, where]))
 
 
 def best_rows(view: View, named: set[str]) -> list[tuple[Cell, ...]]:
@@ -251,23 +224,15 @@ def how_to_run(frame: pd.DataFrame, scene: str) -> Iterator[str]:
     """Yield what an error is of, and the run at the smallest that something is recommended for."""
     carry, timed = ",".join(frame.attrs["carry"]), frame[frame["time_s"].notna()]
     what = f"the motion{f' and {carry}' if carry else ''} at the ends of five runs, the last to t_end"
-    first = timed[timed["kind"] == timed["kind"].max()].sort_values(["error_asked", "time_s"], kind="stable")[
-        :1
-    ]
+    first = timed[timed["kind"] == timed["kind"].max()].sort_values(["error_asked", "time_s"], kind="stable")
     run = ""
-    for row in first.itertuples():
+    for row in first.head(1).itertuples():
         control, _, value = str(row.setting).partition("=")
         if value and control in ("step", "rtol"):
             name, _, options = (scene or str(row.scene)).partition(" ")
             given = f"{row.method} --{control} {value} --carry '{carry}' {options}".rstrip()
             run = f": contactbench solve {name} {given}"
     yield f"Errors are those of {what}{run}"
-
-
-def which_method() -> Iterator[str]:
-    """Yield where a decision for other problems is, if that document is there."""
-    if folder := shipped_folder():
-        yield f"For other problems, a decision in five questions: {folder / 'which.md'}"
 
 
 def wrap(line: str) -> str:
@@ -278,8 +243,8 @@ def in_width(lines: list[list[str]]) -> Iterator[str]:
     """Yield the lines of a table; one too wide for the terminal goes on below, with its first column again."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     blocks = [[0]]
-    for i in range(1, len(widths)):
-        if sum(widths[k] + 2 for k in blocks[-1]) + widths[i] > WIDTH and blocks[-1] != [0]:
+    for i, width in enumerate(widths[1:], 1):
+        if sum(widths[k] + 2 for k in blocks[-1]) + width > WIDTH and blocks[-1] != [0]:
             blocks.append([0])
         blocks[-1].append(i)
     for block in blocks:

@@ -14,7 +14,7 @@ from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, v
 from contactbench.report.curves import best_of_each, by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.numbers import duration, names, power, scientific, times
-from contactbench.report.views import Mark, View, as_cell, frame_of, matrix
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 
 #: how far the energy left may be off
@@ -30,9 +30,13 @@ COSTS = {
 ESTABLISHED = "established"
 
 
+def is_main(frame: pd.DataFrame) -> pd.Series:
+    return (frame["scene"] == SCENE) & (frame["gamma"] == GAMMA) & (frame["n"] == SITES)
+
+
 def main_rows(frame: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of the scene that all methods are run on; run_s : of the whole run, by its evaluations."""
-    own = frame[(frame["scene"] == SCENE) & (frame["gamma"] == GAMMA) & (frame["n"] == SITES)]
+    own = frame[is_main(frame)]
     timed = own.dropna(subset="time_min_s").set_index(["method", "setting"])
     each = (timed["time_min_s"] / timed["timed_evaluations"]).reindex(own[["method", "setting"]])
     return own.assign(run_s=np.array(floats(each)) * own["evaluations_per_time"] * own["t_end"])
@@ -65,12 +69,11 @@ def answers(frames: Frames) -> Iterator[Answer]:
         least = float(rows[column].iloc[0])
         first = ties(rows[column], least, COUNTED)
         others = rows[(rows["family"] != CONTACT) & ~first]
-        beside = [f"{o['method']} {times(o[column] / least)}" for _, o in others.iterrows()]
+        beside = ", ".join(f"{o['method']} {times(o[column] / least)}" for _, o in others.iterrows())
         after = f"T = {power(rows['t_end'].iloc[0])}, γ = {power(GAMMA)}"
         what = f"the energy left in a chaotic ring of {SITES} after {after}, within 1 % (median of {starts} starts)"
-        question = f"Which {asked} to have {what}?"
-        methods = names([str(m) for m in rows["method"][first]], 3)
-        yield Answer(question, methods, "; ".join(filter(None, [show(least) + unit, ", ".join(beside)])))
+        count = "; ".join(filter(None, [show(least) + unit, beside]))
+        yield Answer(f"Which {asked} to have {what}?", names(list(rows["method"][first]), 3), count)
 
 
 def at_allowed(own: pd.DataFrame) -> pd.DataFrame:
@@ -84,49 +87,46 @@ def at_allowed(own: pd.DataFrame) -> pd.DataFrame:
 
 def costs_view(rows: pd.DataFrame) -> View:
     found, spans = costs(rows), sorted(rows["t_end"].unique())
-    by_cell = found.set_index(["method", "t_end"])
+    by_cell = {(row["method"], row["t_end"]): row for _, row in found.iterrows()}
+    not_run = pd.Series({"bound": False} | dict.fromkeys(COSTS, math.nan))
     least = found.groupby("t_end")[[*COSTS]].min()
     lines = []
     for method in dict.fromkeys(found["method"]):
         line: list[object] = [method]
         for end in spans:
-            own = by_cell.loc[(method, end)] if (method, end) in by_cell.index else None
+            own = by_cell.get((method, end), not_run)
             for column, (*_, show) in COSTS.items():
-                value = math.nan if own is None else own[column]
-                mark = Mark.best if value <= COUNTED * least.loc[end, column] else None
-                cell = as_cell(value, show, mark)
-                bound = own is not None and own["bound"] and cell.value is not None
+                mark = Mark.best if own[column] <= COUNTED * least.loc[end, column] else None
+                cell = as_cell(own[column], show, mark)
+                bound = own["bound"] and cell.value is not None
                 line.append(replace(cell, text=f"≤ {cell.text}") if bound else cell)
-            line.append(as_cell(math.nan if own is None else own["run_s"] / least.loc[end, "run_s"], times))
+            line.append(as_cell(own["run_s"] / least.loc[end, "run_s"], times))
         at = at_allowed(rows[rows["method"] == method])
-        line.append(at["setting"].iloc[0] if len(at) else None)
-        errors = [("energy_error", end) for end in spans] + [("rate_error", spans[-1])]
-        line += [at[at["t_end"] == end][column].max() for column, end in errors]
-        ends = at[at["t_end"] == spans[-1]][["energy_error_low", "energy_error_high"]]
-        lines.append([*line, " to ".join(map(scientific, ends.iloc[0])) if len(ends) else None])
+        last = at[at["t_end"] == spans[-1]]
+        interval = last[["energy_error_low", "energy_error_high"]]
+        line += [at["setting"].iloc[0] if len(at) else None]
+        line += [*(at[at["t_end"] == end]["energy_error"].max() for end in spans), last["rate_error"].max()]
+        lines.append([*line, " to ".join(map(scientific, interval.iloc[0])) if len(last) else None])
     at_spans = [f"T = {power(end)}" for end in spans]
     heads = [(f"to 1 %, {at}", head) for at in at_spans for head in ("time", "evaluations", "ratio")]
-    heads += [("one setting", "setting")]
-    heads += [("its error", at) for at in at_spans] + [("|γ_eff/γ − 1|", at_spans[-1])]
-    heads += [("its error, 95 % interval", at_spans[-1])]
-    table = frame_of(lines, [("", "method"), *heads])
-    main = {"scene": SCENE, "sites": SITES, "gamma": power(GAMMA)}
-    return view("structure_costs", table, {"": scientific}, **main, counted=COUNTED)
+    heads += [("one setting", "setting"), *(("its error", at) for at in at_spans)]
+    heads += [(what, at_spans[-1]) for what in ("|γ_eff/γ − 1|", "its error, 95 % interval")]
+    main = {"scene": SCENE, "sites": SITES, "gamma": power(GAMMA), "counted": COUNTED}
+    return view("structure_costs", frame_of(lines, [("", "method"), *heads]), {"": scientific}, **main)
 
 
 def others_view(frame: pd.DataFrame) -> View:
     """Return the evaluations at the other dampings, lengths and sizes, and with quadratic damping."""
-    main = (frame["scene"] == SCENE) & (frame["gamma"] == GAMMA) & (frame["n"] == SITES)
-    rest = frame[~main]
+    rest = frame[~is_main(frame)]
     case = [
         f"{'quadratic damping, ' if scene != SCENE else ''}γ = {power(g)}, T = {power(end)}, n = {n}"
         for scene, g, end, n in rest[["scene", "gamma", "t_end", "n"]].itertuples(index=False)
     ]
-    cells = rest.assign(case=case)
-    made = matrix(
-        cells, "method", "case", lambda own: as_cell(cost(own, "evaluations_per_time"), "{:.2g}".format)
-    )
-    return view("structure_others", made)
+
+    def cell(own: pd.DataFrame) -> Cell:
+        return as_cell(cost(own, "evaluations_per_time"), "{:.2g}".format)
+
+    return view("structure_others", matrix(rest.assign(case=case), "method", "case", cell))
 
 
 def reaching(curve: Curve, own: Sequence[Curve]) -> float:
@@ -153,13 +153,12 @@ def figure(rows: pd.DataFrame) -> Figure | None:
     grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in coloured])
     curves = by_method(grown, "t_end", "energy_error")
     panels.append(Panel("at the cheapest setting with 1 % at first", Axis("T", "log"), y, curves))
-    takes = {"time": duration(own["run_s"]), "ratio": times(other["run_s"] / own["run_s"])}
-    who = {"method": own["method"], "other": other["method"], "end": power(spans[-1])}
-    return chart("structure_buys", panels, across=3, sites=SITES, gamma=power(GAMMA), **who, **takes)
+    known = {"time": duration(own["run_s"]), "ratio": times(other["run_s"] / own["run_s"])}
+    known |= {"method": own["method"], "other": other["method"], "end": power(spans[-1])}
+    return chart("structure_buys", panels, across=3, sites=SITES, gamma=power(GAMMA), **known)
 
 
 @chapter("structure_buys", answers)
 def parts(frames: Frames) -> list[Part | None]:
-    frame = frames["structure_buys"]
-    rows = main_rows(frame)
-    return [costs_view(rows), figure(rows), others_view(frame)]
+    rows = main_rows(frames["structure_buys"])
+    return [costs_view(rows), figure(rows), others_view(frames["structure_buys"])]

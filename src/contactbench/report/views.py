@@ -30,12 +30,11 @@ class Mark(StrEnum):
 
 @dataclass(frozen=True)
 class Cell:
-    """An entry; value : its number, None where it is words or missing; link : an address."""
+    """An entry; value : its number, None where it is words or missing."""
 
     text: str
     value: float | None = None
     mark: Mark | None = None
-    link: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,11 +97,6 @@ def frame_of(
 ) -> pd.DataFrame:
     """Return rows of words, numbers or cells as the frame of a view; labels : of the columns, or (group, label)."""
     return pd.DataFrame(list(rows), columns=pd.Index(labels, tupleize_cols=False), dtype=object)
-
-
-def pick(frame: pd.DataFrame, *same: str, **others: str) -> pd.DataFrame:
-    """Return columns under their own names and, column=label, under others."""
-    return frame[[*same, *others]].rename(columns=others)
 
 
 def matrix(

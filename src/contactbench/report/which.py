@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from contactbench.report import damping, population, structure
+from contactbench.report import population, stability, structure
 from contactbench.report.chapters import PROSE, Frames, Part, Section, Text, chapter, view
 from contactbench.report.numbers import DASH, names, power, times
 from contactbench.report.views import Cell, View, frame_of
@@ -61,9 +61,7 @@ def kinds_view(frames: Frames) -> View:
         for error in population.errors(frames):
             tables = [regrets(rows, error, cost) for cost in COSTS]
             tables = [table[inside.reindex(table.index).to_numpy(dtype=bool)] for table in tables]
-            cells = [
-                best(own) for table in tables for own in (table, table[[m for m in table if m in contact]])
-            ]
+            cells = [best(own) for each in tables for own in (each, each[[m for m in each if m in contact]])]
             lines.append([f"{label}, {power(error)}", len(tables[0]), *cells])
     labels = [("", "problems, error"), ("", "how many")]
     labels += [(population.LABELS[cost], what) for cost in COSTS for what in ("any", "a contact method")]
@@ -74,12 +72,13 @@ def hard_view(frames: Frames) -> View | None:
     rows = frames["population_hard"]
     if not len(rows):
         return None
-    right = (rows["right"] == True).groupby([rows["hard"], rows["method"]], sort=False)  # noqa: E712
-    shares = pd.DataFrame({"right": right.sum(), "runs": right.size()}).reset_index()
-    cost = rows[rows["right"] == True].groupby(["hard", "method"])["evaluations"].median()  # noqa: E712
+    right = rows["right"].fillna(False).astype(bool)
+    runs = rows.assign(right=right, cost=rows["evaluations"].where(right)).groupby(
+        ["hard", "method"], sort=False
+    )
+    shares = runs.agg(right=("right", "sum"), runs=("right", "size"), cost=("cost", "median")).reset_index()
     lines = []
     for kind, own in shares.groupby("hard", sort=False):
-        own = own.assign(cost=[cost.get((kind, method), np.inf) for method in own["method"]])
         first = own.sort_values(["right", "cost"], ascending=[False, True], kind="stable").head(NAMED)
         said = [f"{one.method} {one.right} of {one.runs}" for one in first.itertuples()]
         lines.append((kind, names(said, NAMED)))
@@ -92,7 +91,9 @@ def parts_of(name: str, frames: Frames) -> tuple[Part | None, ...]:
         return (Text(items=tuple(f"{one.answer}: {one.count}" for one in structure.answers(frames))),)
     if name == "stiff":
         rates = frames["damping_rates"]
-        return (replace(damping.rates_view(rates[rates["experiment"] == "overdamped"]), name="which_rates"),)
+        return (
+            replace(stability.rates_view(rates[rates["experiment"] == "overdamped"]), name="which_rates"),
+        )
     if name == "hard":
         return (hard_view(frames),)
     return (kinds_view(frames),) if name == "kind" else ()

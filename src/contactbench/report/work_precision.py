@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -35,6 +35,8 @@ from contactbench.results.contest import (
 LEGEND: str = PROSE["work_precision"]["legend"]
 #: by kind of cost
 QUESTIONS: dict[str, str] = PROSE["work_precision"]["questions"]
+#: kinds of cost whose contests stand in results/README.md
+FIRST = ("evaluations", "compiled")
 MARKS = {"win": Mark.best, OURS: Mark.best, "tie": Mark.tie, "undecided": Mark.tie}
 
 
@@ -56,30 +58,25 @@ def all_contests(frames: Frames) -> dict[str, Contest]:
     return {kind.name: contest(frames["work_precision"], kind) for kind in KINDS}
 
 
-@lru_cache(2)
-def of_package(frames: Frames) -> pd.DataFrame:
-    """Return the contests, in compiled time, of what this package runs with what the libraries run."""
-    return contests(costs(contestants(frames["work_precision"]), COMPILED), of_this_package)
-
-
 def tally(won: pd.DataFrame) -> tuple[str, str]:
     judged = won[won["winner"] != ""]
     counted = judged["winner"].value_counts()
     others = judged[judged["winner"] == OTHER]["other"].value_counts()
-    text = f"{counted.get(OURS, 0)} of {len(judged)} pairs of scene and error"
-    for winner, word in (("tie", "tied"), ("undecided", "undecided")):
-        text += f", {counted[winner]} {word}" if winner in counted else ""
+    won_by_us = int(counted.get(OURS, 0))
+    words = {"tie": "tied", "undecided": "undecided"}
+    beside = "".join(f", {counted[winner]} {word}" for winner, word in words.items() if winner in counted)
     rest = ", ".join(f"{method} {n}" for method, n in others.items())
-    return how_often(counted.get(OURS, 0), len(judged)), text + (f"; others: {rest}" if rest else "")
+    text = f"{won_by_us} of {len(judged)} pairs of scene and error{beside}"
+    return how_often(won_by_us, len(judged)), text + (f"; others: {rest}" if rest else "")
 
 
-def answers(frames: Frames) -> Iterator[Answer]:
-    every = {name: own.contests for name, own in all_contests(frames).items()} | {
-        "package": of_package(frames)
-    }
-    for name, won in every.items():
-        if len(won):
-            yield Answer(QUESTIONS[name], *tally(won))
+@lru_cache(2)
+def answers_by_kind(frames: Frames) -> dict[str, Answer]:
+    """Return the contests counted, by kind of cost; package: what this package runs beside what the libraries run."""
+    found = {name: own.contests for name, own in all_contests(frames).items()}
+    own = costs(contestants(frames["work_precision"]), COMPILED)
+    found["package"] = contests(own, of_this_package)
+    return {name: Answer(QUESTIONS[name], *tally(won)) for name, won in found.items() if len(won)}
 
 
 # -- who is cheapest -------------------------------------------------------------------------------
@@ -87,14 +84,12 @@ def error_label(error: float) -> str:
     return f"error {power(error)}"
 
 
-def cost_text(row: Cost, show: Callable[[float], str]) -> str:
+def cost_cell(row: Cost, kind: Kind) -> Cell:
     if math.isnan(row.cost):
-        return row.reason or DASH
-    return f"{'≤ ' if row.bound else ''}{show(row.cost)}{' °' if row.fixed > 0.5 else ''}"
-
-
-def cost_cell(row: Cost, show: Callable[[float], str] = duration) -> Cell:
-    return Cell(cost_text(row, show), None if math.isnan(row.cost) else row.cost, MARKS.get(row.verdict))
+        return Cell(row.reason or DASH)
+    written = duration(row.cost) if kind.timed else count(row.cost)
+    text = f"{'≤ ' if row.bound else ''}{written}{' °' if row.fixed > 0.5 else ''}"
+    return Cell(text, row.cost, MARKS.get(row.verdict))
 
 
 def winners_view(own: Contest, name: str) -> View:
@@ -104,7 +99,7 @@ def winners_view(own: Contest, name: str) -> View:
 
     def cell(ranked: pd.DataFrame) -> Cell:
         first = cost_rows(ranked.head(1))[0]
-        text = cost_text(first, duration if own.kind.timed else count)
+        text = cost_cell(first, own.kind).text
         behind = ranked[ranked["family"] == CONTACT]["ratio"].min()
         factor = f" (contact {times(behind)})" if behind > 1 else ""
         named = text if math.isnan(first.cost) else f"{first.method} {text}{factor}"
@@ -137,24 +132,19 @@ def losses_view(won: Mapping[str, pd.DataFrame], name: str) -> View:
 def costs_view(own: Contest, scene: str) -> View:
     here = own.standings[own.standings["scene"] == scene]
     here = here.sort_values(["method", "error"], ascending=[True, False])
-    show = duration if own.kind.timed else count
-    cells = {(row.method, row.error): cost_cell(row, show) for row in cost_rows(here)}
-    frame = grid("method", cells, error_label)
-    return View(f"{own.kind.name}_{scene}", own.kind.title, frame)
+    cells = {(row.method, row.error): cost_cell(row, own.kind) for row in cost_rows(here)}
+    return View(f"{own.kind.name}_{scene}", own.kind.title, grid("method", cells, error_label))
 
 
-@chapter("work_precision", answers)
+@chapter("work_precision", lambda frames: answers_by_kind(frames).values())
 def parts(frames: Frames) -> list[Part]:
     work, found = frames["work_precision"], all_contests(frames).values()
+    by_error = [own for own in found if own.kind.by == "oracle"]
     scenes = [
-        Section(
-            scene,
-            (figure(work, scene), *(costs_view(own, scene) for own in found if own.kind.by == "oracle")),
-        )
+        Section(scene, (figure(work, scene), *(costs_view(own, scene) for own in by_error)))
         for scene in dict.fromkeys(work["scene"])
     ]
-    first = PROSE["headline"]["shown"]["contests"]
-    cheapest = (cheapest_view(own) for own in found if len(own.contests) and own.kind.name not in first)
+    cheapest = (cheapest_view(own) for own in found if len(own.contests) and own.kind.name not in FIRST)
     return [
         Text("By evaluations and compiled time, and where the contact methods lose: [README.md](README.md)."),
         Section("Who is cheapest where", tuple(cheapest)),
@@ -165,16 +155,12 @@ def parts(frames: Frames) -> list[Part]:
 # -- figures ---------------------------------------------------------------------------------------
 #: beyond an error of two there is nothing left of the motion, below round-off nothing is known
 ERROR = Axis("error of the solution (more accurate to the right)", "log", inverted=True, within=(1e-16, 2.0))
-#: the axis of each cost, and its scale
-AXES = {
-    "rhs_equivalents": ("evaluations", 1.0),
-    "time_min_s": ("time of a solve, ms", 1e3),
-    "marginal_s": ("time per unit of simulated time, ms", 1e3),
-}
+#: the axis of each kind of cost that is drawn, and its scale
+AXES = {COMPILED: ("time of a solve, ms", 1e3), EVALUATIONS: ("evaluations", 1.0)}
 
 
-def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str] = ()) -> Panel:
-    label, size = AXES[kind.cost]
+def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str]) -> Panel:
+    label, size = AXES[kind]
     curves = by_method(rows, "solution_error", kind.cost, size)
 
     def score(curve: Curve, own: Sequence[Curve]) -> float:
@@ -184,8 +170,7 @@ def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str] = ()) -> Panel:
 
 
 def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
-    rows = contestants(work)
-    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
+    rows = contestants(work[(work["scene"] == scene) & (work["status"] == "ok")])
     rows = rows[kind.compares(rows) & rows[kind.cost].notna()]
     totals = rows.groupby(["method", "engine"])[kind.cost].transform("median")
     best = rows.assign(total=totals).groupby("method")["total"].transform("min")
@@ -194,14 +179,13 @@ def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
 
 def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     title, named = message(work, scene)
-    found = {kind: compared(work, scene, kind) for kind in (COMPILED, EVALUATIONS)}
+    found = {kind: compared(work, scene, kind) for kind in AXES}
     panels = [panel(rows, kind, named) for kind, rows in found.items() if len(rows)]
     return chart("work_precision", panels, f"work_precision_{scene}", title=title)
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
-    rows = contestants(work)
-    table = contests(costs(rows[rows["scene"] == scene], COMPILED))
+    table = contests(costs(contestants(work[work["scene"] == scene]), COMPILED))
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
     if not len(table):
         return f"{scene}: cost against error", []

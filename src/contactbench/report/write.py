@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
-from functools import lru_cache, partial
-from itertools import cycle
+from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +12,6 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
-from contactbench.measure.isolation import Worker, usable_cores
 from contactbench.report import draw, headline, markdown
 from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, discovered, every
 from contactbench.report.drawing import Figure
@@ -31,16 +27,14 @@ README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from r
 APART = 0.11
 NAME = re.compile(r"\b[a-z]+[0-9a-f]{10}\b")
 NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
+#: a sentence that is a link into this project's documents
+TO_DOCS = re.compile(r"\s?\[[^\]]+\]\(\.\./docs/[^)]*\)\.?")
 
 
 def tables(results: Path) -> Tables:
     """Return every table of a folder, those included that modules of this package declare."""
     discovered()
     return as_of(results, tuple(path.stat().st_mtime_ns for path in sorted(results.glob("*.csv"))))
-
-
-#: a sentence that is a link into this project's documents
-TO_DOCS = re.compile(r"\s?\[[^\]]+\]\(\.\./docs/[^)]*\)\.?")
 
 
 @lru_cache(1)
@@ -52,50 +46,19 @@ def as_of(results: Path, written: tuple[int, ...]) -> Tables:
 def documents(
     results: Path, registries: Registries, readme: Path | None
 ) -> tuple[dict[Path, str], list[Figure]]:
-    frames = tables(results)
-    with drawing() as draws:
-        found, drawn = [], dict[str, Figure]()
-        pictures: dict[str, Callable[[], str]] = {}
-        for chapter in chapters(frames):
-            found.append(chapter.fill(frames))
-            for figure in every(Figure, found[-1].parts):
-                if figure.name not in drawn:
-                    drawn[figure.name], pictures[figure.name] = figure, draws(figure)
-        texts = {f"figures/{name}.svg": picture() for name, picture in pictures.items()}
-    if found and found[0].chapter.name == headline.NAME:
-        found[0] = replace(found[0], parts=(*found[0].parts, headline.machine(runs(results))))
-    pages = {one.chapter.file: markdown.document(one) for one in found}
-    pages["glossary.md"] = f"# Glossary\n\n{markdown.parts(glossary(registries))}\n"
+    frames, pages, drawn = tables(results), dict[str, str](), dict[str, Figure]()
+    for chapter in chapters(frames):
+        parts = chapter.fill(frames)
+        drawn |= {figure.name: figure for figure in every(Figure, parts)}
+        if chapter.name == headline.NAME:
+            parts = (*parts, headline.machine(runs(results)))
+        pages[chapter.file] = markdown.document(chapter.title, chapter.answers(frames), parts)
+    pages["glossary.md"] = markdown.document("Glossary", (), glossary(registries))
     if not (results.parent / "docs" / "reading.md").exists():  # as in a repository of one's own
         pages = {name: TO_DOCS.sub("", text) for name, text in pages.items()}
-    paths = {results / name: text for name, text in (pages | texts).items()}
+    pages |= {f"figures/{name}.svg": draw.svg(figure) for name, figure in drawn.items()}
+    paths = {results / name: text for name, text in pages.items()}
     return paths | ({readme: with_answers(readme, frames)} if readme else {}), list(drawn.values())
-
-
-@contextmanager
-def drawing() -> Iterator[Callable[[Figure], Callable[[], str]]]:
-    """Draw figures in processes of their own, one for each of two cores."""
-    cores = usable_cores()[:2]
-    workers = [Worker([core]) for core in cores if len(cores) > 1]
-    turns = cycle(workers)
-
-    def draws(figure: Figure) -> Callable[[], str]:
-        if not workers:
-            return partial(draw.svg, figure)
-        call = next(turns).submit(draw.svg, figure)
-
-        def picture() -> str:
-            try:
-                return call.result()
-            except Exception:  # as of what a user's chapter draws with, which no other process knows
-                return draw.svg(figure)
-
-        return picture
-
-    with ExitStack() as stack:
-        for worker in workers:
-            stack.enter_context(worker)
-        yield draws
 
 
 def with_answers(readme: Path, frames: Frames) -> str:
@@ -103,7 +66,7 @@ def with_answers(readme: Path, frames: Frames) -> str:
     if around is None:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    shown = headline.overview(frames)
+    shown = headline.at_equal_cost(frames, "overview", timed=True)
     tables = [markdown.table(shown)] if shown is not None else []
     tables.append(markdown.answers(headline.answers(frames)))
     return "\n".join([around[0], "\n\n".join(tables), "", around[1]])
