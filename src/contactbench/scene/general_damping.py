@@ -198,8 +198,6 @@ class GeneralDamping(Mechanical):
             if getattr(self, name) is not None:
                 require_number(name, self._value(name))
 
-    required: ClassVar[tuple[str, ...]] = ("s",)
-
     nonlinear_damping = True
 
     def dissipation(self, s: Arithmetic) -> Arithmetic:

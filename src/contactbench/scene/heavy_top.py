@@ -11,8 +11,8 @@ import numpy as np
 from contactbench.checks import finite, function, require_number, vector
 from contactbench.errors import BadInput
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
-from contactbench.scene.algebra import BodyState, Vector, cross, dot, norm, rotate
-from contactbench.scene.base import Check, Numeric, optional
+from contactbench.scene.algebra import BodyState, Vector, conjugate, cross, dot, norm, rotate
+from contactbench.scene.base import Check, Numeric, Sizes, optional
 from contactbench.scene.flow import Flow, plain
 from contactbench.scene.mechanical import derived_gradient
 from contactbench.scene.rigid_body import BODY, RigidBody, one_rate
@@ -117,8 +117,7 @@ class HeavyTop(RigidBody):
 
     def vertical(self, R: Any) -> Vector:
         """Return Rᵀe₃."""
-        w, x, y, z = R
-        return rotate((w, -x, -y, -z), (0.0, 0.0, 1.0))
+        return rotate(conjugate(R), (0.0, 0.0, 1.0))
 
     def potential_at(self, x: BodyState) -> Arithmetic:
         u = self.vertical(x.R)
@@ -136,11 +135,11 @@ class HeavyTop(RigidBody):
     def energy(self, x: BodyState) -> Arithmetic:
         return self.kinetic(x) + self.potential_at(x)
 
-    def sizes(self, x: BodyState, end: float) -> tuple[np.ndarray, np.ndarray]:
-        most, _ = super().sizes(x, end)
+    def sizes(self, x: BodyState, end: float) -> Sizes:
+        _, most = super().sizes(x, end)
         fall: Any = (2 * max(self.inertia) * (abs(self.potential_at(x)) + norm(self.torque(x)))) ** 0.5
-        most = np.fmax(most, fall)
-        return most, most[0]
+        most = float(np.fmax(most, fall))
+        return [most] * 3, most
 
     def rhs(self, x: BodyState) -> BodyState:
         free = super().rhs(x)
