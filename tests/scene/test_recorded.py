@@ -99,15 +99,10 @@ def by_steps(scene):
     return y[0]
 
 
-def by_an_ensemble(scene):
-    return cb.ensemble(scene, "contact-rkn6", {"q": (np.ones(2),)}, step=0.05).final.q[0][1]
-
-
 CALLS = {
     "solve": lambda scene: cb.solve(scene, "contact-rkn6", step=0.05).q[-1, 0],
     "run": lambda scene: cb.prepare(scene, "cvode-adams", rtol=1e-9)().q[-1, 0],
     "step": by_steps,
-    "ensemble": by_an_ensemble,
     "reference": lambda scene: cb.reference(scene, [5.0], ()).y[0, 0],
 }
 
