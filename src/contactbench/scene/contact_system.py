@@ -142,29 +142,22 @@ class ContactSystem(Canonical):
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
                 scene._require_symmetry()
 
-    def _recording(self, name: str) -> Formula:
-        """Return one of its functions as a formula; `BadInput` where it cannot be recorded."""
-        given = getattr(self, name)
-        if isinstance(given, Formula):
-            return given
-        n = len(self.q)
+    def _derive[Derived](self, name: str, derive: Callable[[Formula], Derived]) -> Derived:
+        """Return derivatives of one of its functions; `BadInput` where it cannot be recorded or differentiated."""
+        given, n = getattr(self, name), len(self.q)
         try:
-            return formula(given, (n, n, 0), tuple(self.parameters))
+            made = given if isinstance(given, Formula) else formula(given, (n, n, 0), tuple(self.parameters))
+            return derive(made)
         except CannotRecord as why:
-            raise self._unrecorded(name, why) from why
-
-    def _unrecorded(self, name: str, why: CannotRecord) -> BadInput:
-        return BadInput(f"scene {self.name!r}: its {name} cannot be recorded and differentiated: {why}")
+            wanted = "cannot be recorded and differentiated"
+            raise BadInput(f"scene {self.name!r}: its {name} {wanted}: {why}") from why
 
     def recorded(self) -> Self:
         """Return the scene recorded, with its derivatives."""
         if self.derived is not None:
             return self
         scene = super().recorded()
-        try:
-            return scene._replaced(derived=derivatives_of(scene._recording("hamiltonian")))
-        except CannotRecord as why:
-            raise self._unrecorded("hamiltonian", why) from why
+        return scene._replaced(derived=scene._derive("hamiltonian", derivatives_of))
 
     @property
     def _derived(self) -> Derivatives:
@@ -194,7 +187,7 @@ class ContactSystem(Canonical):
                     )
 
     def _momentum_slopes(self, x: State) -> Sequence[Vector]:
-        rows: Sequence[Vector] = slopes_of(self._recording("momentum"))(self._flat(x), **self.parameters)
+        rows: Sequence[Vector] = self._derive("momentum", slopes_of)(self._flat(x), **self.parameters)
         return rows
 
     def momentum_at(self, x: State) -> Vector | None:
@@ -208,12 +201,10 @@ class ContactSystem(Canonical):
         return self.momentum is not None
 
     def momentum_terms(self, x: State) -> Numeric:
-        momenta, n = self.momentum_at(x) or (), len(self.q)
-        rows = [
-            [abs(p * slope) for p, slope in zip(x.p, row[n:], strict=False)]
-            for row in self._momentum_slopes(x)
-        ]
-        return sum(abs(J) + sum(row) for J, row in zip(momenta, rows, strict=True))
+        momenta, n, total = self.momentum_at(x) or (), len(self.q), 0.0
+        for J, row in zip(momenta, self._momentum_slopes(x), strict=True):
+            total = total + (abs(J) + sum(abs(p * slope) for p, slope in zip(x.p, row[n:], strict=False)))
+        return total
 
     # -- H and its derivatives -------------------------------------------------------------------
     def _action(self, x: State) -> Arithmetic:
@@ -373,9 +364,8 @@ def on_metric(
         rows = mass(q, **named(mass, known))
     try:
         M = np.array([list(row) for row in rows], dtype=float)
-        fits = (
-            M.shape == (len(q),) * 2 and np.allclose(M, M.T, rtol=1e-12) and np.linalg.eigvalsh(M).min() > 0
-        )
+        symmetric = M.shape == (len(q),) * 2 and np.allclose(M, M.T, rtol=1e-12)
+        fits = symmetric and np.linalg.eigvalsh(M).min() > 0
     except (TypeError, ValueError, np.linalg.LinAlgError):
         fits = False
     if not fits:

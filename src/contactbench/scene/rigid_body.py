@@ -53,9 +53,8 @@ def one_rate(name: str, value: Any) -> float:
 
 def damping_matrix(name: str, value: object) -> tuple[Vector, ...]:
     """Return a 3×3 matrix from three rates or a matrix; raise `BadInput` unless it is symmetric and ≥ 0."""
-    wanted = (
-        "three rates ≥ 0 or a symmetric positive semi-definite 3×3 matrix (one rate about all axes: gamma=)"
-    )
+    matrices = "a symmetric positive semi-definite 3×3 matrix (one rate about all axes: gamma=)"
+    wanted = f"three rates ≥ 0 or {matrices}"
     given = real_array(name, value, wanted)
     matrix = np.diag(given) if given.shape == (3,) else given
     right = matrix.shape == (3, 3) and np.all(np.isfinite(matrix)) and np.array_equal(matrix, matrix.T)

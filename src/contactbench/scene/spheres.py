@@ -40,11 +40,8 @@ def unit(name: str, value: Any) -> Vector:
 
 def flat(name: str, value: Any) -> tuple[Vector, int]:
     """Return the numbers of one point or several, one after the other, and how many each has: 0, it is not said."""
-    if (
-        isinstance(value, tuple | list | np.ndarray)
-        and len(value)
-        and all(np.ndim(row) == 1 for row in value)
-    ):
+    several = isinstance(value, tuple | list | np.ndarray) and len(value) > 0
+    if several and all(np.ndim(row) == 1 for row in value):
         rows = [vector(f"{name}[{i}]", row, len(value[0])) for i, row in enumerate(value)]
         return sum(rows, ()), len(value[0])
     return vector(name, value), 0
