@@ -86,6 +86,11 @@ def with_duration(given: dict[str, Any], clocked: bool) -> dict[str, Any]:
     return given | {"t_end": end - start} | ({"t": start} if clocked else {})
 
 
+def as_formula(function: Callable[..., object], sizes: tuple[int, ...], names: Iterable[str] = ()) -> Formula:
+    """Return a function as a formula, itself where it is one; raise `CannotRecord` where it cannot be."""
+    return function if isinstance(function, Formula) else formula(function, sizes, tuple(names))
+
+
 class Kind(ABCMeta):
     """Kinds of scene, made with `t_span=(start, end)` as well."""
 

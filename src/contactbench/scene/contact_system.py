@@ -18,10 +18,10 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.dual import leaves
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.scene.algebra import State, Vector, dot
-from contactbench.scene.base import Check, Numeric, Sizes, named_numbers, optional
+from contactbench.scene.base import Check, Numeric, Sizes, as_formula, named_numbers, optional
 from contactbench.scene.canonical import Canonical, angular_momentum
 from contactbench.scene.scales import RATIO, SPANS, in_order, size
-from contactbench.trace.formula import Formula, argument_names, formula
+from contactbench.trace.formula import Formula, argument_names
 
 #: components of a state up to which the Jacobian is derived
 LARGEST_JACOBIAN = 65
@@ -146,8 +146,7 @@ class ContactSystem(Canonical):
         """Return derivatives of one of its functions; `BadInput` where it cannot be recorded or differentiated."""
         given, n = getattr(self, name), len(self.q)
         try:
-            made = given if isinstance(given, Formula) else formula(given, (n, n, 0), tuple(self.parameters))
-            return derive(made)
+            return derive(as_formula(given, (n, n, 0), self.parameters))
         except CannotRecord as why:
             wanted = "cannot be recorded and differentiated"
             raise BadInput(f"scene {self.name!r}: its {name} {wanted}: {why}") from why
@@ -201,7 +200,8 @@ class ContactSystem(Canonical):
         return self.momentum is not None
 
     def momentum_terms(self, x: State) -> Numeric:
-        momenta, n, total = self.momentum_at(x) or (), len(self.q), 0.0
+        momenta, n = self.momentum_at(x) or (), len(self.q)
+        total: Numeric = 0.0
         for J, row in zip(momenta, self._momentum_slopes(x), strict=True):
             total = total + (abs(J) + sum(abs(p * slope) for p, slope in zip(x.p, row[n:], strict=False)))
         return total

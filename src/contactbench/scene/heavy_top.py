@@ -12,11 +12,10 @@ from contactbench.checks import finite, function, require_number, vector
 from contactbench.errors import BadInput
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import BodyState, Vector, conjugate, cross, dot, norm, rotate
-from contactbench.scene.base import Check, Numeric, Sizes, optional
+from contactbench.scene.base import Check, Numeric, Sizes, as_formula, optional
 from contactbench.scene.flow import Flow, plain
 from contactbench.scene.mechanical import derived_gradient
 from contactbench.scene.rigid_body import BODY, RigidBody, one_rate
-from contactbench.trace.formula import Formula, formula
 
 
 def top_kick(scene: HeavyTop, x: BodyState, h: Arithmetic, xp: Namespace) -> BodyState:
@@ -104,10 +103,7 @@ class HeavyTop(RigidBody):
         if scene.potential is None or scene.slope is not None:
             return scene
         try:
-            potential = scene.potential
-            if not isinstance(potential, Formula):
-                potential = formula(potential, (3,), ())
-            return scene._replaced(slope=derived_gradient(potential))
+            return scene._replaced(slope=derived_gradient(as_formula(scene.potential, (3,))))
         except CannotRecord as why:
             raise BadInput(f"scene {self.name!r}: its potential cannot be differentiated: {why}") from why
 

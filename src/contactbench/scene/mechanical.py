@@ -17,12 +17,12 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import State, Vector, dot, norm, scaled, times
-from contactbench.scene.base import Check, Numeric, OwnState, Sizes, optional
+from contactbench.scene.base import Check, Numeric, OwnState, Sizes, as_formula, optional
 from contactbench.scene.canonical import Canonical, angular_momentum
 from contactbench.scene.contact_system import on_metric
 from contactbench.scene.flow import Constants, Flow, damped_time, damping, plain
 from contactbench.scene.scales import in_order, reach
-from contactbench.trace.formula import Formula, formula
+from contactbench.trace.formula import Formula
 
 #: components up to which a Hessian is derived
 LARGEST_HESSIAN = 32
@@ -304,9 +304,7 @@ class Mechanical(Canonical):
         if scene.gradient is None:
             sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
             try:
-                potential = scene.potential
-                if not isinstance(potential, Formula):
-                    potential = formula(potential, sizes, tuple(self.parameters))
+                potential = as_formula(scene.potential, sizes, self.parameters)
                 scene = scene._replaced(gradient=derived_gradient(potential))
             except CannotRecord as why:
                 missing = "its gradient is missing, and the potential cannot be differentiated"
