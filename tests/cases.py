@@ -48,10 +48,10 @@ TILTED = cb.SCENES["rigid_body_anisotropic"].with_(
 )
 #: the scenes that every experiment runs but that of stability
 STANDARD = [scene for scene in cb.SCENES.values() if not scene.hard and not scene.experiments]
-#: all of them, the potentials only hard ones have, and the shapes the registry does not have
 TWO_SCALES = cb.SCENES["stiff_spring"].with_(omega=3.0)  # not so stiff that round-off tests feel it
-NAMED = ("kepler_drag", "double_pendulum", "thermostat")
-ALL_SCENES = [*STANDARD, TWO_SCALES, *map(cb.SCENES.get, NAMED), FORCED_PULSATING, USER, TILTED]
+#: all of them, the potentials only hard ones have, and the shapes the registry does not have
+ALL_SCENES = [*STANDARD, TWO_SCALES, *map(cb.SCENES.get, ("kepler_drag", "double_pendulum", "thermostat"))]
+ALL_SCENES += [FORCED_PULSATING, USER, TILTED]
 #: methods with a step map
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 #: tests that ask the C library what it has handed out

@@ -77,10 +77,6 @@ def reference(times, **options):
     return lambda: cb.reference("particle", times, **options)
 
 
-def ensemble(start):
-    return lambda: cb.ensemble("particle", "rk4", start, step=0.5)
-
-
 def changed(scene="particle", **changes):
     return lambda: scene_of(scene).with_(**changes)
 
@@ -117,10 +113,7 @@ CALLS = [
     (registered(cb.METHODS, cb.METHODS["rk4"]), "method name 'x': must be"),
     # step and tolerance
     (solve(), "step is missing: rk4 has a fixed step; give step, or rtol"),
-    (
-        solve(method="quinlan-tremaine12", rtol=1e-6),
-        "rtol = 1e-06: no step of quinlan-tremaine12 is chosen from a tolerance; give step",
-    ),
+    (solve("quinlan-tremaine12", rtol=1e-6), "rtol = 1e-06: no step of quinlan-tremaine12 is chosen from a"),
     (rk4(rtol=1e-3), "step = 0.1 and rtol = 0.001: rk4 takes one of them"),
     (rk4(atol=1e-3), "atol = 0.001: rk4 has a fixed step and takes no atol"),
     (solve("cvode-bdf", step=0.1), "give rtol"),
@@ -140,7 +133,6 @@ CALLS = [
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=(0.1, 0.2)), "cb.diffrax.Contact"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, lagrangian=abs), "cb.ContactSystem"),
     (lambda: cb.Driven(**GIVEN, potential=lambda q: q[0]), "is called with q, t; it takes q"),
-    (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=(0.1, 0.2)), "cb.diffrax.Contact"),
     (lambda: cb.SCENES["rigid_body"].with_(inertia=np.eye(3)), "three principal moments"),
     (lambda: cb.SCENES["heavy_top"].with_(gamma=abs), "solve_ivp"),
     (lambda: cb.SCENES["heavy_top"].with_(potential=lambda u: math.sin(u[0])), "use cb.math.sin"),
@@ -150,10 +142,7 @@ CALLS = [
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gama=0.1), "gama: Mechanical takes none: choose from"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, damping=abs), "cb.GeneralDamping"),
     (lambda: cb.Driven(**DRIVEN, **GIVEN, rate=lambda q, t: t), "a damping that depends on q is cb."),
-    (
-        lambda: cb.Mechanical(**GIVEN, potential=lambda q, p: q[0] * p[0]),
-        "a force that depends on p is cb.ContactSystem",
-    ),
+    (lambda: cb.Mechanical(**GIVEN, potential=lambda q, p: q[0] * p[0]), "a force that depends on p is cb."),
     (lambda: cb.Mechanical(**GIVEN, potential=lambda q, s: q[0] * s), "a force that depends on s is cb."),
     (lambda: cb.Mechanical(**GIVEN, potential=lambda q, t: q[0] * t), "cb.Driven(potential=lambda q, t: …)"),
     (lambda: cb.Mechanical(**GIVEN, potential=lambda q, k: k * q[0]), "parameters={'k': …}"),
@@ -174,7 +163,7 @@ CALLS = [
     (rk4(events=abs), "cb.scipy.Contact"),
     (rk4(dense_output=True), "cb.scipy.Contact"),
     # other options
-    (rk4(engine="fortran"), "engine = 'fortran': rk4 runs on numba, jax, python"),
+    (rk4(engine="fortran"), "engine = 'fortran': rk4 runs on llvm, python"),
     (rk4(save_at=[3.0, 1.0]), "strictly increasing"),
     (rk4(save_at=[]), "must be finite times"),
     (rk4(carry=("R",)), "can carry s"),
@@ -185,7 +174,6 @@ CALLS = [
     # initial data and parameters
     (run_from(q=(1.0,)), "q = (1.0,): must be 2 numbers"),
     (run_from(q=(1e160, 0.0), method="scipy-dop853", rtol=1e-6), "where gradient[1] = inf: must be"),
-    (ensemble({"q": (np.ones(2) * 1j, 0.5)}), "q[0] = array([0.+1.j, 0.+1.j]): must be a number or an array"),
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
     (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
@@ -284,14 +272,6 @@ def test_an_error_later_in_a_run_is_told_as_theirs():
 
 
 # -- what is taken ---------------------------------------------------------------------------------
-SHIFTED = {"potential": lambda q: 5.0 + q[0] ** 2 / 2 + 2 * q[1] ** 2 + q[0] ** 2 * q[1]}
-
-
-@pytest.mark.parametrize("changes", [{}, {"hessian": None}, SHIFTED])
-def test_functions_that_fit_are_taken(changes):
-    assert cb.solve(user(**changes), "rk4", step=0.1).ok
-
-
 def test_a_definition_is_checked_once(monkeypatch):
     calls, scene = [], user()
     cb.solve(scene, "rk4", step=0.1)

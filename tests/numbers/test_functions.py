@@ -1,6 +1,8 @@
 """The functions a force may use: the same on every kind of number, with the right derivative; powers for heyoka."""
 
 import math
+from functools import partial
+from operator import eq, ge, lt, ne
 
 import heyoka
 import mpmath
@@ -84,13 +86,10 @@ WALL = {
 @pytest.mark.parametrize("name", WALL)
 def test_a_potential_of_several_pieces_runs_everywhere(name):
     scene = cb.Mechanical(name=name, potential=WALL[name], gamma=0.1, q=(1.0,), p=(0.0,), t_end=4.0)
-    ends = [cb.solve(scene, "contact-rkn4", step=0.05, engine=engine) for engine in ("llvm", "python")]
-    assert all(end.status == "ok" for end in ends)
-    for end in ends[1:]:
-        np.testing.assert_allclose(end.y, ends[0].y, rtol=1e-12)
-    assert cb.solve(scene, "cvode-adams", rtol=1e-9).q[-1] == pytest.approx(ends[0].q[-1], abs=1e-3)
-    found = cb.lyapunov(scene, "contact-strang", step=0.1, every=1.0, intervals=8)
-    assert found.total.value == pytest.approx(-0.1, abs=1e-12)
+    compiled, python = (cb.solve(scene, "contact-rkn4", step=0.05, engine=e) for e in ("llvm", "python"))
+    assert compiled.ok
+    np.testing.assert_allclose(python.y, compiled.y, rtol=1e-12)
+    assert cb.solve(scene, "cvode-adams", rtol=1e-9).q[-1] == pytest.approx(compiled.q[-1], abs=1e-3)
 
 
 def test_functions_of_floats_are_total():
@@ -128,13 +127,10 @@ def test_arithmetic_from_both_sides_and_of_numpy_s_scalars():
     assert value(SeriesNumbers().atan2(x, 2.0), 0.5) == pytest.approx(np.arctan2(0.5, 2.0), rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    "ask",
-    [bool, float, int, lambda x: x == 0, lambda x: x != 0, lambda x: x < 0, lambda x: x >= 0, lambda x: [*x]],
-)
-def test_its_value_cannot_be_asked_for(ask):
-    with pytest.raises(CannotRecord, match="known only when the program runs"):
-        ask(Series(heyoka.expression("x")))
+def test_its_value_cannot_be_asked_for():
+    for ask in (bool, float, int, iter, *(partial(each, 0) for each in (eq, ne, lt, ge))):
+        with pytest.raises(CannotRecord, match="known only when the program runs"):
+            ask(Series(heyoka.expression("x")))
 
 
 def test_a_function_that_it_has_not_is_refused_with_what_it_has():

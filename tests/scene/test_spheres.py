@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import contactbench as cb
-from cases import refusal
+from cases import mine, refusal
 from contactbench.measure.order import error_at
 from contactbench.methods.by_tolerance import PlainNumbers
 from contactbench.numbers.dual import Dual, DualNumbers
@@ -46,14 +46,15 @@ ROTORS = cb.Spheres(
 )
 #: what a unit quaternion is in R⁴, off every axis
 AROUND = (0.5, 0.1, -0.7, 0.5)
-FOUR = cb.Spheres(
-    name="four",
-    potential=lambda q: 0.3 * q[0] * q[1] + 0.2 * q[3] ** 2,
-    gamma=0.1,
-    q=AROUND,
-    p=(0.7, -0.1, 0.4, -0.12),
-    t_end=5.0,
-)
+ENGINES = ("python", "llvm")
+
+
+def point(q, p, potential=lambda q: 0 * q[0], **more):
+    given = {"name": "point", "gamma": 0.1, "t_end": 5.0} | more
+    return cb.Spheres(potential=potential, q=q, p=p, **given)
+
+
+FOUR = point(AROUND, (0.7, -0.1, 0.4, -0.12), lambda q: 0.3 * q[0] * q[1] + 0.2 * q[3] ** 2, name="four")
 CONTACT = [name for name, method in cb.METHODS.items() if method.contact and method.refuses(PENDULUM) is None]
 ORDERED = [name for name in CONTACT if cb.METHODS[name].order is not None]
 
@@ -97,9 +98,8 @@ def test_a_step_is_a_contact_map_of_the_tangent_bundle(scene, name):
     for v in twin.tangents(x):
         rise = [(a - b) / (2 * delta) for a, b in zip(after(v, delta), after(v, -delta), strict=True)]
         pulled = twin.contact_form(end, scene.unpack(rise, scene.carry()))
-        assert (
-            abs(pulled - xp.exp(-2 * twin.gamma * h) * twin.contact_form(x, v)) < 1e-15
-        )  # as far as floats are on it
+        off = pulled - xp.exp(-2 * twin.gamma * h) * twin.contact_form(x, v)
+        assert abs(off) < 1e-15  # as far as floats are on it
 
 
 @pytest.mark.parametrize("name", CONTACT)
@@ -148,24 +148,13 @@ def test_cosine_and_sinc_are_those_of_the_library(angle):
 
 def test_a_free_point_goes_round_its_great_circle():
     """A thousand turns in one step, of mass 2 on radius 3, slowed down: the angle is |p| φ(h)/(m R)."""
-    p = (0.0, 40000.0, 0.0)
-    scene = cb.Spheres(
-        name="free",
-        potential=lambda q: 0 * q[0],
-        mass=2.0,
-        radius=3.0,
-        gamma=0.5,
-        q=(3.0, 0, 0),
-        p=p,
-        t_end=1.0,
-    )
+    scene = point((3.0, 0.0, 0.0), (0.0, 40000.0, 0.0), mass=2.0, radius=3.0, gamma=0.5)
     angle = 40000.0 * -math.expm1(-0.5) / 0.5 / 6
     found = cb.solve(scene, "contact-strang", step=1.0, save_at=[1.0])
     turned = (math.cos(angle), math.sin(angle), 0.0)
     assert np.allclose(found.q[0], [3 * c for c in turned], rtol=0, atol=1e-9)
-    assert np.allclose(
-        found.p[0], 40000 * math.exp(-0.5) * np.array((-turned[1], turned[0], 0)), rtol=0, atol=1e-4
-    )
+    ahead = np.array((-turned[1], turned[0], 0))
+    assert np.allclose(found.p[0], 40000 * math.exp(-0.5) * ahead, rtol=0, atol=1e-4)
     assert found.s[0] == pytest.approx(math.exp(-0.5) * 40000.0**2 / 4 * -math.expm1(-0.5) / 0.5, rel=1e-12)
 
 
@@ -185,32 +174,12 @@ def test_a_step_is_smooth_where_nothing_moves():
 # -- the same motions, written otherwise ---------------------------------------------------------------
 def test_a_plane_pendulum_is_its_angle():
     """Mass 2, length 0.5, quadratic damping: p_θ = R p·e, s the same."""
-    m, R = 2.0, 0.5
-    angle = cb.Mechanical(
-        name="angle",
-        potential=lambda q: -R * cb.math.cos(q[0]),
-        mass=m * R * R,
-        gamma=0.1,
-        kappa=0.2,
-        s=0.3,
-        q=(0.9,),
-        p=(0.8,),
-        t_end=4.0,
-    )
-    point = cb.Spheres(
-        name="point",
-        potential=lambda q: q[1],
-        mass=m,
-        radius=R,
-        gamma=0.1,
-        kappa=0.2,
-        s=0.3,
-        q=(R * math.sin(0.9), -R * math.cos(0.9)),
-        p=(0.8 / R * math.cos(0.9), 0.8 / R * math.sin(0.9)),
-        t_end=4.0,
-    )
+    m, R, more = 2.0, 0.5, {"kappa": 0.2, "s": 0.3}
+    angle = mine(lambda q: -R * cb.math.cos(q[0]), 0.9, 0.8, 4.0, mass=m * R * R, gamma=0.1, **more)
+    q, p = (R * math.sin(0.9), -R * math.cos(0.9)), (0.8 / R * math.cos(0.9), 0.8 / R * math.sin(0.9))
+    plane = point(q, p, lambda q: q[1], mass=m, radius=R, **more)
     for method in ("contact-rkn6", "contact-abc"):  # merged with damping, and in three parts
-        one, other = (cb.solve(scene, method, step=0.1, save_at=[4.0]) for scene in (angle, point))
+        one, other = (cb.solve(scene, method, step=0.1, save_at=[4.0]) for scene in (angle, plane))
         theta = one.q[0, 0]
         direction = np.array([math.cos(theta), math.sin(theta)])
         assert np.allclose(other.q[0], R * np.array([math.sin(theta), -math.cos(theta)]), rtol=0, atol=1e-13)
@@ -229,17 +198,8 @@ def around(quaternion, M):
 def test_a_body_with_equal_moments_is_a_point_on_the_sphere_in_four_dimensions():
     M, inertia = (0.2, 1.5, 0.3), 1.7
     body = cb.RigidBody(name="ball", inertia=(inertia,) * 3, M=M, R=AROUND, gamma=0.1, t_end=20.0)
-    point = cb.Spheres(
-        name="ball",
-        potential=lambda q: 0 * q[0],
-        rotation_invariant=True,
-        mass=4 * inertia,
-        gamma=0.1,
-        q=AROUND,
-        p=around(AROUND, M),
-        t_end=20.0,
-    )
-    one, other = (cb.solve(scene, "contact-strang", step=1.0) for scene in (body, point))
+    ball = point(AROUND, around(AROUND, M), rotation_invariant=True, mass=4 * inertia, t_end=20.0)
+    one, other = (cb.solve(scene, "contact-strang", step=1.0) for scene in (body, ball))
     assert np.allclose(other.q, one.quaternion, rtol=0, atol=1e-13)
     expected = [around(R, M) for R, M in zip(one.quaternion, one.M, strict=True)]
     assert np.allclose(other.p, expected, rtol=0, atol=1e-13)
@@ -249,27 +209,13 @@ def test_a_body_with_equal_moments_is_a_point_on_the_sphere_in_four_dimensions()
 
 def test_a_top_with_equal_moments_is_one_too():
     axis, weight = (0.3, -0.4, 0.8), 1.7
-    top = cb.HeavyTop(
-        name="top",
-        inertia=(0.5,) * 3,
-        weight=weight,
-        axis=axis,
-        gamma=0.1,
-        M=(0.4, -0.7, 1.1),
-        R=AROUND,
-        t_end=3.0,
+    top = cb.SCENES["heavy_top"].with_(
+        inertia=(0.5,) * 3, weight=weight, axis=axis, gamma=0.1, M=(0.4, -0.7, 1.1), R=AROUND
     )
-    point = cb.Spheres(
-        name="top",
-        potential=lambda q: weight * sum(a * b for a, b in zip(rotation_matrix(q)[2], axis, strict=True)),
-        mass=2.0,
-        gamma=0.1,
-        q=AROUND,
-        p=around(AROUND, top.M),
-        t_end=3.0,
-    )
+    height = lambda q: weight * sum(a * b for a, b in zip(rotation_matrix(q)[2], axis, strict=True))  # noqa: E731
+    four = point(AROUND, around(AROUND, top.M), height, mass=2.0)
     one = cb.solve(top, "contact-bm6", step=0.02, save_at=[3.0])
-    other = cb.solve(point, "contact-rkn8", step=0.05, save_at=[3.0])
+    other = cb.solve(four, "contact-rkn8", step=0.05, save_at=[3.0])
     assert np.allclose(other.q[0], one.quaternion[0], rtol=0, atol=1e-10)
     assert np.allclose(other.p[0], around(one.quaternion[0], one.M[0]), rtol=0, atol=1e-10)
     assert other.s[0] == pytest.approx(one.s[0], abs=1e-10)
@@ -297,25 +243,19 @@ def test_coupled_points_move_as_scipy_says():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["python"])
 @pytest.mark.parametrize("step", [0.1, 5.0])
-def test_engines_agree(engine, step):
+def test_engines_agree(step):
     """At angles of several turns a step, too."""
     scene = PAIR.with_(p=((3.2, 9.0, 2.4), (3.0, 0.0, -4.0)))
-    both = [
-        cb.solve(scene, "contact-rkn4", step=step, engine=each, save_at=[5.0]) for each in (engine, "llvm")
-    ]
-    assert np.allclose(both[0].y, both[1].y, rtol=0, atol=1e-11 * np.abs(both[1].y).max())
+    one, other = (cb.solve(scene, "contact-rkn4", step=step, engine=e, save_at=[5.0]) for e in ENGINES)
+    assert np.allclose(one.y, other.y, rtol=0, atol=1e-11 * np.abs(other.y).max())
 
 
 # -- what they are given --------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        (
-            {"q": (0.5, 0.0, -0.8)},
-            r"q = \(0.5, 0.0, -0.8\): must be on the sphere, \|q\| = radius = 1.0: it is 0.943",
-        ),
+        ({"q": (0.5, 0.0, -0.8)}, r"q = \(0.5, 0.0, -0.8\): must be on the sphere, .* = 1.0: it is 0.943"),
         ({"p": (1.0, 0.0, 0.0)}, r"p = \(1.0, 0.0, 0.0\): must be tangent, q·p = 0: q·p is 0.6"),
         ({"radius": 2.0}, r"\|q\| = radius = 2.0: it is 1.0"),
         ({"radius": (1.0, 1.0)}, "must be one number > 0, or 1 of them"),
@@ -350,9 +290,8 @@ def test_methods_in_flat_coordinates_refuse():
 def test_a_start_of_one_s_own_and_a_copy():
     run = cb.prepare(PENDULUM, "contact-rkn6", step=0.1, save_at=[1.0])
     found = run(q=(0.8, 0.0, -0.6), p=(0.0, 0.5, 0.0))
-    again = cb.solve(
-        PENDULUM.with_(q=(0.8, 0.0, -0.6), p=(0.0, 0.5, 0.0)), "contact-rkn6", step=0.1, save_at=[1.0]
-    )
+    elsewhere = PENDULUM.with_(q=(0.8, 0.0, -0.6), p=(0.0, 0.5, 0.0))
+    again = cb.solve(elsewhere, "contact-rkn6", step=0.1, save_at=[1.0])
     assert np.array_equal(found.y, again.y)
     assert "must be on the sphere" in refusal(lambda: run(q=(0.8, 0.1, -0.6)))
     copy = pickle.loads(pickle.dumps(PAIR))
@@ -386,19 +325,6 @@ def test_solvers_are_given_the_jacobian():
     """Of what is recorded: rule 5 compares it with differences."""
     assert PAIR.recorded().has_jacobian
     check_scene(PAIR.recorded())
-
-
-@pytest.mark.slow
-def test_an_ensemble_starts_on_the_sphere():
-    angles = np.linspace(0, 6, 8)
-    q = (0.6 * np.cos(angles), 0.6 * np.sin(angles), -0.8 + 0 * angles)
-    p = (-0.9 * np.sin(angles), 0.9 * np.cos(angles), 0 * angles)
-    found = cb.ensemble(PENDULUM, "contact-rkn6", initial_conditions={"q": q, "p": p}, step=0.1)
-    assert found.statistics["momentum_law"].max < 1e-13
-    off = {"q": (q[0], 0.7 * np.sin(angles), q[2]), "p": p}
-    assert "must be on the sphere" in refusal(
-        lambda: cb.ensemble(PENDULUM, "contact-rkn6", initial_conditions=off, step=0.1)
-    )
 
 
 def test_scipys_solver_takes_them():

@@ -289,10 +289,6 @@ def test_a_run_may_begin_at_a_break_or_behind_it(begin):
         (lambda: pulse(breaks=(1.0, math.nan)), "must be increasing finite times"),
         (lambda: pulse(breaks="soon"), "increasing finite times"),
         (lambda: cb.prepare(jumping(), "rk4", step=0.1, engine="python")(t=1.0), "scene.with_(t=1)"),
-        (
-            lambda: cb.lyapunov(pulse(breaks=(1.0,)), "contact-strang", step=0.1, every=1.0, intervals=4),
-            "its breaks",
-        ),
         (lambda: cb.scipy.Contact("contact-strang", pulse(breaks=(1.0,))), "none of its breaks"),
     ],
 )

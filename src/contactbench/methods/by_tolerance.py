@@ -55,7 +55,6 @@ from contactbench.numbers.protocol import (
 from contactbench.scene import Cache, Mechanical, Scene, State, key
 from contactbench.scene.algebra import DrivenState, scaled
 from contactbench.scene.base import OwnState
-from contactbench.scene.mechanical import Canonical
 from contactbench.solution import DIVERGENCE, Counts, Solution, Status
 from contactbench.trace.form import Assign, Element, Statement, Update, execute
 from contactbench.trace.native_call import Native
@@ -142,24 +141,24 @@ class Explicit[S: Scene]:
 
 
 @dataclass(frozen=True)
-class Nystrom(Explicit[Canonical]):
+class Nystrom(Explicit[Mechanical]):
     """What the loop asks of a pair for z'' = f(t, z)."""
 
-    def enter(self, scene: Canonical, x: State | DrivenState) -> Undamped:
+    def enter(self, scene: Mechanical, x: State | DrivenState) -> Undamped:
         return undamped(scene, x)
 
-    def leave(self, scene: Canonical, y: Undamped) -> OwnState:
+    def leave(self, scene: Mechanical, y: Undamped) -> OwnState:
         return damped(scene, y)
 
-    def slope(self, scene: Canonical, y: Undamped, xp: Namespace) -> Vector:
+    def slope(self, scene: Mechanical, y: Undamped, xp: Namespace) -> Vector:
         return tuple(pull(scene, y.q, y.t, y.action is not None))
 
-    def factors(self, scene: Canonical, h: Arithmetic, xp: Namespace) -> Factors | None:
+    def factors(self, scene: Mechanical, h: Arithmetic, xp: Namespace) -> Factors | None:
         return None if scene.rate_changes else factors_of(self.tableau, scene, None, h, xp)
 
     def attempt(
         self,
-        scene: Canonical,
+        scene: Mechanical,
         y: Undamped,
         h: Arithmetic,
         xp: Namespace,
@@ -178,7 +177,7 @@ class Nystrom(Explicit[Canonical]):
         return after, tuple(slope), [*q, *p, *action]
 
     def rate(
-        self, scene: Canonical, y: Undamped, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
+        self, scene: Mechanical, y: Undamped, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
     ) -> Arithmetic:
         """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
         force = slope[: len(y.q)]

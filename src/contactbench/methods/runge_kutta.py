@@ -28,9 +28,9 @@ from contactbench.numbers.control import Repeat, repeat, settle
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Arithmetic, Column, Count, Namespace, Vector
 from contactbench.scene import Scene, State, System
-from contactbench.scene.algebra import DrivenState, scaled
+from contactbench.scene.algebra import DrivenState, dot, scaled
 from contactbench.scene.base import OwnState
-from contactbench.scene.mechanical import Canonical
+from contactbench.scene.mechanical import Mechanical
 from contactbench.splitting.composition import number
 from contactbench.trace.formula import Formula, formula
 
@@ -206,27 +206,27 @@ def rate_slope(rate: Callable[..., Arithmetic], names: tuple[str, ...]) -> Formu
     return (rate if isinstance(rate, Formula) else formula(rate, (0,), names)).gradient()
 
 
-def masses(scene: Canonical, q: Vector) -> Vector:
+def masses(scene: Mechanical, q: Vector) -> Vector:
     return tuple(1 / c for c in scene.velocity((1.0,) * len(q)))
 
 
-def at(scene: Canonical, q: Vector, t: Arithmetic | None) -> OwnState:
+def at(scene: Mechanical, q: Vector, t: Arithmetic | None) -> OwnState:
     return scene.state(q=q, p=q, **({} if t is None else {"t": t}))
 
 
-def undamped(scene: Canonical, x: State | DrivenState) -> Undamped:
+def undamped(scene: Mechanical, x: State | DrivenState) -> Undamped:
     half = scene.damping_at(x) / 2
     u = tuple(v + half * c for v, c in zip(scene.velocity(x.p), x.q, strict=True))
     s = x.s
-    return Undamped(x.q, u, getattr(x, "t", None), None if s is None else s - scene.product(x.q, x.p) / 2)
+    return Undamped(x.q, u, getattr(x, "t", None), None if s is None else s - dot(x.q, x.p) / 2)
 
 
-def damped(scene: Canonical, y: Undamped) -> OwnState:
+def damped(scene: Mechanical, y: Undamped) -> OwnState:
     x = at(scene, y.q, y.t)
     half = scene.damping_at(x) / 2
     v = (u - half * c for u, c in zip(y.u, y.q, strict=True))
     p = tuple(m * c for m, c in zip(masses(scene, y.q), v, strict=True))
-    return x._replace(p=p, s=None if y.action is None else y.action + scene.product(y.q, p) / 2)
+    return x._replace(p=p, s=None if y.action is None else y.action + dot(y.q, p) / 2)
 
 
 def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any, loop: Repeat | None = None) -> Factors:
@@ -287,13 +287,13 @@ def pull(scene: Any, q: Vector, t: Arithmetic | None, acts: bool) -> list[Arithm
         turn = [rate_slope(scene.rate, tuple(scene.parameters))(t, **scene.parameters)[0] / 2]
         stiffness = stiffness + turn[0]
     rate = [stiffness * c - a for c, a in zip(q, scene.velocity(gradient), strict=True)]
-    action = [scene.product(q, gradient) / 2 - scene.potential_at(x)] if acts else []
+    action = [dot(q, gradient) / 2 - scene.potential_at(x)] if acts else []
     return [*rate, *action, *turn]
 
 
 def nystrom_step(
     tableau: Tableau,
-    scene: Canonical,
+    scene: Mechanical,
     y: Undamped,
     h: Arithmetic,
     xp: Namespace,

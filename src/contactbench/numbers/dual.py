@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Sequence
-from functools import wraps
 from typing import Any
 
 from contactbench.numbers.functions import namespace, where
@@ -86,19 +85,6 @@ def value(x: Arithmetic) -> Arithmetic:
 
 def slope(x: Arithmetic) -> Arithmetic:
     return x.b if isinstance(x, Dual) else 0.0
-
-
-def linear(function: Callable[..., Arithmetic]) -> Callable[..., Arithmetic]:
-    """Let a linear function of its first argument take dual numbers, too."""
-
-    @wraps(function)
-    def apply(x: Arithmetic, *rest: object) -> Arithmetic:
-        if isinstance(x, Dual):
-            return Dual(apply(x.a, *rest), apply(x.b, *rest))
-        made: Arithmetic = function(x, *rest)
-        return made
-
-    return apply
 
 
 #: derivatives of functions of one number: of (namespace, x, f(x))

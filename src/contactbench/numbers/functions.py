@@ -11,7 +11,6 @@ They are total, as NumPy's are: outside its domain a function of floats is nan, 
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Callable
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.numbers.protocol import Arithmetic, ChoosingNamespace, Condition, Number
+from contactbench.xla import jnp
 
 __all__ = ["acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "expm1"]
 __all__ += ["hypot", "log", "log1p", "pi", "sin", "sinh", "sqrt", "tan", "tanh", "where"]
@@ -36,12 +36,8 @@ def namespace(x: object) -> Any:
         return math
     if isinstance(x, Number):
         return x.numbers
-    if isinstance(x, complex):
-        return cmath
     package = type(x).__module__.partition(".")[0]
     if package in ("jax", "jaxlib"):
-        from contactbench.xla import jnp
-
         return jnp
     if package == "mpmath":
         return x.context  # type: ignore[attr-defined]

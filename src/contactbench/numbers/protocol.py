@@ -91,13 +91,8 @@ class ArrayNamespace(Namespace, Protocol):
     multiply: Any
     asarray: ArrayFunction
     zeros: ArrayFunction
-    ones: ArrayFunction
-    stack: ArrayFunction
-    concatenate: ArrayFunction
-    broadcast_arrays: ArrayFunction
     maximum: ArrayFunction
     minimum: ArrayFunction
-    isfinite: ArrayFunction
     abs: ArrayFunction
     linalg: ModuleType
 

@@ -47,23 +47,17 @@ def gauss(digits: int, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) ->
 
 
 @cache
-def gauss_on_doubles(stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
-    nodes, weights, matrix = gauss(DIGITS, stages, ends)
-    numbers = np.array([nodes, weights, *matrix], dtype=float).tolist()
-    return numbers[0], numbers[1], numbers[2:]
-
-
-@cache
-def in_digits(xp: Any, stages: int, ends: tuple[Fraction, ...]) -> Rule:
-    """Return them as numbers of a namespace of this package."""
-    nodes, weights, matrix = gauss(xp.dps, stages, ends)
-    return [*map(xp.mpf, nodes)], [*map(xp.mpf, weights)], [[*map(xp.mpf, row)] for row in matrix]
+def converted(number: Callable[[Any], Any], *asked: Any) -> Rule:
+    """Return them as numbers of another kind."""
+    nodes, weights, matrix = gauss(*asked)
+    return [*map(number, nodes)], [*map(number, weights)], [[*map(number, row)] for row in matrix]
 
 
 def rule(xp: Namespace, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
+    """Return them as numbers of a namespace."""
     if not has_digits(xp):
-        return gauss_on_doubles(stages, ends)
-    return in_digits(xp, stages, ends) if isinstance(xp, Numbers) else gauss(xp.dps, stages, ends)
+        return converted(float, DIGITS, stages, ends)
+    return converted(xp.mpf, xp.dps, stages, ends) if isinstance(xp, Numbers) else gauss(xp.dps, stages, ends)
 
 
 def weigh(weights: list[Arithmetic], values: list[Arithmetic]) -> Arithmetic:

@@ -124,6 +124,11 @@ def quaternion_product(a: Vector, b: Vector) -> Vector:
     return (w, x, y, z)
 
 
+def conjugate(R: Vector) -> Vector:
+    """Return the quaternion of the inverse rotation."""
+    return (R[0], -R[1], -R[2], -R[3])
+
+
 def rotation_matrix(R: Vector) -> tuple[Vector, Vector, Vector]:
     """Return the 3×3 matrix of a quaternion.
 

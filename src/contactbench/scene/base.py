@@ -44,6 +44,8 @@ OwnState = Any
 Numeric = Any
 #: a packed state: a sequence of numbers, or an array with one component after the other along its first axis
 Packed = Any
+#: the sizes of the components of a motion, and of the action
+Sizes = tuple[Sequence[float], float]
 #: what returns the value of a field as it is kept, or raises `BadInput`; called with its name and the value given
 Check = Callable[[str, object], object]
 
@@ -82,6 +84,11 @@ def with_duration(given: dict[str, Any], clocked: bool) -> dict[str, Any]:
     if start and not clocked:
         raise BadInput(f"t_span = {excerpt(span)}: nothing here depends on the time: must begin at 0")
     return given | {"t_end": end - start} | ({"t": start} if clocked else {})
+
+
+def as_formula(function: Callable[..., object], sizes: tuple[int, ...], names: Iterable[str] = ()) -> Formula:
+    """Return a function as a formula, itself where it is one; raise `CannotRecord` where it cannot be."""
+    return function if isinstance(function, Formula) else formula(function, sizes, tuple(names))
 
 
 class Kind(ABCMeta):
@@ -227,10 +234,6 @@ class System(metaclass=Kind):
     def entries(self, y: Packed) -> Sequence[Numeric]:
         """Return the numbers of a packed state, an array, as `unpack` is to get them."""
         return y.tolist() if isinstance(y, np.ndarray) else list(y)
-
-    def components(self, y: Packed) -> Sequence[Numeric]:
-        """Return packed states, an array (d, …), as `unpack` is to get them."""
-        return tuple(y)
 
     @staticmethod
     def pack(state: Iterable[object]) -> list[Any]:
@@ -583,13 +586,14 @@ class Scene(System):
             for name, value in zip(self.coefficients, rebuild(own, extreme), strict=True):
                 self.checks.get(name, lambda *_: None)(name, value)
             ends.append(self.with_numbers(extreme)._decide())
-        if ends[0].decided != ends[1].decided:
-            both = f"{ends[0].numbers()} and {ends[1].numbers()}"
+        least, most = ends
+        if least.decided != most.decided:
+            both = f"{least.numbers()} and {most.numbers()}"
             raise BadInput(f"numbers: {both} make two problems of scene {self.name!r}: one call for each")
-        return self.with_numbers(numbers)._decide(ends[0])
+        return least.with_numbers(numbers)
 
-    def _decide(self, like: Self | None = None) -> Self:
-        """Return the scene with what its numbers decide anew, or as another one has it."""
+    def _decide(self) -> Self:
+        """Return the scene with what its numbers decide anew."""
         return self
 
     @property
@@ -599,19 +603,16 @@ class Scene(System):
         sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
         return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
-    def sizes(self, x: OwnState, end: float) -> tuple[np.ndarray, np.ndarray]:
+    @abstractmethod
+    def sizes(self, x: OwnState, end: float) -> Sizes:
         """Return how large every component of the motion from x becomes until `end`, and the action: see `scales`."""
-        most = np.linalg.norm(np.array(x.M, dtype=float), axis=0)
-        return np.array([most] * 3), most
 
     def scales(self, x: OwnState, end: float) -> np.ndarray:
         """Return the scale of every component of a packed state but the time, from x on: one where of order one."""
         with np.errstate(all="ignore"):
             motion, action = self.sizes(x, end)
-            rest = [np.ones_like(action)] * (4 if getattr(x, "R", None) is not None else 0)
-            if x.s is not None:
-                rest.append(np.fmax(abs(x.s), action))
-            return in_order(np.concatenate([motion, np.reshape(rest, (len(rest), *np.shape(action)))]))
+            attitude = [1.0] * 4 if getattr(x, "R", None) is not None else []
+            return in_order([*motion, *attitude, *([] if x.s is None else [np.fmax(abs(x.s), action)])])
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
         defaults = self.state._field_defaults

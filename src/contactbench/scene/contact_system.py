@@ -17,10 +17,11 @@ from contactbench.checks import finite, function, is_number, switch, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.dual import leaves
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
-from contactbench.scene.algebra import AnyState, State, Vector, cross, dot
-from contactbench.scene.base import Check, Numeric, Scene, named_numbers, optional
-from contactbench.scene.scales import RATIO, SPANS, in_order
-from contactbench.trace.formula import Formula, argument_names, formula
+from contactbench.scene.algebra import State, Vector, dot
+from contactbench.scene.base import Check, Numeric, Sizes, as_formula, named_numbers, optional
+from contactbench.scene.canonical import Canonical, angular_momentum
+from contactbench.scene.scales import RATIO, SPANS, in_order, size
+from contactbench.trace.formula import Formula, argument_names
 
 #: components of a state up to which the Jacobian is derived
 LARGEST_JACOBIAN = 65
@@ -67,7 +68,7 @@ def read_by(made: Formula) -> set[object]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactSystem(Scene):
+class ContactSystem(Canonical):
     """Describe a system with any contact Hamiltonian H(q, p, s) on T*Rⁿ × R.
 
     Its equations are q' = ∂H/∂p, p' = −∂H/∂q − p ∂H/∂s, s' = p·∂H/∂p − H, the derivatives by reverse mode through the
@@ -115,24 +116,16 @@ class ContactSystem(Scene):
     functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(
         ("hamiltonian", "momentum"), ("q", "p", "s", "**")
     )
-    state: ClassVar[type[AnyState]] = State
-    initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     checks: ClassVar[dict[str, Check]] = {
-        **Scene.checks,
+        **Canonical.checks,
         "hamiltonian": function,
         "momentum": optional(function),
-        "q": vector,
-        "p": vector,
-        "parameters": named_numbers,
     }
-    canonical = True
     #: no damping need be in it
     may_gain_energy = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.q) != len(self.p):
-            raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
         for name, value in ((name, self._value(name)) for name in self.given):
             numbers = value if name == "momentum" and isinstance(value, tuple | list) else (value,)
             if not (numbers and all(map(is_number, numbers))):
@@ -149,29 +142,21 @@ class ContactSystem(Scene):
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
                 scene._require_symmetry()
 
-    def _recording(self, name: str) -> Formula:
-        """Return one of its functions as a formula; `BadInput` where it cannot be recorded."""
-        given = getattr(self, name)
-        if isinstance(given, Formula):
-            return given
-        n = len(self.q)
+    def _derive[Derived](self, name: str, derive: Callable[[Formula], Derived]) -> Derived:
+        """Return derivatives of one of its functions; `BadInput` where it cannot be recorded or differentiated."""
+        given, n = getattr(self, name), len(self.q)
         try:
-            return formula(given, (n, n, 0), tuple(self.parameters))
+            return derive(as_formula(given, (n, n, 0), self.parameters))
         except CannotRecord as why:
-            raise self._unrecorded(name, why) from why
-
-    def _unrecorded(self, name: str, why: CannotRecord) -> BadInput:
-        return BadInput(f"scene {self.name!r}: its {name} cannot be recorded and differentiated: {why}")
+            wanted = "cannot be recorded and differentiated"
+            raise BadInput(f"scene {self.name!r}: its {name} {wanted}: {why}") from why
 
     def recorded(self) -> Self:
         """Return the scene recorded, with its derivatives."""
         if self.derived is not None:
             return self
         scene = super().recorded()
-        try:
-            return scene._replaced(derived=derivatives_of(scene._recording("hamiltonian")))
-        except CannotRecord as why:
-            raise self._unrecorded("hamiltonian", why) from why
+        return scene._replaced(derived=scene._derive("hamiltonian", derivatives_of))
 
     @property
     def _derived(self) -> Derivatives:
@@ -201,7 +186,7 @@ class ContactSystem(Scene):
                     )
 
     def _momentum_slopes(self, x: State) -> Sequence[Vector]:
-        rows: Sequence[Vector] = slopes_of(self._recording("momentum"))(self._flat(x), **self.parameters)
+        rows: Sequence[Vector] = self._derive("momentum", slopes_of)(self._flat(x), **self.parameters)
         return rows
 
     def momentum_at(self, x: State) -> Vector | None:
@@ -216,11 +201,10 @@ class ContactSystem(Scene):
 
     def momentum_terms(self, x: State) -> Numeric:
         momenta, n = self.momentum_at(x) or (), len(self.q)
-        rows = [
-            [abs(p * slope) for p, slope in zip(x.p, row[n:], strict=False)]
-            for row in self._momentum_slopes(x)
-        ]
-        return sum(abs(J) + sum(row) for J, row in zip(momenta, rows, strict=True))
+        total: Numeric = 0.0
+        for J, row in zip(momenta, self._momentum_slopes(x), strict=True):
+            total = total + (abs(J) + sum(abs(p * slope) for p, slope in zip(x.p, row[n:], strict=False)))
+        return total
 
     # -- H and its derivatives -------------------------------------------------------------------
     def _action(self, x: State) -> Arithmetic:
@@ -268,40 +252,27 @@ class ContactSystem(Scene):
             rows.append([*(a - b for a, b in zip(row, H_q, strict=False)), *row[n : 2 * n], row[2 * n] - H_s])
         return rows
 
-    def unpack(self, y: Sequence[Arithmetic], carry: Sequence[str]) -> State:
-        n = len(self.q)
-        return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n] if "s" in carry else None)
-
-    def sizes(self, x: State, end: float) -> tuple[np.ndarray, np.ndarray]:
+    def sizes(self, x: State, end: float) -> Sizes:
         """Return the sizes of a throw with the first force, as long as that does not change by more than itself."""
-
-        def largest(components: Sequence[Numeric]) -> np.ndarray:
-            return np.abs(np.array(np.broadcast_arrays(*components), dtype=float)).max(axis=0)
 
         def throw(span: float) -> State:
             p = tuple(p + span * f for p, f in zip(x.p, force, strict=True))
             half = x._replace(p=tuple((a + b) / 2 for a, b in zip(x.p, p, strict=True)))
             return State(tuple(q + span * v for q, v in zip(x.q, self.rhs(half).q, strict=True)), p, x.s)
 
-        force = self.rhs(x).p
-        far, fast, pull = map(largest, (x.q, x.p, force))
-        going: Any = True
+        n, force = len(self.q), self.rhs(x).p
+        far, fast, pull = map(size, (x.q, x.p, force))
         for span in (end / RATIO**k for k in reversed(range(SPANS))):
             try:
                 there = throw(span)
-                change = largest([a - b for a, b in zip(self.rhs(there).p, force, strict=True)])
+                change = size(tuple(a - b for a, b in zip(self.rhs(there).p, force, strict=True)))
             except (ArithmeticError, ValueError):  # where a function is not defined
                 break
-            going = going & (change * span <= fast + span / 2 * pull)
-            if not np.any(going):
+            if not change * span <= fast + span / 2 * pull:
                 break
-            ways = [a - b for a, b in zip(there.q, x.q, strict=True)]
-            far, fast = (
-                np.where(going, np.fmax(far, largest(ways)), far),
-                np.where(going, fast + span * pull, fast),
-            )
-        n = len(self.q)
-        return np.array([far] * n + [fast] * n), in_order(far) * in_order(fast)
+            far = np.fmax(far, size(tuple(a - b for a, b in zip(there.q, x.q, strict=True))))
+            fast = fast + span * pull
+        return [far] * n + [fast] * n, float(in_order(far) * in_order(fast))
 
     # -- laws --------------------------------------------------------------------------------------
     def energy(self, x: State) -> Numeric:
@@ -310,23 +281,9 @@ class ContactSystem(Scene):
     def hamiltonian_terms(self, x: State) -> Numeric:
         return abs(self.hamiltonian_at(x)) + abs(dot(x.p, self.partials_at(x)[1]))
 
-    def contact_form(self, x: State, dx: State) -> Numeric:
-        return dx.s - dot(x.p, dx.q)
-
-    def contact_terms(self, x: State, dx: State) -> Numeric:
-        return abs(dx.s) + dot(x.p, x.p) ** 0.5 * dot(dx.q, dx.q) ** 0.5
-
-    @property
-    def rate_changes(self) -> bool:  # type: ignore[override]
-        return self._derived.rate_changes
-
     @property
     def nonlinear_damping(self) -> bool:  # type: ignore[override]
-        return self.rate_changes
-
-    @property
-    def required(self) -> tuple[str, ...]:  # type: ignore[override]
-        return ("s",) if self.rate_changes else ()
+        return self._derived.rate_changes
 
     @property
     def conformal_rate(self) -> Numeric:
@@ -378,8 +335,9 @@ def named(function: Callable[..., object], parameters: Mapping[str, Arithmetic])
     return {name: value for name, value in parameters.items() if every or name in taken}
 
 
-def angular_momentum(q: Vector, p: Vector, s: Arithmetic, **_: Arithmetic) -> Vector:
-    return cross(q, p) if len(q) == 3 else (q[0] * p[1] - q[1] * p[0],)
+def rotations(q: Vector, p: Vector, s: Arithmetic, **_: Arithmetic) -> Vector | None:
+    """Return the momentum map of the rotations of q."""
+    return angular_momentum(q, p)
 
 
 def on_metric(
@@ -406,9 +364,8 @@ def on_metric(
         rows = mass(q, **named(mass, known))
     try:
         M = np.array([list(row) for row in rows], dtype=float)
-        fits = (
-            M.shape == (len(q),) * 2 and np.allclose(M, M.T, rtol=1e-12) and np.linalg.eigvalsh(M).min() > 0
-        )
+        symmetric = M.shape == (len(q),) * 2 and np.allclose(M, M.T, rtol=1e-12)
+        fits = symmetric and np.linalg.eigvalsh(M).min() > 0
     except (TypeError, ValueError, np.linalg.LinAlgError):
         fits = False
     if not fits:
@@ -419,5 +376,5 @@ def on_metric(
     if switch("rotation_invariant", rotation_invariant):
         if len(q) not in (2, 3):
             raise BadInput(f"rotation_invariant = True: needs 2 or 3 coordinates, not {len(q)}")
-        given["momentum"] = angular_momentum
+        given["momentum"] = rotations
     return ContactSystem(hamiltonian=OnMetric(mass, own_potential), parameters=own | known, **given)

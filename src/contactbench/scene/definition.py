@@ -111,16 +111,14 @@ def _verify(scene: Mechanical) -> None:
 def _motion(scene: Mechanical) -> np.ndarray:
     from scipy.integrate import DOP853
 
-    carry = scene.carry(("s",))
-
-    slope = lambda t, y: scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))  # noqa: E731
-    start = scene.pack(scene.initial(carry))
+    start = scene.pack(scene.initial(scene.carry(("s",))))
     path = [np.empty((0, len(start)))]
     with _within_the_domain():  # the motion ends there
-        solver = DOP853(slope, 0.0, start, scene.t_end, rtol=1e-6, atol=1e-9)
+        solver = DOP853(lambda t, y: _slope(scene, y), 0.0, start, scene.t_end, rtol=1e-6, atol=1e-9)
         until = perf_counter() + FOLLOWED_SECONDS
-        running = lambda: solver.status == "running" and perf_counter() < until  # noqa: E731
-        while running() and solver.nfev < FOLLOWED and isfinite(solver.h_abs):
+        while solver.status == "running" and solver.nfev < FOLLOWED and isfinite(solver.h_abs):
+            if perf_counter() > until:
+                break
             before = solver.t
             solver.step()
             path.append(solver.dense_output()(np.linspace(before, solver.t, BETWEEN + 1)[1:]).T)
@@ -163,6 +161,14 @@ def _time(scene: Mechanical, y: np.ndarray) -> list[float]:
     return [] if scene.clock is None else [float(y[scene.clock])]
 
 
+def _state(scene: Mechanical, y: np.ndarray) -> State:
+    return scene.unpack(y.tolist(), scene.carry(("s",)))
+
+
+def _slope(scene: Mechanical, y: np.ndarray) -> list[float]:
+    return scene.pack(scene.rhs(_state(scene, y)))
+
+
 def _potential(scene: Mechanical, q: np.ndarray, time: list[float]) -> float:
     value = scene.V(tuple(q.tolist()), *time)
     if not is_number(value):
@@ -193,11 +199,9 @@ def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
     if isinstance(scene, Driven) and scene.span is not None:
         yield from _span(scene, time[0])
     if not is_ours(type(scene)) and scene.has_jacobian:
-        carry = scene.carry(("s",))
-        rhs = lambda y: scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))  # noqa: E731
-        rows, of = scene.jacobian(scene.unpack(y.tolist(), carry)), "the derivative of the right-hand side"
+        rows, of = scene.jacobian(_state(scene, y)), "the derivative of the right-hand side"
         says = "its jacobian is wrong: entry ({i}, {j}) is"
-        yield Claim(rhs, y, rows, _size(y), says, of, f"the state {_at(y)}")
+        yield Claim(lambda y: _slope(scene, y), y, rows, _size(y), says, of, f"the state {_at(y)}")
 
 
 def _flow(scene: GeneralDamping, s: float) -> Iterator[Claim]:
@@ -297,9 +301,7 @@ def difference(
         wide, narrow = ((a - b) / (2 * h) for (a, b), h in zip(ends, (step, step / 2), strict=True))
         rounding = 2 * np.finfo(float).eps * max(float(np.abs(x).max()) for pair in ends for x in pair)
         gap = float(np.abs(wide - narrow).max()) + rounding / step
-        if (
-            gap > error
-        ):  # round-off inside f, of which two estimates at a smaller step may be the same by chance
+        if gap > error:  # round-off inside f, of which two estimates may be the same by chance
             break
         if gap < error:
             best, error = narrow + (narrow - wide) / 3, gap

@@ -15,9 +15,9 @@ from contactbench.checks import finite, function, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.scene.algebra import AnyState, Vector
-from contactbench.scene.base import Check, Numeric, Scene, named_numbers
+from contactbench.scene.base import Check, Numeric, Scene, Sizes, named_numbers
 from contactbench.scene.mechanical import LARGEST_HESSIAN
-from contactbench.scene.scales import in_order
+from contactbench.scene.scales import in_order, size
 from contactbench.trace.formula import Formula, formula
 
 
@@ -166,9 +166,9 @@ class Equations(Scene):
     def data(self, x: EquationState) -> dict[str, object]:
         return {"y0": x.y, "t": x.t}
 
-    def sizes(self, x: EquationState, end: float) -> tuple[np.ndarray, np.ndarray]:
-        most = np.abs(np.array(x.y, dtype=float)).max(axis=0)
-        return np.array([in_order(most)] * len(x.y)), most
+    def sizes(self, x: EquationState, end: float) -> Sizes:
+        most = size(x.y)
+        return [float(in_order(most))] * len(x.y), most
 
     # -- equations ---------------------------------------------------------------------------------
     def rhs(self, x: EquationState) -> EquationState:  # type: ignore[no-redef]

@@ -48,9 +48,8 @@ def rule() -> tuple[list[float], list[float], list[list[float]]]:
     # ∫_{−1}^x P_n = (P_{n+1} − P_{n−1})/(2n + 1), and x + 1 of P_0
     below = np.column_stack([-np.ones(NODES), values[:, : NODES - 1]])
     integrals = (values[:, 1:] - below) / (2 * degrees + 1)
-    coefficients = (
-        (degrees + 0.5)[:, None] * values[:, :NODES].T * w
-    )  # of the polynomial, by its values at the nodes
+    # of the polynomial, by its values at the nodes
+    coefficients = (degrees + 0.5)[:, None] * values[:, :NODES].T * w
     return ((1 + x) / 2).tolist(), (w / 2).tolist(), (integrals @ coefficients / 2).tolist()
 
 
@@ -197,8 +196,6 @@ class GeneralDamping(Mechanical):
         for name in ("damping", "damping_slope", "damping_flow"):
             if getattr(self, name) is not None:
                 require_number(name, self._value(name))
-
-    required: ClassVar[tuple[str, ...]] = ("s",)
 
     nonlinear_damping = True
 

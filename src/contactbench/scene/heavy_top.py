@@ -11,12 +11,11 @@ import numpy as np
 from contactbench.checks import finite, function, require_number, vector
 from contactbench.errors import BadInput
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
-from contactbench.scene.algebra import BodyState, Vector, cross, dot, norm, rotate
-from contactbench.scene.base import Check, Numeric, optional
+from contactbench.scene.algebra import BodyState, Vector, conjugate, cross, dot, norm, rotate
+from contactbench.scene.base import Check, Numeric, Sizes, as_formula, optional
 from contactbench.scene.flow import Flow, plain
 from contactbench.scene.mechanical import derived_gradient
 from contactbench.scene.rigid_body import BODY, RigidBody, one_rate
-from contactbench.trace.formula import Formula, formula
 
 
 def top_kick(scene: HeavyTop, x: BodyState, h: Arithmetic, xp: Namespace) -> BodyState:
@@ -104,10 +103,7 @@ class HeavyTop(RigidBody):
         if scene.potential is None or scene.slope is not None:
             return scene
         try:
-            potential = scene.potential
-            if not isinstance(potential, Formula):
-                potential = formula(potential, (3,), ())
-            return scene._replaced(slope=derived_gradient(potential))
+            return scene._replaced(slope=derived_gradient(as_formula(scene.potential, (3,))))
         except CannotRecord as why:
             raise BadInput(f"scene {self.name!r}: its potential cannot be differentiated: {why}") from why
 
@@ -117,8 +113,7 @@ class HeavyTop(RigidBody):
 
     def vertical(self, R: Any) -> Vector:
         """Return Rᵀe₃."""
-        w, x, y, z = R
-        return rotate((w, -x, -y, -z), (0.0, 0.0, 1.0))
+        return rotate(conjugate(R), (0.0, 0.0, 1.0))
 
     def potential_at(self, x: BodyState) -> Arithmetic:
         u = self.vertical(x.R)
@@ -136,11 +131,11 @@ class HeavyTop(RigidBody):
     def energy(self, x: BodyState) -> Arithmetic:
         return self.kinetic(x) + self.potential_at(x)
 
-    def sizes(self, x: BodyState, end: float) -> tuple[np.ndarray, np.ndarray]:
-        most, _ = super().sizes(x, end)
+    def sizes(self, x: BodyState, end: float) -> Sizes:
+        _, most = super().sizes(x, end)
         fall: Any = (2 * max(self.inertia) * (abs(self.potential_at(x)) + norm(self.torque(x)))) ** 0.5
-        most = np.fmax(most, fall)
-        return most, most[0]
+        most = float(np.fmax(most, fall))
+        return [most] * 3, most
 
     def rhs(self, x: BodyState) -> BodyState:
         free = super().rhs(x)

@@ -16,12 +16,13 @@ from contactbench.checks import finite, function, positive, switch, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
-from contactbench.scene.algebra import AnyState, DrivenState, State, Vector, cross, dot, norm, scaled, times
-from contactbench.scene.base import Check, Numeric, OwnState, Scene, named_numbers, optional
+from contactbench.scene.algebra import State, Vector, dot, norm, scaled, times
+from contactbench.scene.base import Check, Numeric, OwnState, Sizes, as_formula, optional
+from contactbench.scene.canonical import Canonical, angular_momentum
 from contactbench.scene.contact_system import on_metric
 from contactbench.scene.flow import Constants, Flow, damped_time, damping, plain
 from contactbench.scene.scales import in_order, reach
-from contactbench.trace.formula import Formula, formula
+from contactbench.trace.formula import Formula
 
 #: components up to which a Hessian is derived
 LARGEST_HESSIAN = 32
@@ -30,15 +31,20 @@ derived_gradient = lru_cache(256)(Formula.gradient)
 derived_hessian = lru_cache(256)(Formula.hessian)
 
 
-def masses(name: str, value: Any) -> float | tuple[float, ...]:
+def each_positive(name: str, value: Any) -> float | tuple[float, ...]:
     """Return one number > 0, or a tuple of such; raise `BadInput` for anything else."""
+    if np.ndim(value) == 0:
+        return positive(name, value)
+    return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
+
+
+def masses(name: str, value: Any) -> float | tuple[float, ...]:
+    """Return them likewise; of anything else say how a matrix is given."""
     if callable(value) or np.ndim(value) > 1:
         how = "a matrix, constant or not, is cb.Mechanical(mass=lambda q: …), a function of q"
         why = f"{name} = {excerpt(value)}: must be one number > 0, or one for every component; {how}"
         raise BadInput(why)
-    if not isinstance(value, tuple | list | np.ndarray) or np.ndim(value) == 0:
-        return positive(name, value)
-    return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
+    return each_positive(name, value)
 
 
 def sign(number: Arithmetic) -> int:
@@ -56,99 +62,14 @@ def damping_rate(name: str, value: Any) -> float:
     return finite(name, value)
 
 
-class Canonical(Scene):
-    """What all scenes with H = T(p) + V(q) + γ s + ½ κ s² share, however their components are kept."""
-
-    #: T(p), and V and ∇V at a state
-    kinetic: Callable[[Vector], Arithmetic]
-    potential_at: Callable[[OwnState], Arithmetic]
-    gradient_at: Callable[[OwnState], Vector]
-    q: Vector
-    gamma: Arithmetic
-    inverse_mass: Arithmetic | Vector
-    kappa: Arithmetic = 0.0
-    kappa_sign: int = 0
-
-    def velocity(self, p: Vector) -> Vector:
-        return scaled(self.inverse_mass, p)
-
-    def product(self, a: Vector, b: Vector) -> Arithmetic:
-        return dot(a, b)
-
-    def damping_at(self, x: OwnState) -> Arithmetic:
-        """Return ∂H/∂s."""
-        return self.dissipation_rate(x.s)
-
-    @property
-    def nonlinear_damping(self) -> bool:  # type: ignore[override]
-        return self.kappa_sign != 0
-
-    def energy(self, x: State | DrivenState) -> Numeric:
-        return self.kinetic(x.p) + self.potential_at(x)
-
-    def dissipation(self, s: Arithmetic) -> Arithmetic:
-        linear = self.gamma * s
-        return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
-
-    def dissipation_rate(self, s: Arithmetic) -> Arithmetic:
-        return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
-
-    def hamiltonian(self, x: State) -> Numeric:
-        return self.energy(x) + self.dissipation(x.s)
-
-    def rhs(self, x: State) -> State:
-        rate = self.dissipation_rate(x.s)
-        force = tuple(-g - rate * p for g, p in zip(self.gradient_at(x), x.p, strict=True))
-        if x.s is None:
-            return State(self.velocity(x.p), force)
-        return State(
-            self.velocity(x.p), force, self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s)
-        )
-
-    def sizes(self, x: State, end: float) -> tuple[np.ndarray, np.ndarray]:
-        far, fast = reach(self, x, end)
-        momenta = np.array([fast * (1 / each) for each in self.velocity((1.0,) * len(x.p))])
-        return np.concatenate([np.full(len(x.q), far), momenta]), in_order(far) * in_order(momenta.max())
-
-    @property
-    def rate_changes(self) -> bool:  # type: ignore[override]
-        return self.nonlinear_damping
-
-    @property
-    def may_gain_energy(self) -> bool:  # type: ignore[override]
-        return self.nonlinear_damping or self.gamma <= 0
-
-    @property
-    def bounds_energy(self) -> bool:
-        return not self.nonlinear_damping and self.gamma >= 0
-
-    def energy_terms(self, x: State) -> Arithmetic:
-        return self.kinetic(x.p) + abs(self.potential_at(x))
-
-    def contact_form(self, x: State, dx: State) -> Numeric:
-        return dx.s - self.product(x.p, dx.q)
-
-    def contact_terms(self, x: State, dx: State) -> Numeric:
-        return abs(dx.s) + self.product(x.p, x.p) ** 0.5 * self.product(dx.q, dx.q) ** 0.5
-
-    def hamiltonian_terms(self, x: State) -> Numeric:
-        kinetic = self.kinetic(x.p)
-        return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
-
-    @property
-    def conformal_rate(self) -> Numeric:
-        return None if self.nonlinear_damping else self.gamma
-
-
 # -- flows -----------------------------------------------------------------------------------------
-# -- mechanical scenes ---------------------------------------------------------------------------
-def kick(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> State:
+def kick(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> State:
     """B: p −= h ∇V(q), s −= h V(q)."""
     p = tuple(p - h * g for p, g in zip(x.p, scene.gradient_at(x), strict=True))
     return x._replace(p=p, s=None if x.s is None else x.s - h * scene.potential_at(x))
 
 
-def drift(scene: Canonical, x: State, h: Arithmetic, xp: Namespace) -> State:
+def drift(scene: Mechanical, x: State, h: Arithmetic, xp: Namespace) -> State:
     """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
     q = tuple(map(add, x.q, scaled(times(scene.inverse_mass, h), x.p)))
     return x._replace(q=q, s=None if x.s is None else x.s + h * scene.kinetic(x.p))
@@ -178,13 +99,13 @@ def _over_D(x: State, half_kappa: Arithmetic, xp: Namespace) -> Arithmetic:
     return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
 
 
-def _drift_damp_constants(scene: Canonical, h: Arithmetic, xp: Namespace) -> Constants:
+def _drift_damp_constants(scene: Mechanical, h: Arithmetic, xp: Namespace) -> Constants:
     phi = damped_time(scene.gamma, h, xp)
     half_kappa = (scene.kappa * phi / 2,) if scene.nonlinear_damping else ()
     return times(scene.inverse_mass, phi), phi, *damping(scene.gamma, h, xp), *half_kappa
 
 
-def drift_damp(scene: Canonical, x: OwnState, constants: Constants, xp: Namespace) -> OwnState:
+def drift_damp(scene: Mechanical, x: OwnState, constants: Constants, xp: Namespace) -> OwnState:
     """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p.
 
     With ½κs² added, and k = ½κφ, a = 1 + ks, b² = kφT(p):
@@ -209,7 +130,7 @@ def drift_damp(scene: Canonical, x: OwnState, constants: Constants, xp: Namespac
 
 
 def _pinney(
-    scene: Canonical, x: State, constants: Constants, xp: Namespace
+    scene: Mechanical, x: State, constants: Constants, xp: Namespace
 ) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
     """Return a, 1/y and atan2(b, a)/b of `drift_damp`; 1/y is infinite from the time of blow-up on.
 
@@ -318,24 +239,19 @@ class Mechanical(Canonical):
     functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(
         ("potential", "gradient", "hessian"), ("q", "**")
     )
-    state: ClassVar[type[AnyState]] = State
-    initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     coefficients: ClassVar[tuple[str, ...]] = ("gamma", "kappa", "mass")
     reciprocals: ClassVar[dict[str, str]] = {"mass": "inverse_mass"}
     checks: ClassVar[dict[str, Check]] = {
-        **Scene.checks,
+        **Canonical.checks,
         "potential": function,
         "gradient": optional(function),
         "hessian": optional(function),
-        "q": vector,
-        "p": vector,
         "gamma": damping_rate,
         "kappa": finite,
         "mass": masses,
         "rotation_invariant": switch,
-        "parameters": named_numbers,
     }
-    canonical = separable = True
+    separable = True
     flows: ClassVar[Mapping[str, Flow]] = {
         "kick": Flow(plain, kick, {"gradient": 1}),
         "drift": Flow(plain, drift, {}),
@@ -354,8 +270,6 @@ class Mechanical(Canonical):
         self._fix("kappa_sign", sign(self.kappa))
         if isinstance(self.mass, tuple) and len(self.mass) != self.bodies:
             raise BadInput(f"mass = {excerpt(self.mass)}: must be one number > 0, or {self.bodies} of them")
-        if len(self.q) != len(self.p):
-            raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
         with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
             force = self.dV(self.q)
         if not isinstance(force, tuple | list | np.ndarray):
@@ -369,19 +283,11 @@ class Mechanical(Canonical):
         return len(self.q)
 
     @property
-    def required(self) -> tuple[str, ...]:  # type: ignore[override]
-        return ("s",) if self.nonlinear_damping else ()
-
-    def unpack(self, y: Sequence[Arithmetic], carry: Sequence[str]) -> State:
-        n = len(self.q)
-        return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n] if "s" in carry else None)
-
-    @property
     def decided(self) -> tuple[Hashable, ...]:  # type: ignore[override]
         return (self.kappa_sign,)
 
-    def _decide(self, like: Self | None = None) -> Self:
-        return self._replaced(kappa_sign=sign(self.kappa) if like is None else like.kappa_sign)
+    def _decide(self) -> Self:
+        return self._replaced(kappa_sign=sign(self.kappa))
 
     def orders(self) -> list[tuple[int, int, bool]]:
         if "kappa" not in self.coefficients:
@@ -398,9 +304,7 @@ class Mechanical(Canonical):
         if scene.gradient is None:
             sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
             try:
-                potential = scene.potential
-                if not isinstance(potential, Formula):
-                    potential = formula(potential, sizes, tuple(self.parameters))
+                potential = as_formula(scene.potential, sizes, self.parameters)
                 scene = scene._replaced(gradient=derived_gradient(potential))
             except CannotRecord as why:
                 missing = "its gradient is missing, and the potential cannot be differentiated"
@@ -414,6 +318,25 @@ class Mechanical(Canonical):
         return scene
 
     # -- physics -------------------------------------------------------------------------------
+    @property
+    def nonlinear_damping(self) -> bool:  # type: ignore[override]
+        return self.kappa_sign != 0
+
+    @property
+    def may_gain_energy(self) -> bool:  # type: ignore[override]
+        return self.nonlinear_damping or self.gamma <= 0
+
+    @property
+    def bounds_energy(self) -> bool:
+        return not self.nonlinear_damping and self.gamma >= 0
+
+    @property
+    def conformal_rate(self) -> Numeric:
+        return None if self.nonlinear_damping else self.gamma
+
+    def velocity(self, p: Vector) -> Vector:
+        return scaled(self.inverse_mass, p)
+
     def kinetic(self, p: Vector) -> Arithmetic:
         if isinstance(self.inverse_mass, tuple):
             return dot(p, scaled(self.inverse_mass, p)) / 2
@@ -430,6 +353,42 @@ class Mechanical(Canonical):
 
     def gradient_at(self, x: OwnState) -> Vector:
         return self.dV(x.q)
+
+    def dissipation(self, s: Arithmetic) -> Arithmetic:
+        linear = self.gamma * s
+        return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
+
+    def dissipation_rate(self, s: Arithmetic) -> Arithmetic:
+        return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
+
+    def damping_at(self, x: OwnState) -> Arithmetic:
+        return self.dissipation_rate(x.s)
+
+    def energy(self, x: OwnState) -> Numeric:
+        return self.kinetic(x.p) + self.potential_at(x)
+
+    def hamiltonian(self, x: State) -> Numeric:
+        return self.energy(x) + self.dissipation(x.s)
+
+    def rhs(self, x: State) -> State:
+        rate = self.damping_at(x)
+        force = tuple(-g - rate * p for g, p in zip(self.gradient_at(x), x.p, strict=True))
+        if x.s is None:
+            return State(self.velocity(x.p), force)
+        s = self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s)
+        return State(self.velocity(x.p), force, s)
+
+    def sizes(self, x: OwnState, end: float) -> Sizes:
+        far, fast = reach(self, x, end)
+        momenta: list[Any] = [fast * (1 / each) for each in self.velocity((1.0,) * len(x.p))]
+        return [far] * len(x.q) + momenta, float(in_order(far) * in_order(np.max(momenta)))
+
+    def energy_terms(self, x: OwnState) -> Arithmetic:
+        return self.kinetic(x.p) + abs(self.potential_at(x))
+
+    def hamiltonian_terms(self, x: State) -> Numeric:
+        kinetic = self.kinetic(x.p)
+        return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
 
     @property
     def has_jacobian(self) -> bool:  # type: ignore[override]
@@ -453,11 +412,7 @@ class Mechanical(Canonical):
         return rows
 
     def momentum(self, x: State) -> Vector | None:
-        """Return the angular momentum q × p (one component in the plane, three in space), else None."""
-        q, p = x.q, x.p
-        if len(q) == 2:
-            return (q[0] * p[1] - q[1] * p[0],)
-        return cross(q, p) if len(q) == 3 else None
+        return angular_momentum(x.q, x.p)
 
     #: what says that it has a symmetry
     symmetry: ClassVar[str] = "rotation_invariant = True"

@@ -18,6 +18,7 @@ from contactbench.scene.algebra import (
     AnyState,
     BodyState,
     Vector,
+    conjugate,
     cross,
     dot,
     norm,
@@ -25,7 +26,7 @@ from contactbench.scene.algebra import (
     quaternion_product,
     rotate,
 )
-from contactbench.scene.base import Check, Numeric, Scene, optional
+from contactbench.scene.base import Check, Numeric, Scene, Sizes, optional
 from contactbench.scene.flow import Constants, Flow, damping, plain, time_and_damping
 from contactbench.scene.free_body import free
 
@@ -52,9 +53,8 @@ def one_rate(name: str, value: Any) -> float:
 
 def damping_matrix(name: str, value: object) -> tuple[Vector, ...]:
     """Return a 3×3 matrix from three rates or a matrix; raise `BadInput` unless it is symmetric and ≥ 0."""
-    wanted = (
-        "three rates ≥ 0 or a symmetric positive semi-definite 3×3 matrix (one rate about all axes: gamma=)"
-    )
+    matrices = "a symmetric positive semi-definite 3×3 matrix (one rate about all axes: gamma=)"
+    wanted = f"three rates ≥ 0 or {matrices}"
     given = real_array(name, value, wanted)
     matrix = np.diag(given) if given.shape == (3,) else given
     right = matrix.shape == (3, 3) and np.all(np.isfinite(matrix)) and np.array_equal(matrix, matrix.T)
@@ -104,6 +104,13 @@ def spin(x: BodyState, a: Arithmetic, xp: Namespace) -> BodyState:
     cos = choose(still, 1.0, xp.cos(a * size / 2), xp)
     R = quaternion_product(x.R, (cos, *(scale * m for m in x.M)))
     return settle(BodyState(x.M, R, s), xp)
+
+
+def half_turn(x: BodyState, dx: BodyState) -> Vector:
+    """Return ½ ξ = Im(R̄ ⊗ dR), half the displacement in the frame of the body (left trivialisation)."""
+    assert x.R is not None
+    assert dx.R is not None
+    return quaternion_product(conjugate(x.R), dx.R)[1:]
 
 
 def turn_rate(scene: RigidBody) -> Arithmetic:
@@ -287,12 +294,15 @@ class RigidBody(Scene):
     def decided(self) -> tuple[Hashable, ...]:  # type: ignore[override]
         return self.by_inertia
 
-    def _decide(self, like: Self | None = None) -> Self:
-        anew = tuple(sorted(range(3), key=lambda i: self.inertia[i])) if like is None else like.by_inertia
-        return self._replaced(by_inertia=anew)
+    def _decide(self) -> Self:
+        return self._replaced(by_inertia=tuple(sorted(range(3), key=lambda i: self.inertia[i])))
 
     def orders(self) -> list[tuple[int, int, bool]]:
         return super().orders() + [(i, j, False) for i, j in pairwise(self.by_inertia)]
+
+    def sizes(self, x: BodyState, end: float) -> Sizes:
+        most = float(np.linalg.norm(np.array(x.M, dtype=float), axis=0))
+        return [most] * 3, most
 
     def angular_velocity(self, M: Vector) -> Vector:
         return tuple(m * i for m, i in zip(M, self.inverse_inertia, strict=True))
@@ -364,12 +374,8 @@ class RigidBody(Scene):
         return self.isotropic and self.gamma <= 0
 
     def contact_form(self, x: BodyState, dx: BodyState) -> Numeric:
-        """Return η(dx) = ds − M·ξ, ξ = 2 Im(R̄ ⊗ dR) the body-frame displacement (left trivialisation)."""
-        assert x.R is not None
-        assert dx.R is not None
-        w, a, b, c = x.R
-        xi = quaternion_product((w, -a, -b, -c), dx.R)[1:]
-        return dx.s - 2 * dot(x.M, xi)
+        """Return η(dx) = ds − M·ξ, ξ the displacement in the frame of the body (`half_turn`)."""
+        return dx.s - 2 * dot(x.M, half_turn(x, dx))
 
     def contact_terms(self, x: BodyState, dx: BodyState) -> Numeric:
         """Return |ds| + ‖M‖‖ξ‖, ‖ξ‖ = 2‖dR‖."""
@@ -384,12 +390,11 @@ class RigidBody(Scene):
         return norm(x.M)
 
     def displaced(self, x: BodyState, v: BodyState, amount: float) -> BodyState:  # type: ignore[override]
-        """Return M and s along straight lines, R along the group: R exp(amount ξ̂), ξ = 2 Im(R̄ ⊗ dR)."""
+        """Return M and s along straight lines, R along the group: R exp(amount ξ̂)."""
         moved = super().displaced(x, v, amount)
         if x.R is None or v.R is None:
             return moved
-        w, a, b, c = x.R
-        half = quaternion_product((w, -a, -b, -c), v.R)[1:]
+        half = half_turn(x, v)
         size = norm(half)
         scale = math.sin(size * amount) / size if size > 0 else 0.0
         turned = quaternion_product(x.R, (math.cos(size * amount), *(scale * h for h in half)))

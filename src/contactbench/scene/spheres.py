@@ -11,18 +11,14 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.checks import positive, vector, whole
+from contactbench.checks import vector, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, repeat_while, settle
 from contactbench.numbers.protocol import Arithmetic, Namespace, abilities, has_digits
 from contactbench.scene.algebra import State, Vector, cross, dot, norm, times
-from contactbench.scene.base import Check, optional
+from contactbench.scene.base import Check, Sizes, optional
 from contactbench.scene.flow import Constants, Flow, plain
-from contactbench.scene.mechanical import (
-    Mechanical,
-    _drift_damp_constants,
-    _pinney,
-)
+from contactbench.scene.mechanical import Mechanical, _drift_damp_constants, _pinney, each_positive
 from contactbench.trace.formula import Formula
 
 #: θ² up to which (1 − cos θ)/θ² and sin θ/θ are sums of so many powers, to round-off, and so many halvings at most
@@ -32,13 +28,6 @@ SINC, VERSINE = ([(-1) ** k / math.factorial(2 * k + more) for k in range(POWERS
 CLOSE = 1e-12
 #: a number, or one for every point
 Each = Any
-
-
-def each_positive(name: str, value: Any) -> Each:
-    """Return one number > 0, or a tuple of such."""
-    if np.ndim(value) == 0:
-        return positive(name, value)
-    return tuple(positive(f"{name}[{i}]", one) for i, one in enumerate(vector(name, value)))
 
 
 def unit(name: str, value: Any) -> Vector:
@@ -51,11 +40,8 @@ def unit(name: str, value: Any) -> Vector:
 
 def flat(name: str, value: Any) -> tuple[Vector, int]:
     """Return the numbers of one point or several, one after the other, and how many each has: 0, it is not said."""
-    if (
-        isinstance(value, tuple | list | np.ndarray)
-        and len(value)
-        and all(np.ndim(row) == 1 for row in value)
-    ):
+    several = isinstance(value, tuple | list | np.ndarray) and len(value) > 0
+    if several and all(np.ndim(row) == 1 for row in value):
         rows = [vector(f"{name}[{i}]", row, len(value[0])) for i, row in enumerate(value)]
         return sum(rows, ()), len(value[0])
     return vector(name, value), 0
@@ -84,17 +70,12 @@ def circular(square: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]
     By a series of a small part of θ, 1 − cos and sin θ/θ then doubled: to the roundings of θ, without a branch to a
     function, which would cost a compiled stage as much again.
     """
-    if (
-        has_digits(xp) or abilities(xp).traced
-    ):  # as is, but at rest; JAX takes no derivative backwards through a loop
+    if has_digits(xp) or abilities(xp).traced:  # JAX takes no derivative backwards through a loop
         still = square <= (0 if has_digits(xp) else SMALL)
         angle = xp.sqrt(choose(still, 1.0, square, xp))
-        near = series(choose(still, square, 0.0, xp))
-        cos, sinc = (
-            choose(still, 1 - near[0], xp.cos(angle), xp),
-            choose(still, near[1], xp.sin(angle) / angle, xp),
-        )
-        return cos, sinc
+        versine, sinc = series(choose(still, square, 0.0, xp))
+        cos = choose(still, 1 - versine, xp.cos(angle), xp)
+        return cos, choose(still, sinc, xp.sin(angle) / angle, xp)
     least, halvings = repeat_while(
         lambda c: (c[0] > SMALL) & (c[1] < MOST), lambda c: (c[0] / 4, c[1] + 1), (square, 0.0 * square), xp
     )
@@ -367,19 +348,20 @@ class Spheres(Mechanical):
                     row[n + j] = row[n + j] - 2 * x.q[k] * v[j] / square
         return rows
 
-    def sizes(self, x: State, end: float) -> tuple[np.ndarray, np.ndarray]:
+    def sizes(self, x: State, end: float) -> Sizes:
         """Return the radii, and what a fall through them makes of momenta: √(2 m R ‖∇V‖)."""
         try:
             slope = self.dV(x.q)
         except Exception:  # a user's function, where it is not defined
             slope = tuple(np.nan * c for c in x.q)
-        places, momenta = [], []
+        places: list[float] = []
+        momenta: list[float] = []
         for i, (p, g) in enumerate(zip(self.points(x.p), self.points(slope), strict=True)):
             R = of(self.radius, i)
             most = np.fmax(norm(p), (2 * R / of(self.inverse_mass, i) * norm(g)) ** 0.5)
-            places += [R + 0 * most] * self.dimension
+            places += [R] * self.dimension
             momenta += [most] * self.dimension
-        return np.array([*places, *momenta], dtype=float), np.max(places, axis=0) * np.max(momenta, axis=0)
+        return [*places, *momenta], float(max(places) * np.max(momenta))
 
     def departure(self, x: State, start: State) -> Vector:
         """Return | |q|/R − 1 | of every point, and |q·p|/R relative to the size of its momenta from the start on."""
