@@ -89,6 +89,7 @@ class Diffrax(Call):
         # tight tolerances rarely meet: half of all steps are rejected and each is four times too
         # short.  Chord linearises at every stage and follows the error control.
         finder: Any = {"root_finder": optimistix.Chord(rtol=rtol, atol=atol)} if implicit else {}
+        control = diffrax.PIDController(rtol=rtol, atol=atol, dtmin=SHORTEST * times[-1], force_dtmin=False)
         solution = diffrax.diffeqsolve(
             term,
             getattr(diffrax, self.method.solver)(**finder),
@@ -97,24 +98,19 @@ class Diffrax(Call):
             None,
             jnp.stack(y) if as_array else tuple(y),
             saveat=diffrax.SaveAt(t1=True) if self.final_only else diffrax.SaveAt(subs=grid),
-            stepsize_controller=diffrax.PIDController(
-                rtol=rtol, atol=atol, dtmin=SHORTEST * times[-1], force_dtmin=False
-            ),
+            stepsize_controller=control,
             max_steps=r.max_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
         )
-        stats, results = solution.stats, diffrax.RESULTS
-        info = jnp.array(
-            [
-                stats["num_accepted_steps"],
-                stats["num_rejected_steps"],
-                solution.result == results.successful,
-                solution.result == results.max_steps_reached,
-                solution.result == results.dt_min_reached,
-                (solution.ts if self.final_only else solution.ts[0])[0],
-            ]
+        endings = (
+            diffrax.RESULTS.successful,
+            diffrax.RESULTS.max_steps_reached,
+            diffrax.RESULTS.dt_min_reached,
         )
+        counts = (solution.stats[f"num_{which}_steps"] for which in ("accepted", "rejected"))
+        time = (solution.ts if self.final_only else solution.ts[0])[0]
+        info = jnp.array([*counts, *(solution.result == each for each in endings), time])
 
         def packed(y: Any, t: jax.Array) -> Any:
             components = list(y.T) if as_array else list(y)
@@ -155,15 +151,7 @@ for _solver, _order, _stages, _implicit, _about in (
     ("Dopri8", 8, 13, False, "Dormand–Prince 8(7), explicit"),
     ("Kvaerno5", 5, 6, True, "Kvaerno 5(4), implicit, Chord"),
 ):
-    METHODS.add(
-        Peer(
-            f"diffrax-{_solver.lower()}",
-            *(_about, Diffrax, ("jax",), (ROUNDING, 1e-1), _solver, "diffrax"),
-            order=_order,
-            stages=_stages,
-            implicit=_implicit,
-            # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
-            costs={"jax": 2} if _implicit else {},
-            largest=64,
-        )
-    )
+    _known = _solver, "diffrax", _order, _stages, _implicit
+    _named = f"diffrax-{_solver.lower()}", _about, Diffrax, ("jax",), (ROUNDING, 1e-1)
+    # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
+    METHODS.add(Peer(*_named, *_known, costs={"jax": 2} if _implicit else {}, largest=64))
