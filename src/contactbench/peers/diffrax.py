@@ -66,7 +66,8 @@ class Diffrax(Call):
         import diffrax
         import optimistix
 
-        numbers, (rtol,), atol, times = jnp.split(fixed, self.borders)
+        parts: list[Any] = jnp.split(fixed, self.borders)
+        numbers, (rtol,), atol, times = parts
         r, implicit = self.request, self.method.implicit
         scene = r.scene.with_numbers(list(numbers))
 
