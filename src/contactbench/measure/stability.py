@@ -162,9 +162,9 @@ def borders(method: FixedStep, gamma: float) -> Stability:
 
     grid = np.geomspace(SHORTEST, LONGEST, SCANNED)
     values = invariants(grid)
-    extrema = np.concatenate(
-        [turning_points(lambda h, k=k: invariants(h)[k], grid, values[k]) for k in range(2)]
-    )
+    of_trace = turning_points(lambda h: invariants(h)[0], grid, values[0])
+    of_det = turning_points(lambda h: invariants(h)[1], grid, values[1])
+    extrema = np.concatenate([of_trace, of_det])
     steps, first = np.unique(np.concatenate([grid, extrema]), return_index=True)
     beyond = np.concatenate([unbounded(values), unbounded(invariants(extrema))])[first]
     if beyond[0]:
