@@ -6,7 +6,7 @@
 data = (calls of rhs, calls of jacobian, origin, constants…): the functions count their own calls; y is the state
 less the time, which is t since the origin, the time a run begins at.  The constants are what the scene's numbers
 give before a state is known (1/m, γ/2, …), computed once; so one compiled function serves every scene of the same
-structure.  They are recorded from the scene and compiled by numba.
+structure.  They are recorded from the scene and compiled by LLVM.
 """
 
 from __future__ import annotations
