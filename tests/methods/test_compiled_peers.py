@@ -78,19 +78,6 @@ def test_steps_do_not_depend_on_what_is_saved(method, engine):
         np.testing.assert_array_equal(run.y[-1], runs[0].y[-1])
 
 
-@pytest.mark.parametrize("method", ["cyrk-dop853", "cyrk-lsoda", "cvode-adams", "cvode-bdf"])
-@pytest.mark.parametrize("scene", ["particle", "forced_oscillator"])
-def test_a_compiled_loop_gives_the_single_calls(method, scene):
-    run = cb.prepare(scene, method, rtol=1e-7, carry=(), save_at=[3.0])
-    starts = run.start + 0.1 * np.random.default_rng(5).normal(size=(6, len(run.start)))
-    together = run.call.many(starts)
-    np.testing.assert_array_equal(run.call.many(np.asfortranarray(starts)), together)
-    for start, row in zip(starts, together, strict=True):
-        out = run.integrate(start)
-        np.testing.assert_array_equal(row[-len(start) :], out.y[-1])
-        assert (row[3], row[4]) == (out.counts.steps, out.counts.evaluations)
-
-
 # -- counts ----------------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", CVODE)
 def test_cvode_counts_as_many_calls_as_the_c_functions(method):
@@ -133,8 +120,7 @@ def test_a_run_that_failed_leaves_the_next_one_as_it_was(method, engine):
 
 #: what compiles, with an engine that does not where there is one
 COMPILERS = [(*peer, "c+python" if peer[0] in CVODE else None) for peer in PEERS]
-COMPILERS += [("heyoka-taylor", "llvm", None)]
-COMPILERS += [("contact-strang", "llvm", "python")]
+COMPILERS += [("heyoka-taylor", "llvm", None), ("contact-strang", "llvm", "python")]
 
 
 @pytest.mark.parametrize(("method", "engine", "other"), COMPILERS)
@@ -167,7 +153,7 @@ def load_anew(monkeypatch):
             importlib.util,
             "find_spec",
             lambda name: None,
-            "scikit-sundae is not installed: pip install scikit-sundae",
+            "is not installed: pip install scikit-sundae",
         ),
         ("cvode-bdf", Path, "glob", lambda self, pattern: [], "CVODE library is not in"),
         ("cyrk-dop853", CyRK, "__version__", "0.21.0", "CyRK 0.21.0 may have another C interface"),

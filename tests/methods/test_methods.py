@@ -10,7 +10,7 @@ from cases import few_slow, mine
 from contactbench.methods.base import tolerance
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_in
-from contactbench.peers import jax_program
+from contactbench.peers import diffrax
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 from contactbench.xla import jax
@@ -89,10 +89,10 @@ def test_both_ends_of_the_range_of_a_tolerance_are_in_it(method):
 def test_other_parameters_steps_and_tolerances_do_not_recompile(method):
     coarse, fine = ({"rtol": 1e-7}, {"rtol": 1e-11}) if method.adaptive else ({"step": 0.05}, {"step": 0.002})
     cb.solve(PARTICLE, method.name, save_at=[1.0], **coarse)
-    before = len(jax_program._programs.items)
+    before = len(diffrax._programs.items)
     other = PARTICLE.with_(gamma=0.5, coupling=0.3, q=(0.1, 0.2), t_end=9.0)
     cb.solve(other, method.name, save_at=[2.0], **fine)
-    assert len(jax_program._programs.items) == before
+    assert len(diffrax._programs.items) == before
 
 
 # -- saved times -----------------------------------------------------------------------------------

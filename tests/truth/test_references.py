@@ -20,10 +20,11 @@ from contactbench import truth
 from contactbench.errors import BadInput
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
-from contactbench.truth import digest, reference
+from contactbench.truth import digest, engines, reference
 from contactbench.truth.engines import heyoka_reads_rhs
 from contactbench.truth.reference import closed_form, confirmed
 
+references = importlib.import_module("contactbench.truth.reference")  # `truth.reference` is its function
 FOLDER = Path(__file__).parents[2] / "references"
 ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
 
@@ -42,6 +43,12 @@ def stored(name):
     context = truth.decimal_context(60)
     _, rows = truth.table(FOLDER / entry["file"], entry["sha256"])
     return context, [row[0] for row in rows], [[context.mpf(x) for x in row[1:]] for row in rows]
+
+
+def shared_digits(*both):
+    """Return to how many digits, of 40, two tables of decimals agree."""
+    context = truth.decimal_context(60)
+    return truth.agreeing_digits(*([[context.mpf(x) for x in row] for row in rows] for rows in both), 40)
 
 
 # -- the frozen files ------------------------------------------------------------------------------
@@ -106,9 +113,7 @@ def test_damaged_file_is_never_used(monkeypatch, tmp_path):
         shutil.copy(path, tmp_path / path.name)
     with open(tmp_path / "particle.csv", "a") as file:
         file.write("\n")
-    monkeypatch.setattr(
-        importlib.import_module("contactbench.truth.frozen"), "frozen_folder", lambda: tmp_path
-    )
+    monkeypatch.setitem(truth.frozen.__globals__, "frozen_folder", lambda: tmp_path)
     with pytest.raises(BadInput, match="SHA-256"):
         truth.frozen(SCENES["particle"], np.array([0.1]), ())
 
@@ -216,16 +221,10 @@ def test_a_closed_form_of_another_motion_or_of_other_equations_is_not_the_truth(
 def test_digits_are_those_of_the_component_that_knows_fewest():
     """A pendulum let go next to its top loses what a spring beside it keeps."""
     spring, top = (mine(lambda q, i=i: (q[0] ** 2 / 2, cb.math.cos(q[0]))[i], q=1e-3) for i in (0, 1))
-    both = Mechanical(
-        name="both",
-        potential=lambda q: q[0] ** 2 / 2 + cb.math.cos(q[1]),
-        q=(1e-3, 1e-3),
-        p=(0.0, 0.0),
-        t_end=60.0,
-    )
-    alone, lost, found = (
-        reference(scene.with_(t_end=60.0), [60.0], ()).digits for scene in (spring, top, both)
-    )
+    V = lambda q: q[0] ** 2 / 2 + cb.math.cos(q[1])  # noqa: E731
+    both = Mechanical(name="both", potential=V, q=(1e-3, 1e-3), p=(0.0, 0.0), t_end=60.0)
+    scenes = (scene.with_(t_end=60.0) for scene in (spring, top, both))
+    alone, lost, found = (reference(scene, [60.0], ()).digits for scene in scenes)
     assert alone > lost + 5
     assert abs(found - lost) <= 2
 
@@ -263,11 +262,9 @@ def test_digits_are_relative_to_the_state(size, gamma):
     scene = SCENES["oscillator"].with_(q=(size,), p=(0.0,), gamma=gamma)
     t = np.array([2.5])
     exact, _, _ = closed_form(scene, t, ())
-    context = truth.decimal_context(60)
     by_taylor, digits, _ = truth.live(scene, t, ())
     for rows, claimed in ((truth.extrapolation(scene, ["2.5"], (), 18), 16), (by_taylor, digits)):
-        numbers = [[[context.mpf(x) for x in row] for row in found] for found in (rows, exact)]
-        assert truth.agreeing_digits(*numbers, 40) >= claimed >= 16
+        assert shared_digits(rows, exact) >= claimed >= 16
 
 
 def test_a_short_span_of_a_fast_motion_is_no_blow_up():
@@ -279,14 +276,13 @@ def test_a_short_span_of_a_fast_motion_is_no_blow_up():
 def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
     """At 1/q with energy 31 the steps shrink a thousandfold; 34 attempts where they grow again, else 1935."""
     bounce = mine(lambda q: 1 / q[0], gradient=lambda q: (-1 / (q[0] * q[0]),), q=4.0, p=-7.9, t_end=8.0)
-    module, steps = importlib.import_module("contactbench.truth.engines"), []
-    attempt = module.extrapolated
+    steps, attempt = [], engines.extrapolated
 
     def count(slope, t, y, step, *more):
         steps.append(step)
         return attempt(slope, t, y, step, *more)
 
-    monkeypatch.setattr(module, "extrapolated", count)
+    monkeypatch.setattr(engines, "extrapolated", count)
     ((q, p),) = truth.extrapolation(bounce, ["8.0"], (), 8)
     start, end = bounce.energy(bounce.initial(())), bounce.energy(bounce.unpack([q, p], ()))
     assert end == pytest.approx(start, rel=1e-6)
@@ -295,10 +291,9 @@ def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
 
 @pytest.mark.parametrize("sees", [200, 260])
 def test_a_blow_up_that_one_precision_alone_sees_is_none(sees, monkeypatch):
-    module = importlib.import_module("contactbench.truth.reference")
     time = truth.decimal_context(60).mpf("3.4")
-    monkeypatch.setattr(module, "taylor_blow_up", lambda scene, bits: time if bits == sees else None)
-    assert module.blow_up_time(SCENES["particle"].with_(q=(8.0, -6.0))) is None
+    monkeypatch.setattr(references, "taylor_blow_up", lambda scene, bits: time if bits == sees else None)
+    assert references.blow_up_time(SCENES["particle"].with_(q=(8.0, -6.0))) is None
 
 
 def test_the_generator_imports_no_method_under_test():
@@ -318,9 +313,7 @@ def test_a_power_at_zero_is_a_product_to_heyoka():
     power = mine(lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2, **own)
     product = mine(lambda q: q[0] * q[0] * q[0] * q[0] / 4 - q[0] * q[0] / 2, **own)
     found, exact = (cb.reference(scene, [5.0]) for scene in (power, product))
-    context = truth.decimal_context(50)
-    numbers = [[[context.mpf(x) for x in row] for row in each.decimals] for each in (found, exact)]
-    assert truth.agreeing_digits(*numbers, 40) >= min(found.digits, exact.digits) >= 39
+    assert shared_digits(found.decimals, exact.decimals) >= min(found.digits, exact.digits) >= 39
     run = cb.solve(power, "heyoka-taylor", rtol=1e-14, save_at=[5.0])
     assert run.ok
     assert np.abs(run.y[-1] - exact.y[-1]).max() < 1e-14
@@ -335,11 +328,6 @@ def test_a_trial_step_onto_a_singularity_is_halved():
 
 
 # -- time ------------------------------------------------------------------------------------------
-engines, references = (
-    importlib.import_module(f"contactbench.truth.{name}") for name in ("engines", "reference")
-)
-
-
 def test_functions_end_where_an_argument_is_beyond_any_scale():
     """The digits of e^x for x = 2^(10^12) have no room in any memory: mpmath would end the process."""
     context = truth.decimal_context(30)

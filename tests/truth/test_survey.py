@@ -134,16 +134,8 @@ def test_two_solvers_reach_a_jump_to_round_off():
     """Their steps do not sum up the time: a few roundings late, ten digits would agree."""
     at = [0.7 + 1.9 * k for k in range(10)]
     side = lambda t: float(bisect.bisect(at, float(t)) % 2)  # noqa: E731  # float() refuses to be recorded
-    scene = cb.Driven(
-        name="switched",
-        potential=lambda q, t: q[0] ** 2 / 2 - q[0] * side(t),
-        gradient=lambda q, t: (q[0] - side(t),),
-        gamma=0.1,
-        q=(0.3,),
-        p=(0.0,),
-        t_end=20.0,
-        breaks=at,
-    )
+    V, gradient = (lambda q, t: q[0] ** 2 / 2 - q[0] * side(t)), (lambda q, t: (q[0] - side(t),))
+    scene = mine(V, 0.3, t_end=20.0, kind=cb.Driven, gradient=gradient, gamma=0.1, breaks=at)
     found = cb.reference(scene, [20.0], ())
     assert found.source == "two solvers"
     assert found.digits >= 12
@@ -179,7 +171,5 @@ def test_extrapolation_takes_fast_motion_for_no_singularity(digits):
 
 def test_a_wall_that_a_trial_step_goes_far_beyond_has_a_truth():
     """There q⁴⁰ is no number any more: the step is too long, not the motion lost."""
-    wall = cb.Mechanical(
-        name="wall", potential=lambda q: q[0] ** 40 / 40, q=(0.1,), p=(1.5,), gamma=0.05, t_end=4.0
-    )
+    wall = mine(lambda q: q[0] ** 40 / 40, 0.1, 1.5, 4.0, gamma=0.05)
     assert cb.reference(wall, [4.0]).digits >= 20

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import few_slow
+from cases import few_slow, mine
 from chains import bodies, chain, masses
 from contactbench.truth import OutOfTime, two_solvers
 
@@ -36,9 +36,7 @@ def test_two_solvers_in_doubles_have_the_digits_that_they_say(name):
 
 @pytest.mark.filterwarnings("error")
 def test_what_leaves_has_no_reference():
-    scene = cb.Mechanical(
-        name="leaves", potential=lambda q: -(q[0] ** 4), gamma=0.1, q=(2.0,), p=(0.0,), t_end=20.0
-    )
+    scene = mine(lambda q: -(q[0] ** 4), 2.0, t_end=20.0, gamma=0.1)
     with pytest.raises(cb.BadInput):
         cb.reference(scene, [20.0])
     with pytest.raises(cb.BadInput, match="cannot be followed to t = 20"):

@@ -12,7 +12,7 @@ import numpy as np
 
 from contactbench.blame import blame
 from contactbench.errors import BadInput
-from contactbench.numbers.protocol import ArrayNamespace, CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Solution
 
@@ -151,61 +151,36 @@ class Law:
         return tuple(field for field in self.needs if field in scene.optional)
 
 
-def size_of(start: np.ndarray, xp: ArrayNamespace = np) -> np.ndarray:
-    norm = xp.linalg.norm(start, axis=-1)
-    size: np.ndarray = xp.where(norm > 0, norm, 1.0)
-    return size
-
-
-def conformal_deviation(
-    values: np.ndarray,
-    start: np.ndarray,
-    t: float | np.ndarray,
-    gamma: float | np.ndarray,
-    terms: float | np.ndarray = 0.0,
-    xp: ArrayNamespace = np,
-) -> np.ndarray:
-    """Return ‖values − e^{−γt} start‖ / max(e^{−γt} ‖start‖, ATTAINABLE · terms) at each time.
-
-    values : (k, m), start : (m,), terms : (k,), the size of the terms whose differences the values are.
-    Where the denominator is below the meaningful range, the deviation is how far the value exceeds that
-    range (0 when it has underflowed as it should).  For an ensemble k counts its members, and t, γ and
-    start may differ from one to the next; xp is then maybe JAX's.
-    """
-    norm = size_of(start, xp)
-    true_log = xp.log(norm) - gamma * t
-    attainable = ATTAINABLE * (terms + xp.zeros(len(values)))
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        clamped = xp.log(attainable) > true_log
-        # where the true size rules, values are scaled up rather than the start down, which may underflow; in two
-        # halves, so that neither factor overflows before the product would
-        half = xp.asarray(xp.exp(xp.minimum(gamma * t / 2, 700.0)))
-        half = half[..., None] if values.ndim > half.ndim else half
-        against_true = xp.linalg.norm(values * half * half - start, axis=-1) / norm
-        true = xp.asarray(xp.exp(-gamma * t))[..., None] * start
-        against_terms = xp.linalg.norm(values - true, axis=-1) / attainable
-        excess = xp.maximum(xp.abs(values).max(axis=-1) / MEANINGFUL - 1, 0.0)
-    meaningful = xp.where(clamped, attainable > MEANINGFUL, true_log > math.log(MEANINGFUL))
-    found: np.ndarray = xp.where(meaningful, xp.where(clamped, against_terms, against_true), excess)
-    return found
-
-
 def conformal(
     values: np.ndarray,
     start: np.ndarray,
-    t: float | np.ndarray,
+    t: np.ndarray,
     rate: float | np.ndarray,
-    terms: np.ndarray,
+    terms: float | np.ndarray = 0.0,
     error: np.ndarray | None = None,
 ) -> Deviation:
-    """Return `conformal_deviation`, its error bar, of that of the values, `error` (k,), and where it is clamped."""
-    true_log, bar = np.log(size_of(start)) - rate * t, None
-    with np.errstate(divide="ignore", over="ignore"):
+    """Return ‖values − e^{−γt} start‖ / max(e^{−γt} ‖start‖, ATTAINABLE · terms) at each time, γ the rate.
+
+    values : (k, m), start : (m,), terms : (k,), the size of the terms whose differences the values are, error : (k,),
+    the error bar of the values.  Where the denominator is below the meaningful range, the deviation is how far the
+    value exceeds that range (0 when it has underflowed as it should).
+    """
+    norm = np.linalg.norm(start, axis=-1) or 1.0
+    true_log, bar = np.log(norm) - rate * t, None
+    attainable = ATTAINABLE * (terms + np.zeros(len(values)))
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        clamped = np.log(attainable) > true_log
+        # where the true size rules, values are scaled up rather than the start down, which may underflow; in two
+        # halves, so that neither factor overflows before the product would
+        half = np.exp(np.minimum(rate * t / 2, 700.0))[:, None]
+        against_true = np.linalg.norm(values * half * half - start, axis=1) / norm
+        against_terms = np.linalg.norm(values - np.exp(-rate * t)[:, None] * start, axis=1) / attainable
+        excess = np.maximum(np.abs(values).max(axis=1) / MEANINGFUL - 1, 0.0)
         if error is not None:
-            floor = np.log(np.maximum(ATTAINABLE * terms, MEANINGFUL))
-            bar = np.exp(np.log(error) - np.maximum(true_log, floor))
-        clamped = (np.log(ATTAINABLE * terms) > true_log) & (t > 0)
-    return Deviation(conformal_deviation(values, start, t, rate, terms), bar, clamped)
+            bar = np.exp(np.log(error) - np.maximum(true_log, np.log(np.maximum(attainable, MEANINGFUL))))
+    meaningful = np.where(clamped, attainable > MEANINGFUL, true_log > math.log(MEANINGFUL))
+    size = np.where(meaningful, np.where(clamped, against_terms, against_true), excess)
+    return Deviation(size, bar, clamped & (t > 0))
 
 
 def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:

@@ -382,8 +382,8 @@ def row(
     scene = solution.scene
     found = {}
     for item in laws_of(scene):
-        unwanted = item.name != "solution_error" and leave_out(item.name)
-        if not (unwanted or (without and item.differentiates)):
+        wanted = item.name == "solution_error" or not leave_out(item.name)
+        if wanted and not (without and item.differentiates):
             with suppress(Undefined):
                 found[item.name] = item.measured(solution)
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}

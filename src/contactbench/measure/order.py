@@ -132,11 +132,10 @@ def march(
     start: Sequence[Arithmetic] | None = None,
 ) -> list[Arithmetic]:
     """Return the packed state, all fields carried, after n steps from the scene's or another packed start."""
-    xp = fastest(context)
+    xp, carry = fastest(context), scene.carry()
     with getattr(xp, "context", nullcontext()):
         twin = with_decimals(scene, xp.mpf)
-        given = None if start is None else [*map(xp.mpf, start)]
-        x = twin.initial(scene.carry()) if given is None else twin.unpack(given, scene.carry())
+        x = twin.initial(carry) if start is None else twin.unpack([*map(xp.mpf, start)], carry)
         try:
             end = twin.pack(method.advance(twin, x, xp.mpf(step), n, xp))
         except ArithmeticError as why:
@@ -148,8 +147,11 @@ def error_at(method: Stepping, scene: Scene, t: float, n: int) -> Arithmetic:
     """Return ‖y_n − y*(t)‖₂ after n steps of size t/n, as an mpmath number; the reference has up to 40 digits."""
     context = decimal_context(DIGITS)
     truth = [context.mpf(c) for c in reference(scene, [t]).decimals[0]]
-    y = march(method, scene, context.mpf(repr(t)) / n, n, context)
-    found: Arithmetic = context.norm([a - b for a, b in zip(y, truth, strict=True)])
+    return apart(march(method, scene, context.mpf(repr(t)) / n, n, context), truth, context)
+
+
+def apart(a: list[Arithmetic], b: list[Arithmetic], context: MPContext) -> Arithmetic:
+    found: Arithmetic = context.norm([x - y for x, y in zip(a, b, strict=True)])
     return found
 
 
@@ -168,8 +170,7 @@ def local_order(method: Stepping, scene: Scene, step: str = "1e-6", digits: int 
 
     def defect(h: Arithmetic) -> Arithmetic:
         once, twice = march(method, scene, h, 1, context), march(method, scene, h / 2, 2, context)
-        found: Arithmetic = context.norm([a - b for a, b in zip(once, twice, strict=True)])
-        return found
+        return apart(once, twice, context)
 
     h = context.mpf(step)
     return float(context.log(defect(h) / defect(h / 2), 2)) - 1

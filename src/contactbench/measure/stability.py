@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -25,6 +25,7 @@ from contactbench.methods.loops import loop_of
 from contactbench.numbers.protocol import CannotRecord, Numbers
 from contactbench.scene import Mechanical, Scene, State
 from contactbench.scenes import SCENES
+from contactbench.splitting.composition import Stage
 
 #: |tr/(1 + det)| and |det| may pass one by this much, which is round-off: no orbit then grows by more than
 #: 1.4·10⁻⁶ a step
@@ -61,10 +62,12 @@ def is_processed(method: Method) -> TypeGuard[ContactMethod]:
     return isinstance(method, ContactMethod) and bool(method.composition.processor)
 
 
+def of_stages(method: ContactMethod, stages: Sequence[Stage]) -> FixedStep:
+    return replace(method, composition=replace(method.composition, stages=tuple(stages), processor=()))
+
+
 def kernel(method: FixedStep) -> FixedStep:
-    if not is_processed(method):
-        return method
-    return replace(method, composition=replace(method.composition, processor=()))
+    return of_stages(method, method.composition.stages) if is_processed(method) else method
 
 
 def step_matrix(method: FixedStep, gamma: float, omega: float, h: float | np.ndarray) -> np.ndarray:
@@ -152,28 +155,23 @@ def borders(method: FixedStep, gamma: float) -> Stability:
             det = det if factor is None else factor
             return np.array([trace / (1 + det), det])
 
-    def bounded(values: np.ndarray) -> np.ndarray:
+    def unbounded(values: np.ndarray) -> np.ndarray:
         with np.errstate(invalid="ignore"):
-            found: np.ndarray = (np.abs(values) <= 1 + SLACK).all(axis=0)  # nan: overflow
+            found: np.ndarray = ~(np.abs(values) <= 1 + SLACK).all(axis=0)  # nan: overflow
         return found
-
-    def unstable(h: np.ndarray) -> np.ndarray:
-        return ~bounded(invariants(h))
 
     grid = np.geomspace(SHORTEST, LONGEST, SCANNED)
     values = invariants(grid)
-    extrema = np.concatenate(
-        [
-            turning_points(lambda h: invariants(h)[0], grid, values[0]),
-            turning_points(lambda h: invariants(h)[1], grid, values[1]),
-        ]
-    )
+    of_trace = turning_points(lambda h: invariants(h)[0], grid, values[0])
+    of_det = turning_points(lambda h: invariants(h)[1], grid, values[1])
+    extrema = np.concatenate([of_trace, of_det])
     steps, first = np.unique(np.concatenate([grid, extrema]), return_index=True)
-    beyond = np.concatenate([~bounded(values), unstable(extrema)])[first]
+    beyond = np.concatenate([unbounded(values), unbounded(invariants(extrema))])[first]
     if beyond[0]:
         return Stability(0.0, (), 0.0)
     changes = np.flatnonzero(beyond[1:] != beyond[:-1])
-    borders = bracket_changes(unstable, steps[changes], steps[changes + 1], beyond[changes]).tolist()
+    sides = steps[changes], steps[changes + 1], beyond[changes]
+    borders = bracket_changes(lambda h: unbounded(invariants(h)), *sides).tolist()
     lost, found = borders[::2], borders[1::2]
     ends = [*lost[1:], math.inf][: len(found)]
     usable = [(start, end) for start, end in zip(found, ends, strict=True) if end - start > ISLAND * start]
@@ -282,11 +280,6 @@ def run_matrix(method: FixedStep, gamma: float, h: float, n: int) -> np.ndarray:
     if not is_processed(method):
         return steps
     stages = method.composition.processor
-    before, after = (
-        step_matrix(
-            replace(method, composition=replace(method.composition, stages=part, processor=())), gamma, 1.0, h
-        )
-        for part in (stages, stages[::-1])
-    )
+    before, after = (step_matrix(of_stages(method, part), gamma, 1.0, h) for part in (stages, stages[::-1]))
     run: np.ndarray = after @ steps @ before
     return run

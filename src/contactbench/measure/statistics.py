@@ -101,9 +101,8 @@ def quantile_interval(values: Sequence[float], q: float) -> tuple[float, float, 
 
 
 # -- wins and ties ---------------------------------------------------------------------------------
-#: margins where no clock decides: of numbers of evaluations, which are interpolated between two settings; of costs of
-#: whole settings, which stand so far apart; and of errors
-COUNTED, RUNG, ALIKE = 1.15, 1.5, 2.0
+#: margins where no clock decides: of numbers of evaluations, which are interpolated between two settings; and of errors
+COUNTED, ALIKE = 1.15, 2.0
 #: no margin of two times is smaller, however quiet the machine
 FLOOR = 1.03
 #: by what factor a cell's least round differs from process to process, in 95 of 100 cells (the layout of code and data

@@ -157,9 +157,8 @@ class Pieces(Prepared):
         self.pieces = list[tuple[Prepared, float, float, slice, np.ndarray]]()
         for time, exact in [*self.breaks, (self._end, 0.0)]:
             end, last = min(time, self._end) - exact, time >= self._end - exact
-            own = slice(
-                *np.searchsorted(times, [begin if begin else -1.0, times[-1] if last else time], "right")
-            )
+            ends = [begin or -1.0, times[-1] if last else time]
+            own = slice(*np.searchsorted(times, ends, "right"))
             if end > begin:
                 inside = np.maximum(np.minimum(times[own], end) - begin, 0.0)
                 save_at, which = np.unique(np.append(inside, end - begin), return_inverse=True)
@@ -366,10 +365,8 @@ class Callback(Call):
         start, y = self.split_clock(y0)
         steps, interpolated, status, message = 0, 0, Status.ok, ""
 
-        def counting(
-            t: float, y: Sequence[float]
-        ) -> Sequence[float]:  # libraries leave out the calls that difference the Jacobian
-            calls[0] += 1
+        def counting(t: float, y: Sequence[float]) -> Sequence[float]:
+            calls[0] += 1  # libraries leave out the calls that difference the Jacobian
             return self.rhs(t, y)
 
         try:

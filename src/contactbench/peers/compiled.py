@@ -6,7 +6,7 @@
 data = (calls of rhs, calls of jacobian, origin, constants…): the functions count their own calls; y is the state
 less the time, which is t since the origin, the time a run begins at.  The constants are what the scene's numbers
 give before a state is known (1/m, γ/2, …), computed once; so one compiled function serves every scene of the same
-structure.  They are recorded from the scene and compiled by numba.
+structure.  They are recorded from the scene and compiled by LLVM.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ import numpy as np
 from contactbench.methods.prepared import Request, stopwatch
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.peers.base import Call, Ending, Peer, derivative
-from contactbench.peers.by_numba import entry
 from contactbench.scene import AnyState, Cache, Scene, key
 from contactbench.solution import Counts, Status
 from contactbench.trace.compiled import compile_recorded_c
@@ -64,20 +63,20 @@ type Connection = tuple[ModuleType, tuple[Any, ...]]
 _compiled: Cache[CFunctions] = Cache(256)
 
 
-def c_functions(scene: Scene, carry: tuple[str, ...], jacobian: bool = True) -> CFunctions:
+def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
     """Return the C functions of a scene, made once; raises `CannotRecord` where it branches on values."""
 
     def make() -> CFunctions:
         elapsed = stopwatch()
-        constants, found = functions(scene, carry, jacobian)
+        constants, found = functions(scene, carry)
         at = {name: compile_recorded_c(function) for name, function in found.items()}
         return CFunctions(at["rhs"], at.get("jacobian", 0), execute(constants), elapsed())
 
-    return _compiled.get(key(scene.identity, carry, jacobian), make)
+    return _compiled.get(key(scene.identity, carry), make)
 
 
-def functions(scene: Scene, carry: tuple[str, ...], jacobian: bool) -> tuple[Function, dict[str, Function]]:
-    """Return `constants(numbers)`, which Python runs, and the C functions: `rhs` and, where wanted, `jacobian`."""
+def functions(scene: Scene, carry: tuple[str, ...]) -> tuple[Function, dict[str, Function]]:
+    """Return `constants(numbers)`, which Python runs, and the C functions: `rhs` and, up to a size, `jacobian`."""
     tape = Tape()
     numbers = [tape.assign(Element("numbers", (i,)), "f", tape.root) for i in range(len(scene.numbers()))]
     twin = scene.with_numbers(numbers)
@@ -90,7 +89,7 @@ def functions(scene: Scene, carry: tuple[str, ...], jacobian: bool) -> tuple[Fun
         return [entry for column in zip(*rows, strict=True) for entry in column]
 
     bodies = {"rhs": _body(tape, scene, carry, slopes, "rhs")}
-    if jacobian and len(scene.labels(carry)) <= LARGEST_JACOBIAN:
+    if len(scene.labels(carry)) <= LARGEST_JACOBIAN:
         with suppress(CannotRecord):  # a function that dual numbers do not know: the solver takes differences
             bodies["jacobian"] = _body(tape, scene, carry, columns, "jacobian")
     known = set(tape.root.known.values())
@@ -139,7 +138,13 @@ class Compiled(Call):
 
     @cached_property
     def to_end(self) -> Callable[..., np.ndarray]:
-        return entry(self.library.to_end, np.empty(len(self.request.start)), *self.arguments)
+        """Return what numba compiles for such arguments: at a call it looks for it for a third of a microsecond."""
+        from numba import typeof
+
+        kinds = tuple(map(typeof, (np.empty(len(self.request.start)), *self.arguments)))
+        self.library.to_end.compile(kinds)
+        entry: Callable[..., np.ndarray] = self.library.to_end.overloads[kinds].entry_point
+        return entry
 
     @abstractmethod
     def connect(self, clock: int) -> Connection:

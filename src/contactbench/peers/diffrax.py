@@ -11,41 +11,63 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
-from contactbench.methods.prepared import Request
+from contactbench.methods.prepared import Request, stopwatch
 from contactbench.peers.base import Call, Ending, Peer
-from contactbench.peers.jax_program import Xla
+from contactbench.scene import Cache, key
 from contactbench.solution import Counts, Status
+from contactbench.trace.recording import reason_of
+from contactbench.xla import jax, jnp
 
 if TYPE_CHECKING:
-    import jax
+    from jax.stages import Compiled
+
+#: numbers of saved times a program is compiled for; the next larger one serves all in between: it takes up to 50 µs
+#: longer than one for 64 (measured), and a program takes seconds to compile
+CAPACITIES = (1, 1024)
+#: one per structure of a scene, method, budget and capacity
+_programs: Cache[tuple[Compiled, float]] = Cache(1024)
 
 
 class Diffrax(Call):
+    """A compiled JAX function of a packed initial state and of all other numbers of a run, in one vector each.
+
+    What a short call costs is the number of its arguments, and to convert them: they are on the device already.
+    """
+
     def __init__(self, method: Peer, request: Request) -> None:
         super().__init__(method, request)
         r, self.saves = request, len(request.save_at)
         self.final_only = self.saves == 1
-        key = method, r.max_steps, np.size(r.atol)
-        # one program for two saved times and for 1024: it takes up to 50 µs longer than one for 64 (measured), and
-        # a program takes seconds to compile
-        self.xla = xla = Xla(r, r.scene.identity, key, capacities=(1, 1024))
-        fixed = xla.together(r.scene.numbers(), [r.rtol or 0.0], np.array(r.atol, ndmin=1), xla.times())
-        xla.compile(self._flat, xla.place(fixed), xla.room(self.saves))
-        self.seconds = xla.seconds
+        self.capacity = next((size for size in CAPACITIES if size >= self.saves), self.saves)
+        times = np.pad(r.save_at, (0, self.capacity - self.saves), mode="edge")  # the end again and again
+        parts = r.scene.numbers(), [r.rtol or 0.0], np.array(r.atol, ndmin=1), times
+        self.borders = np.cumsum([len(part) for part in parts])[:-1].tolist()
+        self.start, self.fixed = map(jax.device_put, (r.start, np.concatenate(parts, dtype=float)))
+
+        def make() -> tuple[Compiled, float]:
+            elapsed = stopwatch()
+            try:
+                return jax.jit(self._flat).lower(self.start, self.fixed).compile(), elapsed()
+            except jax.errors.JAXTypeError as error:  # it branches on values
+                raise reason_of(error) from error
+
+        rest = r.carry, method, r.max_steps, np.size(r.atol), self.capacity
+        self.program, self.seconds = _programs.get(key(r.scene.identity, *rest), make)
+
+    def _run(self, y0: np.ndarray) -> np.ndarray:
+        """Return what the program does from an initial state; the scene's own is on the device."""
+        return np.asarray(self.program(self.start if y0 is self.request.start else y0, self.fixed))
 
     def _flat(self, y0: jax.Array, fixed: jax.Array) -> jax.Array:
         """Return saved states, facts about the run, and its last state, all in one vector."""
-        from contactbench.xla import jnp
-
         return jnp.concatenate([jnp.ravel(part) for part in self._solve(y0, fixed)])
 
     def _solve(self, y0: jax.Array, fixed: jax.Array) -> tuple[jax.Array, ...]:
         import diffrax
         import optimistix
 
-        from contactbench.xla import jax, jnp
-
-        numbers, (rtol,), atol, times = self.xla.apart(fixed)
+        parts: list[Any] = jnp.split(fixed, self.borders)
+        numbers, (rtol,), atol, times = parts
         r, implicit = self.request, self.method.implicit
         scene = r.scene.with_numbers(list(numbers))
 
@@ -68,6 +90,7 @@ class Diffrax(Call):
         # tight tolerances rarely meet: half of all steps are rejected and each is four times too
         # short.  Chord linearises at every stage and follows the error control.
         finder: Any = {"root_finder": optimistix.Chord(rtol=rtol, atol=atol)} if implicit else {}
+        control = diffrax.PIDController(rtol=rtol, atol=atol, dtmin=SHORTEST * times[-1], force_dtmin=False)
         solution = diffrax.diffeqsolve(
             term,
             getattr(diffrax, self.method.solver)(**finder),
@@ -76,24 +99,19 @@ class Diffrax(Call):
             None,
             jnp.stack(y) if as_array else tuple(y),
             saveat=diffrax.SaveAt(t1=True) if self.final_only else diffrax.SaveAt(subs=grid),
-            stepsize_controller=diffrax.PIDController(
-                rtol=rtol, atol=atol, dtmin=SHORTEST * times[-1], force_dtmin=False
-            ),
+            stepsize_controller=control,
             max_steps=r.max_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
         )
-        stats, results = solution.stats, diffrax.RESULTS
-        info = jnp.array(
-            [
-                stats["num_accepted_steps"],
-                stats["num_rejected_steps"],
-                solution.result == results.successful,
-                solution.result == results.max_steps_reached,
-                solution.result == results.dt_min_reached,
-                (solution.ts if self.final_only else solution.ts[0])[0],
-            ]
+        endings = (
+            diffrax.RESULTS.successful,
+            diffrax.RESULTS.max_steps_reached,
+            diffrax.RESULTS.dt_min_reached,
         )
+        counts = (solution.stats[f"num_{which}_steps"] for which in ("accepted", "rejected"))
+        time = (solution.ts if self.final_only else solution.ts[0])[0]
+        info = jnp.array([*counts, *(solution.result == each for each in endings), time])
 
         def packed(y: Any, t: jax.Array) -> Any:
             components = list(y.T) if as_array else list(y)
@@ -105,11 +123,11 @@ class Diffrax(Call):
         return packed(solution.ys[1], times), info, packed(solution.ys[0], times[-1:])[0]
 
     def last(self, y0: np.ndarray) -> np.ndarray:
-        return self.xla.call(y0)[-len(y0) :]
+        return self._run(y0)[-len(y0) :]
 
     def __call__(self, y0: np.ndarray) -> Ending:
-        found, d = self.xla.call(y0), len(y0)
-        info, last = found[self.xla.capacity * d : -d].tolist(), found[-d:]
+        found, d = self._run(y0), len(y0)
+        info, last = found[self.capacity * d : -d].tolist(), found[-d:]
         y = found[: self.saves * d].reshape(-1, d)[-len(self.later) :]  # less the start
         accepted, rejected, successful, exhausted, collapsed, time = info
         accepted, rejected = int(accepted), int(rejected)
@@ -134,15 +152,7 @@ for _solver, _order, _stages, _implicit, _about in (
     ("Dopri8", 8, 13, False, "Dormand–Prince 8(7), explicit"),
     ("Kvaerno5", 5, 6, True, "Kvaerno 5(4), implicit, Chord"),
 ):
-    METHODS.add(
-        Peer(
-            f"diffrax-{_solver.lower()}",
-            *(_about, Diffrax, ("jax",), (ROUNDING, 1e-1), _solver, "diffrax"),
-            order=_order,
-            stages=_stages,
-            implicit=_implicit,
-            # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
-            costs={"jax": 2} if _implicit else {},
-            largest=64,
-        )
-    )
+    _known = _solver, "diffrax", _order, _stages, _implicit
+    _named = f"diffrax-{_solver.lower()}", _about, Diffrax, ("jax",), (ROUNDING, 1e-1)
+    # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
+    METHODS.add(Peer(*_named, *_known, costs={"jax": 2} if _implicit else {}, largest=64))

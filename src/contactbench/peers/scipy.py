@@ -50,14 +50,6 @@ for _solver, _order, _stages, _cost, _about in (
     ("DOP853", 8, 12, 13, "explicit Runge–Kutta 8(5,3), Python callbacks"),
     ("Radau", 5, None, 9, "implicit Radau IIA, analytic Jacobian"),
 ):
-    _implicit, _fixed = _stages is None, (("python",), (CLAMPED, 1e-1), _solver, "scipy", _order, _stages)
-    METHODS.add(
-        Peer(
-            f"scipy-{_solver.lower()}",
-            _about,
-            Scipy,
-            *_fixed,
-            _implicit,
-            costs={"python": _cost},
-        )
-    )
+    _known = _solver, "scipy", _order, _stages, _stages is None
+    _named = f"scipy-{_solver.lower()}", _about, Scipy, ("python",), (CLAMPED, 1e-1)
+    METHODS.add(Peer(*_named, *_known, costs={"python": _cost}))

@@ -71,12 +71,7 @@ class CvodeCallback(Callback):
             assert jacobian is not None
             J[:, :] = jacobian(start + t, scene.entries(y))
 
-        options = {
-            "method": self.method.solver,
-            "rtol": r.rtol,
-            "atol": r.atol,
-            "max_num_steps": r.max_steps,
-        }
+        options = {"method": self.method.solver, "rtol": r.rtol, "atol": r.atol, "max_num_steps": r.max_steps}
         bounds = {"min_step": SHORTEST * self.end, "max_step": self.end}
         return CVODE(f, jacfn=jac if jacobian else None, **options, **bounds)
 
@@ -133,11 +128,5 @@ def cvode(method: Peer, request: Request) -> Call:
 
 for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
     _about = f"variable-order {_name}, Newton with analytic Jacobian (differences beyond 64 components)"
-    METHODS.add(
-        Peer(
-            f"cvode-{_solver.lower()}",
-            *(_about, cvode, ("c", "c+python"), (ROUNDING, 1e-1), _solver, "sksundae"),
-            implicit=True,
-            costs={"c+python": 2},
-        )
-    )
+    _named = f"cvode-{_solver.lower()}", _about, cvode, ("c", "c+python"), (ROUNDING, 1e-1)
+    METHODS.add(Peer(*_named, _solver, "sksundae", implicit=True, costs={"c+python": 2}))

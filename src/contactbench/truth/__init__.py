@@ -22,7 +22,6 @@ from contactbench.truth.reference import (
     Reference,
     blow_up_time,
     checked_times,
-    closed_form_columns,
     confirmed,
     live,
     reference,

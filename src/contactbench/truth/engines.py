@@ -105,8 +105,6 @@ def with_decimals(scene: Scene, number: Callable[[str], Arithmetic]) -> Scene:
     """Return the scene with every float x, initial data included, replaced by ``number(repr(x))``."""
 
     def convert(value: Any) -> Any:
-        if isinstance(value, np.ndarray):
-            return np.array([convert(x) for x in value], dtype=object)
         return tuple(map(convert, value)) if isinstance(value, tuple) else number(repr(float(value)))
 
     start = {name: convert(getattr(scene, name)) for name in scene.initial_fields}
@@ -127,25 +125,27 @@ LOOKS = 100
 BEYOND = 1e30
 
 
+def no_reference(scene: Scene, why: str) -> str:
+    return f"no reference for scene {scene.name!r}: {why}"
+
+
 class BlowUp(BadInput):
     """The trajectory reaches infinity at `time`, an mpmath number."""
 
     def __init__(self, scene: Scene, time: Arithmetic) -> None:
-        at = f"the trajectory blows up at t = {float(time):.6g}"
-        super().__init__(f"no reference for scene {scene.name!r}: {at}")
+        super().__init__(no_reference(scene, f"the trajectory blows up at t = {float(time):.6g}"))
         self.time = time
 
 
 def jump_at(scene: Scene, time: float) -> BadInput:
     jump = f"its force or damping jumps at t = {time:.6g} after the start: name the time in breaks="
-    return BadInput(f"no reference for scene {scene.name!r}: {jump}")
+    return BadInput(no_reference(scene, jump))
 
 
 def of_bends(scene: Scene) -> str:
     """Return what a refusal of a scene adds where its force or damping depends on time."""
-    return (
-        "" if scene.clock is None else "; where a force or damping bends or jumps, name the times in breaks="
-    )
+    bends = "; where a force or damping bends or jumps, name the times in breaks="
+    return "" if scene.clock is None else bends
 
 
 class OutOfTime(BadInput):
@@ -269,14 +269,12 @@ def taylor(
         )
         steps += taken
         if outcome == limits.step_limit or steps >= MAX_STEPS:
-            raise BadInput(
-                f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed"
-            )
+            raise BadInput(no_reference(scene, f"more than {MAX_STEPS} Taylor steps needed"))
         if outcome != limits.time_limit:
             watch.check(float(integrator.time))
             if math.isnan(float(integrator.time)):
                 why = f"its Taylor series is not finite at the start; {NO_SERIES}"
-                raise BadInput(f"no reference for scene {scene.name!r}: {why}")
+                raise BadInput(no_reference(scene, why))
             raise BlowUp(scene, context.mpf(str(integrator.time)))
         rows += list(states[len(rows) > 0 :])
         left = []

@@ -26,12 +26,8 @@ def name_of(function: Callable[..., object]) -> list[str]:
     return ["", function.digest if isinstance(function, Formula) else f"unknown {id(function)}"]
 
 
-def fingerprint(value: object) -> str | list[str]:
-    """Return numbers as the decimals they print as; of an array, which may have millions, its hash; a name as it is."""
-    if isinstance(value, str):
-        return value
-    if isinstance(value, np.ndarray):
-        return hashlib.sha256(value.tobytes()).hexdigest()
+def fingerprint(value: object) -> list[str]:
+    """Return numbers as the decimals they print as."""
     return [repr(float(x)) for x in np.ravel(np.asarray(value))]
 
 
@@ -49,10 +45,10 @@ def digest(scene: Scene) -> str:
         f"{package}.{kind.__qualname__}",
         functions,
         list(getattr(scene, "parameters", {})),
-        [repr(float(x)) for x in scene.numbers()],
+        fingerprint(scene.numbers()),
         [fingerprint(getattr(scene, name)) for name in scene.initial_fields],
+        *map(fingerprint, scene.layout),
     ]
-    definition += map(fingerprint, scene.layout)
     return hashlib.sha256(json.dumps(definition).encode()).hexdigest()
 
 

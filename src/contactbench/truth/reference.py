@@ -40,6 +40,7 @@ from contactbench.truth.engines import (
     heyoka_reads_rhs,
     lost_at_breaks,
     matching_digits,
+    no_reference,
     place,
     rounded,
     scales,
@@ -203,28 +204,25 @@ def closed_form(
     scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER
 ) -> Stored | None:
     """Return decimals, digits and source from the scene's closed form, or None if it lacks a field."""
-    if scene.exact is None or not solves_equations(scene, carry, float(t.max()), deadline):
+    columns = closed_form_columns(scene, t, carry, deadline, whole=True)
+    if columns is None:
         return None
-    if None in columns_of(scene, t[:1], carry):  # elliptic functions at every time are slow
-        return None
-    decimals, digits = zip(*filter(None, columns_of(scene, t, carry)), strict=True)
+    decimals, digits = zip(*filter(None, columns), strict=True)
     return [list(row) for row in zip(*decimals, strict=True)], min(digits), "closed form"
 
 
 def closed_form_columns(
-    scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER
+    scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER, whole: bool = False
 ) -> Columns | None:
     """Return decimals and digits of every column of the closed form, by two precisions; None for a column it lacks.
 
-    None where there is no closed form that solves the equations, as after a change of a parameter it leaves out.
+    None where there is no closed form that solves the equations, as after a change of a parameter it leaves out, or,
+    if `whole`, where it lacks a column.
     """
     if scene.exact is None or not solves_equations(scene, carry, float(t.max()), deadline):
         return None
-    return columns_of(scene, t, carry)
-
-
-def columns_of(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> Columns:
-    """Return what `closed_form_columns` does of a closed form that solves the equations."""
+    if whole and None in closed_form_rows(scene, t[:1], carry, CLOSED_FORM_DIGITS)[0]:
+        return None  # before elliptic functions at every time, which are slow
     low, high = (closed_form_rows(scene, t, carry, CLOSED_FORM_DIGITS + extra) for extra in (0, 15))
     columns: Columns = []
     for a, b in zip(zip(*low, strict=True), zip(*high, strict=True), strict=True):
@@ -323,9 +321,8 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
         size = max(abs(x) for row in [*rows, start] for x in row)
         if exact is None:
             faint = any(0 < abs(x) < 1e-20 * size for row in rows for x in row)
-            exact = (closed_form_columns(scene, unique, carry, deadline) if faint else None) or [None] * len(
-                start
-            )
+            known = closed_form_columns(scene, unique, carry, deadline) if faint else None
+            exact = known or [None] * len(start)
         floor, smallest = 1e-60 * size, min(max(map(abs, row)) for row in rows)
         sizes = [max(scale, floor) for scale in scales(rows)]
         errors = disagreement(other, rows)
@@ -333,29 +330,23 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
         if all(e <= w or x for e, w, x in zip(errors, wanted, exact, strict=True)):
             break
     else:
-        raise BadInput(
-            f"no reference for scene {scene.name!r} at t = {t.max():g}: "
-            "two high precisions disagree, the trajectory is too sensitive to its initial data"
-        )
+        why = "two high precisions disagree, the trajectory is too sensitive to its initial data"
+        raise BadInput(f"no reference for scene {scene.name!r} at t = {t.max():g}: {why}")
     states = np.array(pair[0], dtype=float)
     survey.check(every.tolist(), states)
     moving = states if scene.clock is None else np.delete(states, scene.clock, axis=1)
     lost = lost_at_breaks(survey.slope, survey.breaks, every.tolist(), moving)
     most = BROKEN if survey.breaks or survey.unseen else 40
     columns = []
-    for known, column, error, scale in zip(exact, zip(*rows, strict=True), errors, sizes, strict=True):
+    for given, column, error, scale in zip(exact, zip(*rows, strict=True), errors, sizes, strict=True):
         digits = matching_digits((error + lost) / scale, most)
-        columns.append(known or ([rounded(x, place(scale, digits)) for x in column], digits))
+        columns.append(given or ([rounded(x, place(scale, digits)) for x in column], digits))
     decimals = list(zip(*(column for column, _ in columns), strict=True))
     return [list(decimals[k]) for k in back], min(digits for _, digits in columns), "live"
 
 
 def computations(
-    scene: Scene,
-    times: list[str],
-    carry: tuple[str, ...],
-    deadline: float = NEVER,
-    stops: Sequence[float] = (),
+    scene: Scene, times: list[str], carry: tuple[str, ...], deadline: float, stops: Sequence[float]
 ) -> Iterator[tuple[Rows, Rows]]:
     """Return pairs (more, less precise) of solutions, each pair more precise than the one before."""
 
@@ -391,9 +382,7 @@ def computations(
         better = plain_function(error)
         says = better or f"{type(error).__name__}: {one_line(error, 150)}"
         why = f"its equations fail in high precision{place_of(error)}: {says}"
-        raise (BadInput if better else DoublesOnly)(
-            f"no reference for scene {scene.name!r}: {why}"
-        ) from error
+        raise (BadInput if better else DoublesOnly)(no_reference(scene, why)) from error
 
 
 def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
@@ -427,8 +416,8 @@ def blow_up_time(scene: Scene) -> tuple[str, int] | None:
     if scene.exact is not None:
         return None
     for entry in entries(scene):
-        known = entry.get("blow_up")
-        return (known["time"], known["digits"]) if known else None
+        found = entry.get("blow_up")
+        return (found["time"], found["digits"]) if found else None
     low, high = (taylor_blow_up(scene, bits) for bits in (200, 260))
     if low is None or high is None:
         return None

@@ -26,6 +26,7 @@ from contactbench.truth.engines import (
     across_breaks,
     initial_value_problem,
     jump_at,
+    no_reference,
     of_bends,
     sides,
 )
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 #: relative tolerance of a step, and by how much its change may be off the integral of the slopes, against the motion
 STEP, OFF = 1e-10, 1e-7
+EPSILON = np.finfo(float).eps
 #: samples of a motion: numbers at most, of a function that takes arrays or not; and on a step at least
 SAMPLES, ONE_BY_ONE, LEAST = 2**19, 2**14, 16
 #: how far samples may be off a polynomial, against the slopes on the step and what the state has in them
@@ -110,9 +112,8 @@ class Survey:
             self.largest = max(self.largest, np.abs(waiting).max())
         self.largest = self.largest or 1.0
         self.signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(self.start), len(NODES)))
-        self.known = dict[
-            float, tuple[np.ndarray, np.ndarray]
-        ]()  # states at the ends of steps, and their errors
+        #: states at the ends of steps, and their errors
+        self.known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         self.breaks = self.scene.breaks_until(self.end)
         self.sides = sides(self.breaks, self.end)
 
@@ -155,9 +156,8 @@ class Survey:
                 y = self.piece(ends, y, bound, watch)
             if bound in given:
                 if not np.all(np.abs(y - given[bound]) <= self.known[ends[-1]][1]):
-                    raise BadInput(
-                        f"no reference for scene {self.scene.name!r}: two engines disagree before t = {bound:g}"
-                    )
+                    why = f"two engines disagree before t = {bound:g}"
+                    raise BadInput(no_reference(self.scene, why))
                 y, self.lost = given[bound], np.zeros_like(y)
 
     def motion(self, t: float, y: np.ndarray) -> np.ndarray:
@@ -182,9 +182,7 @@ class Survey:
                 watch.check(solver.t)
                 if not math.isfinite(solver.h_abs) or solver.step() is not None:
                     if np.all(self.least >= STEP * self.largest):
-                        raise DoublesOnly(
-                            f"no reference for scene {self.scene.name!r}: it cannot be followed"
-                        )
+                        raise DoublesOnly(no_reference(self.scene, "it cannot be followed"))
                     self.least = np.maximum(self.least, STEP * self.largest)
                     break  # again, over what is too rough for a motion that is small as yet
                 step, size = solver.t - solver.t_old, np.maximum(np.abs(y), np.abs(solver.y))
@@ -202,7 +200,7 @@ class Survey:
                 ends += cuts
                 if len(ends) > PIECES:
                     rough = f"it is too rough at t = {ends[-1]:.6g}{of_bends(self.scene)}"
-                    raise DoublesOnly(f"no reference for scene {self.scene.name!r}: {rough}")
+                    raise DoublesOnly(no_reference(self.scene, rough))
             else:
                 due.pop()
         return y
@@ -210,10 +208,9 @@ class Survey:
     def lose(self, t: float, step: float, path: DenseOutput) -> None:
         """Add to what the motion is off by because its force is rounded, to first order."""
         y = path(t)
-        drift = self.slope(t, y + self.lost) - self.slope(t, y) + 4 * np.finfo(float).eps * self.varying
-        self.lost = np.clip(
-            self.lost + step * np.nan_to_num(drift), -LOST * self.largest, LOST * self.largest
-        )
+        drift = self.slope(t, y + self.lost) - self.slope(t, y) + 4 * EPSILON * self.varying
+        most = LOST * self.largest
+        self.lost = np.clip(self.lost + step * np.nan_to_num(drift), -most, most)
 
     def cut(
         self, a: float, b: float, path: DenseOutput, sizes: np.ndarray
@@ -242,9 +239,7 @@ class Survey:
             at_nodes = values[:, : len(NODES)]
             steepest = np.maximum(steepest, np.abs(np.nan_to_num(values)).max(axis=1))
             coupled = np.maximum(coupled, np.abs(shifted - at_nodes).max(axis=1) / RESOLVED)
-            noise = 4 * (
-                np.abs(rounded - at_nodes).max(axis=1) + np.finfo(float).eps * (self.varying + steepest)
-            )
+            noise = 4 * (np.abs(rounded - at_nodes).max(axis=1) + EPSILON * (self.varying + steepest))
             allowed = RESOLVED * np.maximum(steepest, coupled) + noise
             off = excess(values, weights, allowed)
             resolved = np.all(off <= 1)

@@ -25,6 +25,7 @@ from contactbench.truth.engines import (
     initial_value_problem,
     jump_at,
     lost_at_breaks,
+    no_reference,
 )
 
 #: of the two solvers in double precision
@@ -72,7 +73,7 @@ def doubles(
                         raise jump_at(scene, float(why.time)) from why
                     if not found:
                         far = f"it cannot be followed to t = {t[-1]:g}"
-                        raise BadInput(f"no reference for scene {scene.name!r}: {far}") from why
+                        raise BadInput(no_reference(scene, far)) from why
                     # the digits of a state next to rest may be lost in those of the time
                     found.append(rows(partial(solve, least=FAINT * np.abs(found[0]).max())))
             except OutOfTime as why:
@@ -92,9 +93,7 @@ def doubles(
         except OutOfTime:
             raise late from None
     if not digits:
-        raise BadInput(
-            f"no reference for scene {scene.name!r}: two solvers agree on no digit at t = {t[-1]:g}"
-        )
+        raise BadInput(no_reference(scene, f"two solvers agree on no digit at t = {t[-1]:g}"))
     return y if scene.clock is None else np.insert(y, scene.clock, float(origin) + t, axis=1), digits
 
 

@@ -7,17 +7,30 @@ same word.  Imported where a peer is first run, and only then: importing it load
 from __future__ import annotations
 
 import ctypes
+import pickle
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import llvmlite.binding
-from numba import types
+import numba
+from numba import njit, types
+from numba.core.ccallback import CFunc
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+from numba.core.sigutils import normalize_signature
 
 from contactbench.peers import compiled
-from contactbench.peers.by_numba import keep, keep_c
 from contactbench.peers.compiled import ORIGIN
 from contactbench.trace.form import digest
+from contactbench.trace.kept import folder, read_kept, write_kept
+
+if TYPE_CHECKING:
+    from numba.core.codegen import CPUCodegen
+    from numba.core.cpu import CPUContext
+    from numba.core.typing import Signature
 
 #: v void, p pointer, a array of doubles, d double, b bool, i int, l long, q 64-bit int, z size_t
 #: as ctypes has them, and as numba does
@@ -39,15 +52,51 @@ SOURCES = digest(
 )
 
 
+class Kept:
+    """The cache of one function, in the place of numba's own, which fails for good on a file that is damaged.
+
+    numba's form of a compiled function is a pickle: `read_kept` gives only what this user has written.
+    """
+
+    cache_path = property(lambda self: str(folder()))
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.key = digest(function.__module__, function.__qualname__, SOURCES)
+
+    def path(self, signature: Signature, codegen: CPUCodegen) -> Path:
+        key = digest(self.key, str(signature), codegen.magic_tuple(), numba.__version__, sys.version)
+        return folder() / f"{key}.program"
+
+    def load_overload(self, signature: Signature, context: CPUContext) -> Any:
+        context.refresh()
+        with suppress(Exception):  # whatever is wrong with the file
+            if (content := read_kept(self.path(signature, context.codegen()))) is not None:
+                return CompileResult._rebuild(context, *pickle.loads(content))
+        return None
+
+    def save_overload(self, signature: Signature, compiled: Any) -> None:
+        if not (compiled.lifted or compiled.library.has_dynamic_globals):
+            write_kept(self.path(signature, compiled.codegen), dumps(compiled._reduce()))
+
+
 def kept[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     """Compile as numba's `njit` does, and keep the program."""
-    made: Callable[P, R] = keep(function, SOURCES, nogil=True)
-    return made
+    made: Any = njit(nogil=True)(function)
+    made._cache = Kept(function)
+    found: Callable[P, R] = made
+    return found
 
 
-def kept_c(*signature: Any) -> Any:
+def kept_c(signature: Signature) -> Callable[[Callable[..., Any]], Any]:
     """Compile as numba's `cfunc` does, and keep the program."""
-    return lambda function: keep_c(function, *signature, SOURCES)
+
+    def compile_c(function: Callable[..., Any]) -> Any:
+        made: Any = CFunc(function, normalize_signature(signature), {}, {})
+        made._cache = Kept(function)
+        made.compile()
+        return made
+
+    return compile_c
 
 
 def external(name: str, address: int | None, word: str) -> Callable[..., Any]:

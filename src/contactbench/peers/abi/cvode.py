@@ -76,9 +76,15 @@ def library_file() -> Path:
     raise ImportError(f"scikit-sundae's CVODE library is not in {', '.join(map(str, places))}")
 
 
-def bind(path: Path, signatures: dict[str, str], index: str) -> tuple[ctypes.CDLL, Callable[[str], Any]]:
-    """Load a library of SUNDIALS; return it, and what gives its functions to compiled code by their names."""
-    words = {name: word.replace("n", index) for word, names in signatures.items() for name in names.split()}
+def load() -> tuple[ctypes.CDLL, Callable[[str], Any]]:
+    """Load the library; return it, and what gives its functions to compiled code by their names."""
+    path = library_file()
+    from sksundae._cy_common import config  # how the library was built
+
+    if config["SUNDIALS_FLOAT_TYPE"] != "double":
+        raise ImportError(f"SUNDIALS was built with {config['SUNDIALS_FLOAT_TYPE']} numbers")
+    index = "i" if config["SUNDIALS_INT_TYPE"] == "int" else "q"
+    words = {name: word.replace("n", index) for word, names in SIGNATURES.items() for name in names.split()}
     try:
         library = ctypes.CDLL(str(path))
         for name, word in words.items():
@@ -86,30 +92,17 @@ def bind(path: Path, signatures: dict[str, str], index: str) -> tuple[ctypes.CDL
             function.restype, *function.argtypes = (LETTERS[letter][0] for letter in word)
     except (OSError, AttributeError) as error:
         raise ImportError(f"{path.name}: {error}") from error
+    version, label = [c_int(), c_int(), c_int()], ctypes.create_string_buffer(16)
+    library.SUNDIALSGetVersionNumber(*map(byref, version), label, len(label))
+    if version[0].value != MAJOR:
+        found = ".".join(str(part.value) for part in version)
+        raise ImportError(f"SUNDIALS {found}: its C interface is known for version {MAJOR} only")
 
     def function_of(name: str) -> Callable[..., Any]:
         address = ctypes.cast(getattr(library, name), c_void_p).value
         return external(f"contactbench_{path.stem.partition('.')[0]}_{name}", address, words[name])
 
     return library, function_of
-
-
-def load() -> tuple[ctypes.CDLL, Callable[[str], Any]]:
-    path = library_file()
-    from sksundae._cy_common import config  # how the library was built
-
-    if config["SUNDIALS_FLOAT_TYPE"] != "double":
-        raise ImportError(f"SUNDIALS was built with {config['SUNDIALS_FLOAT_TYPE']} numbers")
-    found = bind(path, SIGNATURES, "i" if config["SUNDIALS_INT_TYPE"] == "int" else "q")
-    version, label = [c_int(), c_int(), c_int()], ctypes.create_string_buffer(16)
-    found[0].SUNDIALSGetVersionNumber(*map(byref, version), label, len(label))
-    require_major(".".join(str(part.value) for part in version))
-    return found
-
-
-def require_major(version: str) -> None:
-    if version.split(".")[0] != str(MAJOR):
-        raise ImportError(f"SUNDIALS {version}: its C interface is known for version {MAJOR} only")
 
 
 library, function = load()
@@ -248,30 +241,22 @@ class Memory:
         self.vector = library.N_VMake_Serial(size, self.y.ctypes.data, context)
         self.memory = memory = library.CVodeCreate(METHODS[method], context)
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
-        solvers = self.choose(size, context)
-        weakref.finalize(self, free, library, "CVodeFree", memory, solvers, self.vector, context)
-        self.tolerate(*tolerances, context)
+        matrix = library.SUNDenseMatrix(size, size, context)
+        linear = library.SUNLinSol_Dense(self.vector, matrix, context)
+        weakref.finalize(self, free, library, memory, linear, matrix, self.vector, context)
+        check("CVodeSetLinearSolver", memory, linear, matrix)
+        rtol, atol = tolerances
+        if isinstance(atol, np.ndarray):  # one for every component
+            given = library.N_VMake_Serial(size, atol.ctypes.data, context)
+            check("CVodeSVtolerances", memory, rtol, given)  # which copies it
+            library.N_VDestroy(given)
+        else:
+            check("CVodeSStolerances", memory, rtol, atol)
         check("CVodeSetUserData", memory, self.user.ctypes.data)
         if functions.jacobian:
             check("CVodeSetJacFn", memory, _jacobian.address)
         check("CVodeSetMinStep", memory, bounds[0])
         check("CVodeSetMaxStep", memory, bounds[1])
-
-    def tolerate(self, rtol: float, atol: float | np.ndarray, context: c_void_p) -> None:
-        """Set the tolerances; atol is one number, or one for every component."""
-        if not isinstance(atol, np.ndarray):
-            check("CVodeSStolerances", self.memory, rtol, atol)
-            return
-        given = library.N_VMake_Serial(len(atol), atol.ctypes.data, context)
-        check("CVodeSVtolerances", self.memory, rtol, given)  # which copies it
-        library.N_VDestroy(given)
-
-    def choose(self, size: int, context: c_void_p) -> dict[str, int]:
-        """Connect what solves for a step, and return it by what frees it."""
-        matrix = library.SUNDenseMatrix(size, size, context)
-        linear = library.SUNLinSol_Dense(self.vector, matrix, context)
-        check("CVodeSetLinearSolver", self.memory, linear, matrix)
-        return {"SUNLinSolFree": linear, "SUNMatDestroy": matrix}
 
 
 def check(name: str, *arguments: object) -> None:
@@ -279,11 +264,9 @@ def check(name: str, *arguments: object) -> None:
         raise RuntimeError(f"{name} returned {flag}")
 
 
-def free(
-    library: ctypes.CDLL, name: str, memory: int, solvers: dict[str, int], vector: int, context: c_void_p
-) -> None:
-    getattr(library, name)(byref(c_void_p(memory)))
-    for name, solver in solvers.items():
-        getattr(library, name)(solver)
+def free(library: ctypes.CDLL, memory: int, linear: int, matrix: int, vector: int, context: c_void_p) -> None:
+    library.CVodeFree(byref(c_void_p(memory)))
+    library.SUNLinSolFree(linear)
+    library.SUNMatDestroy(matrix)
     library.N_VDestroy(vector)
     library.SUNContext_Free(byref(context))
