@@ -525,7 +525,9 @@ def pairs_kept(rough: float = 1e-4, fine: float = 1e-8) -> Evidence:
     steps = (0.4, 0.2, 0.1, 0.05, 0.025)
     kept = [pairing(name, step=h) for name in (STRANG, "contact-rkn4", "contact-rkn6") for h in steps]
     herglotz = {h: pairing("herglotz2", step=h)[0] for h in steps}
-    peers = {rtol: [pairing(m, rtol=rtol)[0] for m in ("cyrk-dop853", "cyrk-vern8")] for rtol in (rough, fine)}
+    peers = {
+        rtol: [pairing(m, rtol=rtol)[0] for m in ("cyrk-dop853", "cyrk-vern8")] for rtol in (rough, fine)
+    }
     yield max(drift / bound for drift, bound in kept)
     yield from (abs(slope(herglotz) - 2), pairing(RK4, step=min(steps))[0])
     yield from (min(peers[fine]), min(peers[rough]) / max(peers[fine]))

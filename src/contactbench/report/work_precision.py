@@ -24,7 +24,6 @@ from contactbench.results.contest import (
     OURS,
     Cost,
     Kind,
-    contestants,
     contests,
     cost_rows,
     costs,
@@ -46,7 +45,7 @@ class Contest:
 
 
 def contest(work: pd.DataFrame, kind: Kind) -> Contest:
-    found = costs(contestants(work), kind)
+    found = costs(work, kind)
     return Contest(kind, standings(found), contests(found))
 
 
@@ -59,7 +58,7 @@ def all_contests(frames: Frames) -> dict[str, Contest]:
 @lru_cache(2)
 def of_package(frames: Frames) -> pd.DataFrame:
     """Return the contests, in compiled time, of what this package runs with what the libraries run."""
-    return contests(costs(contestants(frames["work_precision"]), COMPILED), of_this_package)
+    return contests(costs(frames["work_precision"], COMPILED), of_this_package)
 
 
 def tally(won: pd.DataFrame) -> tuple[str, str]:
@@ -184,8 +183,7 @@ def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str] = ()) -> Panel:
 
 
 def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
-    rows = contestants(work)
-    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
+    rows = work[(work["scene"] == scene) & (work["status"] == "ok")]
     rows = rows[kind.compares(rows) & rows[kind.cost].notna()]
     totals = rows.groupby(["method", "engine"])[kind.cost].transform("median")
     best = rows.assign(total=totals).groupby("method")["total"].transform("min")
@@ -200,8 +198,7 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
-    rows = contestants(work)
-    table = contests(costs(rows[rows["scene"] == scene], COMPILED))
+    table = contests(costs(work[work["scene"] == scene], COMPILED))
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
     if not len(table):
         return f"{scene}: cost against error", []
