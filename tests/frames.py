@@ -10,7 +10,7 @@ from contactbench.report.chapters import Tables
 from contactbench.results.schema import TABLES
 from contactbench.results.store import set_types
 
-FAMILIES = {"contact": "contact", "herglotz": "variational", "limit": "limit"}
+FAMILIES = {"contact": "contact", "herglotz": "variational"}
 
 
 def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
@@ -21,14 +21,8 @@ def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
     control = more.pop("control", "step")
     halves = [w for w in ("time", "marginal") if {f"{w}_min_s", f"{w}_s"} & {*more}]
     family = next((f for start, f in FAMILIES.items() if method.startswith(start)), "established")
-    made = {
-        "scene": scene,
-        "method": method,
-        "family": family,
-        "engine": "jax",
-        "status": "ok",
-        "message": "",
-    }
+    made = {"scene": scene, "method": method, "family": family}
+    made |= {"engine": "jax", "status": "ok", "message": ""}
     setting = {"control": control, "value": value, "variant": "", "setting": f"{control}={value:g}"}
     return made | setting | {f"{what}_halves_ratio": 1.0 for what in halves} | more
 

@@ -118,7 +118,7 @@ def test_the_leaders_are_visited_until_it_is_decided_and_the_field_no_more():
 
 
 def test_a_race_of_many_prints_ten_rows_in_a_hundred_columns_sorted_by_time():
-    names = [name for name in cb.METHODS if cb.METHODS[name].engines[0] == "numba"]
+    names = [name for name in cb.METHODS if cb.METHODS[name].engines[0] == "llvm"]
     errors = (1e-3, 1e-5, 1e-6)
     frame = raced([50.0 - k for k in range(len(names))], errors=errors, names=names)
     frame.attrs["recommendation"] = [*recommendation(frame)]
