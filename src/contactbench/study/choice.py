@@ -48,9 +48,8 @@ STIFF = ("overdamped", "stiff_spring", "steep_wall", "large_step")
 IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
 #: others of a kind, by whose laws nothing is learnt on every scene: of pairs, multistep methods.
 #: None of them is closest to the true energy on a scene where it is left out, which would be said of another then
+VARIED = (*TIMED_DEAR, "central", "kepler", "forced_oscillator", "quadratic_damping")
 ALIKE = ("cvode-bdf", "cyrk-lsoda", "cyrk-vern8", "rk8-7", "rkn8-6", "rkn12-10", "quinlan-tremaine12")
-#: driven scenes beside two that have everything
-MORE_DRIVEN = ("duffing",)
 
 
 class Left(NamedTuple):
@@ -80,10 +79,8 @@ LEFT = (
     Left(("stability",), ("scipy-dop853",), apart=STIFF),  # its tableau is compiled by CyRK and here
     Left(("convergence",), ("contact-gauss6",), apart=(*TIMED_DEAR, "central")),  # 50 digits by iteration
     Left(("laws",), ("diffrax-kvaerno5",), apart=("particle",)),  # seconds of compilation each
-    Left(
-        ("laws",), ALIKE, apart=(*TIMED_DEAR, "central", "kepler", "forced_oscillator", "quadratic_damping")
-    ),
-    Left(("laws", "convergence"), scenes=MORE_DRIVEN, but=(*EVERYWHERE, "contact-rkn8", "rkn12")),
+    Left(("laws",), ALIKE, apart=VARIED),
+    Left(("laws", "convergence"), scenes=("duffing",), but=(*EVERYWHERE, "contact-rkn8", "rkn12")),
 )
 #: the tightest tolerance of `IMPLICIT` where laws are measured, but for the full profile
 DEAREST = 1e-9
