@@ -9,8 +9,12 @@ import pandas as pd
 from contactbench.report.chapters import Tables
 from contactbench.results.schema import TABLES
 from contactbench.results.store import set_types
+from contactbench.scenes import SCENES
+from contactbench.solution import Counts, Status
+from contactbench.study.schedule import Schedule
+from contactbench.study.search import Attempt, Search
 
-FAMILIES = {"contact": "contact", "herglotz": "variational", "limit": "limit"}
+FAMILIES = {"contact": "contact", "herglotz": "variational"}
 
 
 def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
@@ -21,14 +25,8 @@ def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
     control = more.pop("control", "step")
     halves = [w for w in ("time", "marginal") if {f"{w}_min_s", f"{w}_s"} & {*more}]
     family = next((f for start, f in FAMILIES.items() if method.startswith(start)), "established")
-    made = {
-        "scene": scene,
-        "method": method,
-        "family": family,
-        "engine": "jax",
-        "status": "ok",
-        "message": "",
-    }
+    made = {"scene": scene, "method": method, "family": family}
+    made |= {"engine": "jax", "status": "ok", "message": ""}
     setting = {"control": control, "value": value, "variant": "", "setting": f"{control}={value:g}"}
     return made | setting | {f"{what}_halves_ratio": 1.0 for what in halves} | more
 
@@ -52,3 +50,20 @@ def table(name: str, rows: Iterable[Mapping[str, Any]] = ()) -> pd.DataFrame:
 def frames(**tables: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
     """All tables, empty but for those given."""
     return Tables({name: table(name, tables.get(name, ())) for name in TABLES})
+
+
+# -- races -----------------------------------------------------------------------------------------
+def race_of(
+    *names: str, errors: tuple[float, ...] = (1e-2,), scene: str = "particle", **more: Any
+) -> Schedule:
+    """A race before it begins."""
+    return Schedule(SCENES[scene], list(names), errors, 60.0, **more)
+
+
+def tried(
+    search: Search, seconds: float, error: float, value: float = 0.1, run: Any = None, **counts: Any
+) -> Attempt:
+    """A setting of a method in a race, as if it had been tried."""
+    own = Attempt(value, f"step={value:g}", Status.ok, "", seconds, error, Counts(**counts), run)
+    search.attempts.append(own)
+    return own

@@ -15,10 +15,9 @@ from contactbench.results.store import read
 from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 from made_up import row
 
-#: without what is compiled by JAX and numba: a kill is one whatever it interrupts
-SMALL = "particle and (strang or cvode-adams) and not long and not limit and not weak and not fixed"
-SMALL += " and not jax and not numba"
-TIMED = 5
+SMALL = "particle and (strang or cvode-adams) and not long"
+#: both by two engines, the adaptive one at two tolerances
+TIMED = 6
 #: convergence of one, decay and laws of both; errors and times
 CELLS = 5 + 2 * TIMED
 

@@ -22,7 +22,7 @@ def ladder(method, factor=1.0, scene="s", engine="jax", finest=1e-13, **more):
 
 
 def found(*ladders, kind=COMPILED):
-    return costs(contest.contestants(table("work_precision", [r for rows in ladders for r in rows])), kind)
+    return costs(table("work_precision", [r for rows in ladders for r in rows]), kind)
 
 
 def winners(*ladders, kind=COMPILED):
@@ -49,13 +49,6 @@ def test_a_cost_that_is_not_reached_says_whether_our_own_limit_ended_a_finer_run
 
 
 # -- what takes part -------------------------------------------------------------------------------
-def test_loops_and_steps_chosen_by_pilots_do_not_compete_with_an_oracle():
-    chosen = [r | {"variant": "pilots"} for r in ladder("rk4", 0.1)]
-    rows = found(ladder("contact-a"), ladder("rk4", 2.0), ladder("limit-c", 0.1, engine="c"), chosen)
-    assert set(rows["method"]) == {"contact-a", "rk4"}
-    assert set(contests(rows)["winner"]) == {"ours"}
-
-
 def test_what_this_package_runs_beside_the_libraries():
     theirs = [r | {"package": "CyRK"} for r in ladder("cyrk-vern8", 2.0, engine="c++")]
     rows = found(ladder("contact-a", 3.0), ladder("rk4"), theirs)
@@ -196,8 +189,8 @@ def test_an_undecided_run_is_neither_kept_nor_broken_and_one_without_a_bound_is_
     assert not rows["kept"].any()
 
 
-def test_runs_that_failed_and_plain_loops_have_no_row():
-    rows = [run(), run(status="diverged"), run(method="limit-c")]
+def test_runs_that_failed_have_no_row():
+    rows = [run(), run(status="diverged")]
     assert len(law_rows(frames(laws=rows), "contact_drift")) == 1
     assert not len(law_rows(frames(), "contact_drift"))
 

@@ -14,13 +14,12 @@ import pytest
 import contactbench as cb
 from contactbench.methods.base import ENGINES
 from contactbench.report import race
-from contactbench.solution import Counts, Status
 from contactbench.study import compare, schedule
 from contactbench.study.compare import COLUMNS, with_reasons, with_verdicts
-from contactbench.study.schedule import Schedule
-from contactbench.study.search import Attempt, Search
+from contactbench.study.search import Search
 from contactbench.study.settings import ENDS
 from contactbench.truth import OutOfTime
+from frames import race_of, tried
 
 RACED = ["contact-strang", "rk4", "cyrk-vern8", "contact-exact", "scipy-dop853"]
 ERRORS = (1e-2, 1e-5)
@@ -70,9 +69,9 @@ def test_the_error_said_is_the_largest_of_five_runs_and_no_larger_than_asked(fra
 
 
 def test_no_coarser_setting_that_was_tried_is_as_accurate(frame):
-    tried = pd.DataFrame(frame.attrs["runs"])
+    runs = pd.DataFrame(frame.attrs["runs"])
     for row in frame[frame["status"] == "ok"].itertuples():
-        own = tried[(tried["method"] == row.method) & (tried["status"] == "ok")]
+        own = runs[(runs["method"] == row.method) & (runs["status"] == "ok")]
         cheaper = own[own["evaluations"] < row.evaluations]
         assert (cheaper["error"] > row.error_asked).all()
         # and the setting is near the edge: the next cheaper one tried is within a step of the bisection
@@ -82,11 +81,10 @@ def test_no_coarser_setting_that_was_tried_is_as_accurate(frame):
 
 def test_a_tighter_setting_that_is_sooner_done_stands_at_the_looser_error_too(frame):
     errors = (1e-3, 1e-6, 1e-9, 1e-12)
-    race = Schedule(cb.SCENES["particle"], ["rk4"], errors, 60.0, False)
+    race = race_of("rk4", errors=errors)
     coarse, fine, finest = (
-        Attempt(e, "", Status.ok, "", 0.0, e, Counts(1, round(1 / e), kind="rhs")) for e in (1e-3, 1e-6, 1e-9)
+        tried(race.searches[0], 0.0, e, e, evaluations=round(1 / e), kind="rhs") for e in errors[:3]
     )
-    race.searches[0].attempts += [coarse, fine, finest]
     race.times = {id(coarse): {"time_median_s": 182e-6}, id(fine): {"time_median_s": 111e-6}}
     assert [compare.soonest(race, race.searches[0], error) for error in errors] == [fine, fine, finest, None]
     for _, rows in frame[frame["time_s"].notna()].groupby("method"):
@@ -191,11 +189,8 @@ def test_control_c_ends_it_with_what_there_is(monkeypatch):
 
 
 def test_what_the_fewest_rounds_have_no_time_for_is_not_timed_and_says_so():
-    race = Schedule(cb.SCENES["particle"], ["rk4", "contact-strang"], (1e-2,), 60.0, False)
-    run = SimpleNamespace(bare=lambda y: None, start=None)
-    quick, slow = (Attempt(1.0, "step=1", Status.ok, "", t, error=1e-3, run=run) for t in (1e-3, 100.0))
-    for each, attempt in zip(race.searches, (quick, slow), strict=True):
-        each.attempts.append(attempt)
+    race, run = race_of("rk4", "contact-strang"), SimpleNamespace(bare=lambda y: None, start=None)
+    quick, _ = (tried(each, t, 1e-3, run=run) for each, t in zip(race.searches, (1e-3, 100.0), strict=True))
     race.time()
     assert race.times.keys() == {id(quick)}
     assert compare.row(race, race.searches[1], 1e-2)["reason"] == "too slow for the time that was left"
@@ -213,7 +208,7 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
 
 def test_a_turn_is_given_up_when_it_goes_on_for_too_long():
     """Between the runs of a setting; no setting of it is a row."""
-    race = Schedule(cb.SCENES["particle"], ["rk4", "herglotz2"], (1e-2,), 60.0, False)
+    race = race_of("rk4", "herglotz2")
     for each in race.searches:
         each.question = replace(race.question, deadline=0.0)
     race.search()
@@ -222,7 +217,7 @@ def test_a_turn_is_given_up_when_it_goes_on_for_too_long():
 
 
 def test_what_compiles_as_slowly_as_others_of_its_engine_did_is_begun_in_time_only():
-    race = Schedule(cb.SCENES["particle"], ["rk4", "herglotz2"], (1e-2,), 60.0, False)
+    race = race_of("rk4", "herglotz2")
     race.searches[0].compile_s, race.searches[0].why = 100.0, ("failed", "")
     race.search()
     assert race.searches[1].why[0] == "budget"
@@ -259,14 +254,13 @@ def test_a_tie_is_within_the_margin_of_its_pair(times, halves, expected):
     ],
 )
 def test_nobody_wins_where_a_rival_was_cut_off_that_might_be_sooner_done(status, spent, expected):
-    race = Schedule(cb.SCENES["particle"], ["rk4", "herglotz2", "contact-strang"], (1e-2,), 60.0, False)
+    race = race_of("rk4", "herglotz2", "contact-strang")
     first, second, rival = race.searches
     for each, seconds in ((first, 1.0), (second, 3.0)):
-        each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", seconds, error=1e-3))
-        race.times[id(each.attempts[0])] = {"time_min_s": seconds, "time_halves_ratio": 1.0}
+        race.times[id(tried(each, seconds, 1e-3))] = {"time_min_s": seconds, "time_halves_ratio": 1.0}
     rival.why = (status, "")
     if spent:
-        rival.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", spent, error=0.1))
+        tried(rival, spent, 0.1)
     rows = pd.DataFrame([compare.row(race, each, 1e-2) for each in race.searches])
     frame = with_reasons(with_verdicts(rows))
     assert list(frame["verdict"]) == [expected, "loss", ""]
@@ -313,7 +307,7 @@ def test_a_reference_of_ones_own_is_taken():
 def test_every_method_has_a_first_run_before_any_has_a_second():
     """High orders first."""
     names = ["rk4", "contact-rkn8", "scipy-dop853", "contact-strang", "cvode-adams"]
-    schedule, seen = Schedule(cb.SCENES["particle"], names, (1e-3,), 60.0, False), list[str]()
+    schedule, seen = race_of(*names, errors=(1e-3,)), list[str]()
     for each in schedule.searches:
         attempt = each.attempt
         each.attempt = lambda value, each=each, attempt=attempt: (

@@ -33,57 +33,25 @@ def buckingham(r2):
     return 2e4 * cb.math.exp(-10 * r) - 1 / (r2 * r2 * r2)
 
 
-def data(size, seed, stretch, heat):
-    """Displacements and momenta at random."""
-    q, p = np.random.default_rng(seed).standard_normal((2, size))
-    return stretch * q, heat * p
-
-
-def lattice(n, bond, seed, stretch, heat, boundary="free", t_end=30.0):
-    q, p = data(n, seed, stretch, heat)
-    return cb.Lattice(name="chain", n=n, boundary=boundary, bond=bond, q=q, p=p, gamma=0.1, t_end=t_end)
-
-
-def bodies(n, dimensions, pair, rest, seed, stretch, heat, t_end=10.0):
-    """Bodies at the points of a grid, `rest` apart."""
-    side = np.arange(np.ceil(n ** (1 / dimensions)))
-    grid = np.stack(np.meshgrid(*[side] * dimensions, indexing="ij"), axis=-1).reshape(-1, dimensions)[:n]
-    q, p = data(grid.size, seed, stretch, heat)
-    masses = np.linspace(1.0, 2.0, n)
-    pairs = {"pair": lambda r2, a, b: pair(r2), "masses": masses, "dimensions": dimensions}
-    return cb.Particles(name="bodies", q=rest * grid.ravel() + q, p=p, gamma=0.05, t_end=t_end, **pairs)
-
-
-def mechanical(n, pair, rest, seed, stretch, heat, t_end=30.0):
-    """n atoms on a line, neighbours bound to each other: pair(r) at the distance r."""
-    q, p = data(n, seed, stretch, heat)
+def atoms(n, pair, rest, seed, stretch, heat, t_end=30.0):
+    """n atoms on a line, neighbours bound to each other: pair(r) at the distance r; displaced and hot at random."""
+    q, p = np.random.default_rng(seed).standard_normal((2, n))
     potential = lambda q: sum(pair(b - a) for a, b in pairwise(q))  # noqa: E731
-    q = tuple((rest * np.arange(n) + q).tolist())
-    return cb.Mechanical(name="line", potential=potential, q=q, p=tuple(p.tolist()), gamma=0.1, t_end=t_end)
+    start = {"q": rest * np.arange(n) + stretch * q, "p": heat * p}
+    return cb.Mechanical(name="line", potential=potential, gamma=0.1, t_end=t_end, **start)
 
 
 #: a molecule, and its budget in seconds
 MOLECULES = {
-    "Morse, lattice, 20 sites": (lambda: lattice(20, morse, 0, 0.3, 0.3), 60.0),
-    "Morse, lattice, 20 sites, hot": (lambda: lattice(20, morse, 1, 0.0, 2.0), 30.0),
-    "Morse, steep, ring of 12": (lambda: lattice(12, steep_morse, 2, 0.2, 0.5, "ring"), 30.0),
-    "Morse, three bonds": (lambda: mechanical(4, lambda r: morse(r - 1), 1.0, 0, 1.0, 1.0), 40.0),
-    "Morse, pair in space": (
-        lambda: bodies(2, 3, lambda r2: morse(cb.math.sqrt(r2) - 1), 1.0, 4, 0.1, 0.3),
-        20.0,
-    ),
-    "Lennard-Jones, chain of 8": (
-        lambda: mechanical(8, lambda r: lennard_jones(r * r), LJ_REST, 5, 0.03, 0.3, 20.0),
+    "Morse, 20 atoms": (lambda: atoms(20, lambda r: morse(r - 1), 1.0, 0, 0.3, 0.3), 60.0),
+    "Morse, steep, 12 atoms, hot": (lambda: atoms(12, lambda r: steep_morse(r - 1), 1.0, 2, 0.2, 2.0), 30.0),
+    "Morse, three bonds": (lambda: atoms(4, lambda r: morse(r - 1), 1.0, 0, 1.0, 1.0), 40.0),
+    "Lennard-Jones, 8 atoms": (
+        lambda: atoms(8, lambda r: lennard_jones(r * r), LJ_REST, 5, 0.03, 0.3, 20.0),
         40.0,
     ),
-    "Lennard-Jones, 7 bodies in a plane": (lambda: bodies(7, 2, lennard_jones, LJ_REST, 6, 0.02, 0.3), 40.0),
-    "Lennard-Jones, 20 bodies in space": (lambda: bodies(20, 3, lennard_jones, LJ_REST, 7, 0.02, 0.1), 60.0),
-    "Buckingham, lattice of 16, fixed": (
-        lambda: lattice(16, lambda r: buckingham((1.2 + r) ** 2), 8, 0.03, 0.1, "fixed", 10.0),
-        30.0,
-    ),
     "Buckingham, two atoms that part": (
-        lambda: mechanical(2, lambda r: buckingham(r * r), BUCKINGHAM_REST, 9, 0.0, 1.0),
+        lambda: atoms(2, lambda r: buckingham(r * r), BUCKINGHAM_REST, 9, 0.0, 1.0),
         20.0,
     ),
 }

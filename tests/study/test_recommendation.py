@@ -7,32 +7,30 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
+from cases import mine
 from contactbench.measure.clock import Race, Visit
 from contactbench.report import race
-from contactbench.solution import Counts, Status
 from contactbench.study.compare import frame_of
 from contactbench.study.recommendation import recommendation
-from contactbench.study.schedule import Schedule
-from contactbench.study.search import Attempt
+from frames import race_of, tried
 
 NAMES = ["rkn12", "contact-rkn8", "rk8", "cyrk-vern8", "cyrk-dop853", "heyoka-taylor", "scipy-dop853"]
 
 
 def raced(times, errors=(1e-6,), names=NAMES, halves=1.0, kept="", cut=()):
     """Return the frame of a race on the oscillator whose methods took so many µs; None: the error is not reached."""
-    race = Schedule(cb.SCENES["oscillator"], names, errors, 60.0)
+    race = race_of(*names, errors=errors, scene="oscillator")
     for each, own in zip(race.searches, times, strict=True):
         if each.method.name in cut:
             each.why = ("budget", "no time was left to begin it")
         elif own is None:
-            each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", 1e-6, error=3e-4))
+            tried(each, 1e-6, 3e-4)
         else:
-            each.attempts.append(Attempt(0.75, "step=0.75", Status.ok, "", own * 1e-6, error=5e-7))
-            clock = {"time_min_s": own * 1e-6, "time_median_s": own * 1e-6, "time_halves_ratio": halves}
-            race.times[id(each.attempts[0])] = clock
+            attempt, seconds = tried(each, own * 1e-6, 5e-7, 0.75), own * 1e-6
+            clock = {"time_min_s": seconds, "time_median_s": seconds, "time_halves_ratio": halves}
+            race.times[id(attempt)] = clock
             if each.method.name == kept:
-                laws = {"contact_drift": 1e-16, "contact_drift_kept": True}
-                race.laws[id(each.attempts[0])] = laws
+                race.laws[id(attempt)] = {"contact_drift": 1e-16, "contact_drift_kept": True}
     return frame_of(race)
 
 
@@ -65,10 +63,9 @@ def test_a_rival_that_was_not_begun_is_named_and_a_slow_one_that_was_reached_by_
     assert found.endswith("; whether faster with cyrk-vern8 is undecided: no time was left (--budget).")
     (found,) = recommendation(raced([None] * 7))
     assert found == "Nothing to take for 10⁻⁶: the most accurate is rkn12, step 0.1, with 3.0e-04."
-    race = Schedule(cb.SCENES["oscillator"], ["rk8", "rkn12"], (1e-6,), 60.0)
+    race = race_of("rk8", "rkn12", errors=(1e-6,), scene="oscillator")
     for each, evaluations in zip(race.searches, (2200, 1800), strict=True):
-        counts = Counts(evaluations=evaluations)
-        each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", 1e-6, error=3e-7, counts=counts))
+        tried(each, 1e-6, 3e-7, evaluations=evaluations)
     (found,) = recommendation(frame_of(race))
     assert found.startswith(
         "Take rkn12, step 0.1: 1800 evaluations for 10⁻⁶, the fewest; no time was left to time it"
@@ -80,7 +77,7 @@ def test_a_rival_that_was_not_begun_is_named_and_a_slow_one_that_was_reached_by_
 def test_those_not_expected_to_lead_wait_and_do_not_leave_it_undecided():
     names = ["contact-rkn8", "rk4"]
     for leading, unbegun in (((), names), (("rk4",), ["rk4"])):
-        race = Schedule(cb.SCENES["oscillator"], names, (1e-3,), 60.0, leading=leading)
+        race = race_of(*names, errors=(1e-3,), scene="oscillator", leading=leading)
         race.left = lambda part: 0.0
         race.search()
         assert race.unbegun == unbegun
@@ -88,7 +85,7 @@ def test_those_not_expected_to_lead_wait_and_do_not_leave_it_undecided():
         least = frame_of(race).set_index("method")["at_least"]
         assert math.isnan(least["contact-rkn8"]) == bool(leading)
         assert least["rk4"] == 0.0
-    race = Schedule(cb.SCENES["oscillator"], names, (1e-3,), 60.0, leading=("rk4",))
+    race = race_of(*names, errors=(1e-3,), scene="oscillator", leading=("rk4",))
     race.search()
     assert race.searches[1].done  # and then the other
     assert race.searches[0].attempts
@@ -96,9 +93,8 @@ def test_those_not_expected_to_lead_wait_and_do_not_leave_it_undecided():
 
 def test_the_leaders_are_visited_until_it_is_decided_and_the_field_no_more():
     """Two that differ by 2 % behind noise of 30 %, and one three times as slow."""
-    schedule = Schedule(cb.SCENES["oscillator"], ["rk4", "rk8", "rkn8"], (1e-3,), 60.0)
-    for each in schedule.searches:
-        each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", 1e-6, error=1e-4))
+    schedule = race_of("rk4", "rk8", "rkn8", errors=(1e-3,), scene="oscillator")
+    timed = [id(tried(each, 1e-6, 1e-4)) for each in schedule.searches]
     noise = iter(k % 97 / 97 * 0.3 for k in range(7, 10**6, 31))
 
     def call(seconds):
@@ -108,7 +104,6 @@ def test_the_leaders_are_visited_until_it_is_decided_and_the_field_no_more():
 
     race = Race([call(1.0), call(1.02), call(3.0)])
     race.visits = [[Visit([1.3 * s]), Visit([s])] for s in (1.0, 1.02, 3.0)]
-    timed = [id(each.attempts[0]) for each in schedule.searches]
     assert schedule.unsettled(race, timed) == [0, 1]
     schedule.settle(race, timed, math.inf)
     first, second, field = map(len, race.visits)
@@ -118,7 +113,7 @@ def test_the_leaders_are_visited_until_it_is_decided_and_the_field_no_more():
 
 
 def test_a_race_of_many_prints_ten_rows_in_a_hundred_columns_sorted_by_time():
-    names = [name for name in cb.METHODS if cb.METHODS[name].engines[0] == "numba"]
+    names = [name for name in cb.METHODS if cb.METHODS[name].engines[0] == "llvm"]
     errors = (1e-3, 1e-5, 1e-6)
     frame = raced([50.0 - k for k in range(len(names))], errors=errors, names=names)
     frame.attrs["recommendation"] = [*recommendation(frame)]
@@ -135,14 +130,7 @@ def test_a_race_of_many_prints_ten_rows_in_a_hundred_columns_sorted_by_time():
 
 @pytest.mark.slow
 def test_a_whole_race_of_ones_own_scene_ends_in_time_with_an_answer_for_each_error():
-    scene = cb.Mechanical(
-        name="own",
-        potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2.1,
-        gamma=0.21,
-        q=(1.5,),
-        p=(0.0,),
-        t_end=20.0,
-    )
+    scene = mine(lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2.1, q=1.5, t_end=20.0, gamma=0.21)
     frame = cb.compare(scene, budget=60.0)
     assert frame.attrs["seconds"] <= 1.05 * 60.0
     assert all(line.startswith("Take ") for line in frame.attrs["recommendation"])

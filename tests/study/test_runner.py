@@ -76,12 +76,8 @@ def test_a_cell_of_another_version_is_left_aside_and_stops_no_run(tmp_path):
 def test_a_cell_that_takes_its_process_down_or_fails_costs_itself(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runner, "attempt", planted.attempt)
     run = Run(tmp_path, PROFILES["smoke"], "some", timed=False)
-    assert (
-        runner.work(
-            run, "definition and method and (contact-strang or rk4 or scipy or method-contact-gauss4)"
-        )
-        == 2
-    )
+    chosen = "definition and method and (contact-strang or rk4 or scipy or method-contact-gauss4)"
+    assert runner.work(run, chosen) == 2
     told = capsys.readouterr().err
     assert "definition[method-rk4]: the solver took its process down (signal 9)" in told
     assert "definition[method-contact-gauss4]: ValueError in planted.py" in told

@@ -24,7 +24,6 @@ from contactbench.results.contest import (
     OURS,
     Cost,
     Kind,
-    contestants,
     contests,
     cost_rows,
     costs,
@@ -48,7 +47,7 @@ class Contest:
 
 
 def contest(work: pd.DataFrame, kind: Kind) -> Contest:
-    found = costs(contestants(work), kind)
+    found = costs(work, kind)
     return Contest(kind, standings(found), contests(found))
 
 
@@ -170,7 +169,7 @@ def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str]) -> Panel:
 
 
 def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
-    rows = contestants(work[(work["scene"] == scene) & (work["status"] == "ok")])
+    rows = work[(work["scene"] == scene) & (work["status"] == "ok")]
     rows = rows[kind.compares(rows) & rows[kind.cost].notna()]
     totals = rows.groupby(["method", "engine"])[kind.cost].transform("median")
     best = rows.assign(total=totals).groupby("method")["total"].transform("min")
@@ -185,7 +184,7 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
-    table = contests(costs(contestants(work[work["scene"] == scene]), COMPILED))
+    table = contests(costs(work[work["scene"] == scene], COMPILED))
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
     if not len(table):
         return f"{scene}: cost against error", []

@@ -11,7 +11,6 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Literal, Protocol, cast
 
 import numpy as np
@@ -27,7 +26,7 @@ from contactbench.measure.statistics import (
     verdict,
 )
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
-from contactbench.solution import EXACT, GROWING, PILOTS
+from contactbench.solution import EXACT, PILOTS
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -70,14 +69,13 @@ class Kind:
     by: Literal["oracle", "tolerance"] = "oracle"
 
     def compares(self, rows: pd.DataFrame) -> pd.Series:
-        called_back, chosen = rows["engine"].isin(CALLBACKS), rows["engine"] != "mpmath"
-        if self.engines != "any":
-            chosen &= called_back if self.engines == "callbacks" else ~called_back
         pilots = rows["variant"].fillna("") == PILOTS
-        chosen &= pilots | rows["control"].isin(["rtol", EXACT]) if self.by == "tolerance" else ~pilots
+        chosen = pilots | rows["control"].isin(["rtol", EXACT]) if self.by == "tolerance" else ~pilots
+        if self.engines != "any":
+            chosen &= rows["engine"].isin(CALLBACKS) == (self.engines == "callbacks")
         if self.resolved:
             halves = rows[self.halves].astype(float)
-            chosen &= (rows["control"] != "exact") & halves.between(1 / RESOLVED, RESOLVED)
+            chosen &= (rows["control"] != EXACT) & halves.between(1 / RESOLVED, RESOLVED)
         return chosen
 
     def process_spread(self, rows: pd.DataFrame, engine: str = "") -> float:
@@ -113,14 +111,7 @@ class Cost(Protocol):
 
 
 def cost_rows(frame: pd.DataFrame) -> list[Cost]:
-    columns = {name: frame[name].tolist() for name in Cost.__annotations__ if name in frame}
-    rows = (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True))
-    return [cast(Cost, SimpleNamespace(**row)) for row in rows]
-
-
-def contestants(work: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows that compete: one setting of one method, no C loops."""
-    return work[work["variant"].fillna("").isin(["", GROWING, PILOTS])]
+    return cast(list[Cost], list(frame.itertuples(index=False)))
 
 
 def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "method")) -> pd.DataFrame:
@@ -147,19 +138,8 @@ def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "metho
         declared = {name: own[name].iloc[0] for name in ("family", "package") if name in own}
         lead = dict(zip(keys, key, strict=True)) | declared
         found += [lead | min(same, key=_preference) for same in zip(*tried, strict=True)]
-    columns = (
-        "family",
-        "package",
-        "engine",
-        "error",
-        "cost",
-        "bound",
-        "reason",
-        "fixed",
-        "halves",
-        "processes",
-    )
-    return pd.DataFrame(found, columns=list(dict.fromkeys([*keys, *columns])))
+    names = "family package engine error cost bound reason fixed halves processes"
+    return pd.DataFrame(found, columns=list(dict.fromkeys([*keys, *names.split()])))
 
 
 def _preference(row: Record) -> tuple[bool, float]:

@@ -39,17 +39,18 @@ DEAR = ("jax", "python")
 #: the scenes on which callbacks and XLA are timed: CyRK has SciPy's tableaux compiled
 TIMED_DEAR = ("oscillator", "particle", "rigid_body")
 #: where some run nevertheless
-FORCED = ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
-DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
+DEAR_CELLS = {
+    ("laws", "forced_oscillator", name) for name in ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
+}
 #: where stiffness asks for implicit solvers
 STIFF = ("overdamped", "stiff_spring", "steep_wall", "large_step")
 #: those of which a run takes seconds: elsewhere CyRK's and CVODE's, compiled, stand for them
 IMPLICIT = ("scipy-radau", "diffrax-kvaerno5")
+#: where laws of all methods are measured
+VARIED = (*TIMED_DEAR, "central", "kepler", "forced_oscillator", "quadratic_damping")
 #: others of a kind, by whose laws nothing is learnt on every scene: of pairs, multistep methods.
 #: None of them is closest to the true energy on a scene where it is left out, which would be said of another then
 ALIKE = ("cvode-bdf", "cyrk-lsoda", "cyrk-vern8", "rk8-7", "rkn8-6", "rkn12-10", "quinlan-tremaine12")
-#: driven scenes beside two that have everything
-MORE_DRIVEN = ("duffing",)
 
 
 class Left(NamedTuple):
@@ -79,10 +80,8 @@ LEFT = (
     Left(("stability",), ("scipy-dop853",), apart=STIFF),  # its tableau is compiled by CyRK and here
     Left(("convergence",), ("contact-gauss6",), apart=(*TIMED_DEAR, "central")),  # 50 digits by iteration
     Left(("laws",), ("diffrax-kvaerno5",), apart=("particle",)),  # seconds of compilation each
-    Left(
-        ("laws",), ALIKE, apart=(*TIMED_DEAR, "central", "kepler", "forced_oscillator", "quadratic_damping")
-    ),
-    Left(("laws", "convergence"), scenes=MORE_DRIVEN, but=(*EVERYWHERE, "contact-rkn8", "rkn12")),
+    Left(("laws",), ALIKE, apart=VARIED),
+    Left(("laws", "convergence"), scenes=("duffing",), but=(*EVERYWHERE, "contact-rkn8", "rkn12")),
 )
 #: the tightest tolerance of `IMPLICIT` where laws are measured, but for the full profile
 DEAREST = 1e-9
@@ -90,12 +89,8 @@ DEAREST = 1e-9
 
 def left_to_full(experiment: str, scene: Scene, method: str, profile: Profile) -> bool:
     """Return whether an experiment runs a method on a scene in the full profile alone."""
-    mine = scene.name in OWN and method in OWN
-    return (
-        mine
-        and not profile.reaches("full")
-        and any(left.has(experiment, scene.name, method) for left in LEFT)
-    )
+    left = any(left.has(experiment, scene.name, method) for left in LEFT)
+    return left and not profile.reaches("full") and scene.name in OWN and method in OWN
 
 
 def affordable(rtols: list[float], method: str, profile: Profile) -> list[float]:
@@ -112,18 +107,20 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str], profile: 
     def runs(method: str) -> bool:
         dear = METHODS[method].engines[0] in DEAR and scene.name in OWN and method in OWN
         here = scene.name in TIMED_DEAR or (experiment, scene.name, method) in DEAR_CELLS
-        return (here or not dear or profile.reaches("full")) and not left_to_full(
-            experiment, scene, method, profile
-        )
+        left = left_to_full(experiment, scene, method, profile)
+        return (here or not dear or profile.reaches("full")) and not left
 
     return list(filter(runs, methods))
 
 
-#: on callbacks a rival is timed on one scene alone: elsewhere compiled, and by its evaluations
-RIVALS = {"contact-gauss2", "contact-gauss4", "contact-gauss6", "quinlan-tremaine8", "quinlan-tremaine12"}
-RIVALS |= {"rk8", "rk8-7", "rkn8", "rkn12", "rkn8-6", "rkn12-10"}
 #: of the other scenes a method is timed on one in so many by the smoke profile
 SOME = 3
+
+
+def is_rival(method: Method) -> bool:
+    """Return whether a method of ours is timed on callbacks on one scene alone: elsewhere compiled."""
+    ours = method.name in OWN and not method.package and method.name not in EVERYWHERE
+    return ours and (method.iterates or method.family == "established")
 
 
 def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
@@ -136,14 +133,14 @@ def engines(scene: Scene, profile: Profile) -> list[tuple[str, str]]:
 
     def chosen(name: str, engine: str) -> bool:
         first, here = engine == METHODS[name].engines[0], scene.name == SMOKE
-        if (not first and METHODS[name].lacks(engine)) or left_to_full(
-            "work_precision", scene, name, profile
-        ):
+        if not first and METHODS[name].lacks(engine):
+            return False
+        if left_to_full("work_precision", scene, name, profile):
             return False
         brought = scene.name not in OWN or name not in OWN
         if scene.name not in TIMED_DEAR and not brought and (not first or engine in DEAR):
             return False
-        if name in RIVALS and not (first or here):
+        if is_rival(METHODS[name]) and not (first or here):
             return False
         if not profile.brief or here or brought:
             return True

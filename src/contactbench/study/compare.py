@@ -23,7 +23,7 @@ from contactbench.solution import Solution
 from contactbench.study.experiment import Row
 from contactbench.study.field import field
 from contactbench.study.recommendation import recommendation
-from contactbench.study.schedule import Schedule, unraced
+from contactbench.study.schedule import LEFT_OUT, Schedule
 from contactbench.study.search import Attempt, Search
 from contactbench.study.settings import ENDS, carry_of, times
 from contactbench.truth import Reference
@@ -183,7 +183,7 @@ def motion(solution: Solution | None) -> Runs:
 
 def laws_in(scene: Scene) -> dict[str, str]:
     """Return the laws that have a column, each with its label."""
-    return {law.name: law.label or law.name for law in laws_of(scene) if not unraced(law.name)}
+    return {law.name: law.label or law.name for law in laws_of(scene) if law.name not in LEFT_OUT}
 
 
 def runs_of(search: Search) -> Iterator[Row]:
@@ -224,10 +224,8 @@ def least_time(race: Schedule, search: Search, error: float) -> float:
         for each in race.searches
     }
     if not search.attempts:
-        return (
-            min((t for each in timed if each.engine == search.engine for t in timed[each]), default=0.0)
-            / ONCE
-        )
+        alike = (t for each in timed if each.engine == search.engine for t in timed[each])
+        return min(alike, default=0.0) / ONCE
     untimed = soonest(race, search, error)
     slow = (a.seconds / ONCE for a in search.attempts if a is untimed or not a.reaches(error))
     return float(max(*timed[search], *(seconds for seconds in slow if seconds > SLOW), 0.0, 0.0))

@@ -67,16 +67,16 @@ def points(measured: Sequence[tuple[Row, float, float]]) -> tuple[list[float], l
     return [h for _, h, _ in measured], [error for _, _, error in measured]
 
 
-@experiment(
-    lambda profile: pairs(
-        profile, "convergence", [name for name, method in cb.METHODS.items() if method.control == "step"]
-    )
-)
+def ladder(profile: Profile) -> list[Cell]:
+    fixed = [name for name, method in cb.METHODS.items() if method.control == "step"]
+    return pairs(profile, "convergence", fixed)
+
+
+@experiment(ladder)
 def convergence(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
-    extended = (
-        method.order > 4 and isinstance(method, FixedStep | Logarithmic) and method.refuses(scene) is None
-    )
+    high = isinstance(method, FixedStep | Logarithmic) and method.order > 4
+    extended = high and method.refuses(scene) is None
     few = ITERATED_FEW if method.iterates else FEW
     first, finer = (EXTENDED_STEPS[:few], EXTENDED_STEPS[few:]) if extended else ((), ())
     measured = list(at_fifty_digits(scene, method, first) if extended else in_double_precision(scene, method))

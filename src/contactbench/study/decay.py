@@ -10,9 +10,8 @@ from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.scene import Scene
-from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
-from contactbench.study.choice import contestants, outcome, small, step_budget
+from contactbench.study.choice import outcome, pairs, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import times
@@ -25,14 +24,10 @@ SAVES = 5
 
 
 def ladder(profile: Profile) -> list[Cell]:
-    return [
-        (scene.name, method, cost)
-        for scene in scenes_of("decay_laws")
-        if scene.name in FEW or scene.experiments
-        for method in contestants("decay_laws", scene, cb.METHODS, profile)
-        for cost in (COSTS[:1] if profile.brief else COSTS)
-        if not profile.brief or small(scene.name, method)
-    ]
+    costs = COSTS[:1] if profile.brief else COSTS
+    chosen = pairs(profile, "decay_laws", cb.METHODS)
+    some = (pair for pair in chosen if pair[0] in FEW or cb.SCENES[pair[0]].experiments)
+    return [(*pair, cost) for pair in some for cost in costs]
 
 
 def to_the_end(scene: Scene, method: Method, value: float, budget: int | None) -> Solution:

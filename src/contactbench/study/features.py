@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from time import process_time
 from typing import Any
 
@@ -47,9 +47,6 @@ class Features:
     cost: float
     size: int
     kind: str
-
-    def row(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def recorded_slopes(scene: Scene) -> Formula | None:

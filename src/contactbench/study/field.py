@@ -12,7 +12,7 @@ from contactbench.errors import BadInput
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.methods.base import METHODS
 from contactbench.plugins import brought
-from contactbench.results.contest import CONTACT, contestants
+from contactbench.results.contest import CONTACT
 from contactbench.results.regret import COSTS, regrets
 from contactbench.results.tables import results
 from contactbench.scene import Scene
@@ -88,7 +88,7 @@ def random_problems(scene: Scene, damping: float) -> pd.DataFrame:
 
 def named_scenes(scene: Scene) -> pd.DataFrame:
     """Return what methods cost on the named scenes of the same kind, on all of them where there is none."""
-    work = contestants(results("work_precision"))
+    work = results("work_precision")
     alike = work[work["scene"].isin([name for name, own in SCENES.items() if own.kind == scene.kind])]
     return cost_rows(alike if len(alike) else work, "time_min_s")
 

@@ -35,11 +35,8 @@ def motion(cell: Cell, profile: Profile) -> Recorded:
         assert truth.digits >= DIGITS
         y, evaluations = truth.y, None
     else:
-        solution = cb.solve(scene, name, step=STEPS[name], save_at=t)
-        y, evaluations = (
-            solution.y,
-            cb.solve(scene, name, step=STEPS[name], save_at=[SPAN]).counts.evaluations,
-        )
+        saved, ended = (cb.solve(scene, name, step=STEPS[name], save_at=times) for times in (t, [SPAN]))
+        y, evaluations = saved.y, ended.counts.evaluations
     for time, row in zip(t.tolist(), y.tolist(), strict=True):
         x = scene.unpack(row, ("s",))
         point = {"t": time, "q1": x.q[0], "q2": x.q[1], "energy": scene.energy(x)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import partial
 
 import numpy as np
@@ -12,6 +13,7 @@ from contactbench.measure.clock import Call
 from contactbench.methods.base import METHODS, Method, prepare
 from contactbench.peers.heyoka import SHARED
 from contactbench.results.tables import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
+from contactbench.scene import Scene
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.features import Features, features
 from contactbench.study.problems import (
@@ -25,25 +27,17 @@ from contactbench.study.problems import (
     Problem,
     draw,
 )
-from contactbench.study.search import Question
+from contactbench.study.search import Attempt, Question
 from contactbench.study.settings import carry_of
-from contactbench.study.trial import CLEAR, ENDS, Trial, Tried, agreed, is_short
+from contactbench.study.trial import CLEAR, ENDS, Trial, agreed, is_short
 from contactbench.truth import Reference
 
 #: those that are best on such problems in the tables, the classical ones, and what libraries compile soon; first those
 #: by whose cost others are given up
 RACED = (
     *("rkn12-10", "rkn8", "rk8-7", "rkn8-6", "rkn12", "rk8", "contact-rkn8", "contact-rkn6", "contact-rkn4"),
-    *(
-        "contact-o8",
-        "contact-bm6",
-        "contact-strang",
-        "contact-exact",
-        "contact-log8",
-        "rk4",
-        "quinlan-tremaine8",
-        "quinlan-tremaine12",
-    ),
+    *("contact-o8", "contact-bm6", "contact-strang", "contact-exact", "contact-log8", "rk4"),
+    *("quinlan-tremaine8", "quinlan-tremaine12"),
     *("cvode-adams", "cyrk-dop853", "cyrk-vern8", "cyrk-lsoda", "heyoka-taylor"),
 )
 #: what runs under a name, where it is not what is registered
@@ -77,34 +71,28 @@ def truth_of(problem: Problem) -> tuple[Reference | None, str]:
 
 
 # -- rows ----------------------------------------------------------------------------------------------
-def problem_row(problem: Problem, known: Features, digits: int, source: str) -> Row:
-    return {
-        "seed": problem.seed,
-        "scene": problem.scene.name,
-        "structure": problem.family,
-        "hard": problem.hard,
-        "t_end": problem.scene.t_end,
-        "short": is_short(problem.scene, known),
-        "digits": digits,
-        "source": source,
-    } | known.row()
+def examine(problem: Problem) -> tuple[Row, Features, Reference | None]:
+    """Return the row of a problem, what a pilot finds, and the truth."""
+    scene, known = problem.scene, features(problem.scene)
+    truth, source = truth_of(problem)
+    row = {"seed": problem.seed, "scene": scene.name, "structure": problem.family, "hard": problem.hard}
+    row |= {"t_end": scene.t_end, "short": is_short(scene, known), "source": source}
+    return row | {"digits": truth.digits if truth else 0} | asdict(known), known, truth
 
 
-def raced() -> dict[str, Method]:
-    return {name: ALIKE.get(name, METHODS[name]) for name in RACED}
+def raced(scene: Scene) -> dict[str, Method]:
+    every = {name: ALIKE.get(name, METHODS[name]) for name in RACED}
+    return {name: method for name, method in every.items() if not method.refuses(scene)}
 
 
 def cost_rows(problem: Problem) -> Recorded:
-    known = features(problem.scene)
-    truth, source = truth_of(problem)
-    yield POPULATION_PROBLEMS, problem_row(problem, known, truth.digits if truth else 0, source)
+    row, known, truth = examine(problem)
+    yield POPULATION_PROBLEMS, row
     if truth is None:
         return
     targets = [error for error in ERRORS if error >= CLEAR * 10.0**-truth.digits]
     question = Question(problem.scene, truth, ERRORS, math.inf)
-    trials = [
-        Trial(question, method, known) for method in raced().values() if not method.refuses(problem.scene)
-    ]
+    trials = [Trial(question, method, known) for method in raced(problem.scene).values()]
     least: dict[float, float] = {}
     with np.errstate(all="ignore"):
         for trial in trials:
@@ -116,11 +104,11 @@ def cost_rows(problem: Problem) -> Recorded:
             yield POPULATION, name | row
 
 
-def visited(tried: Sequence[Tried]) -> dict[int, float]:
+def visited(tried: Sequence[Attempt]) -> dict[int, float]:
     """Return the least time of the bare call of each setting, all visited in turns; of slow ones that of its run."""
     seconds = {id(one): one.seconds for one in tried}
     most = SLOWER * min(seconds.values(), default=0.0)
-    runs = {id(one): one.run for one in tried if one.seconds <= most}
+    runs = {id(one): one.run for one in tried if one.run and one.seconds <= most}
     calls = {name: Call(partial(run.bare, run.start), round_seconds=1e-4) for name, run in runs.items()}
     for _ in range(VISITS):
         for call in calls.values():
@@ -130,15 +118,12 @@ def visited(tried: Sequence[Tried]) -> dict[int, float]:
 
 def hard_rows(problem: Problem) -> Recorded:
     """Yield how each method ends that is given a tolerance, or a step where it takes none."""
-    known = features(problem.scene)
-    truth, source = truth_of(problem)
-    yield POPULATION_PROBLEMS, problem_row(problem, known, truth.digits if truth else 0, source)
+    row, known, truth = examine(problem)
+    yield POPULATION_PROBLEMS, row
     if truth is None or 10.0**-truth.digits * CLEAR > TOLERANCE * WRONG:
         return
     question = Question(problem.scene, truth, ERRORS, math.inf)
-    for name, method in raced().items():
-        if method.refuses(problem.scene):
-            continue
+    for name, method in raced(problem.scene).items():
         steps = method.control == "step" and not (method.one_step or method.follows)
         control = "exact" if method.exact else "step" if steps else "rtol"
         value = 2 * math.pi / known.omega / HARD_STEPS if steps else TOLERANCE
@@ -146,16 +131,8 @@ def hard_rows(problem: Problem) -> Recorded:
             one = Trial(question, method, known).attempt(0.0 if method.exact else value, control)
         row = {"seed": problem.seed, "scene": problem.scene.name, "hard": problem.hard, "method": name}
         row |= {"control": control, "value": one.value, "status": str(one.status), "message": one.message}
-        yield (
-            POPULATION_HARD,
-            row
-            | {
-                "engine": one.run.request.engine,
-                "error_reached": one.error,
-                "evaluations": one.evaluations,
-                "right": one.error <= TOLERANCE * WRONG if one.ok else None,
-            },
-        )
+        row |= {"engine": one.engine, "error_reached": one.error, "evaluations": one.evaluations}
+        yield POPULATION_HARD, row | {"right": one.error <= TOLERANCE * WRONG if one.ok else None}
 
 
 # -- cells ---------------------------------------------------------------------------------------------

@@ -25,11 +25,15 @@ def recommendation(frame: pd.DataFrame) -> Iterator[str]:
         compiled = timed[timed["kind"] == "compiled"]
         ranked = (timed if compiled.empty else compiled).sort_values("time_s", kind="stable")
         goal = exact_power(float(str(error)))
-        yield (
-            f"{best(ranked, goal, rows, frame)}."
-            if len(ranked)
-            else f"{untimed(rows, goal) or f'Nothing to take for {goal}: {lack(rows)}'}."
-        )
+        if len(ranked):
+            yield f"{best(ranked, goal, rows, frame)}."
+        else:
+            yield f"{untimed(rows, goal) or f'Nothing to take for {goal}: {lack(rows)}'}."
+
+
+def named(row: pd.Series) -> str:
+    """Return a method and its setting in words."""
+    return f"{row['method']}, {str(row['setting']).replace('=', ' ', 1)}"
 
 
 def best(ranked: pd.DataFrame, goal: str, rows: pd.DataFrame, frame: pd.DataFrame) -> str:
@@ -43,8 +47,7 @@ def best(ranked: pd.DataFrame, goal: str, rows: pd.DataFrame, frame: pd.DataFram
 
     first, others = ranked.iloc[0], ranked.iloc[1:]
     python = "" if first["kind"] == "compiled" else ", calling back into Python"
-    setting = str(first["setting"]).replace("=", " ", 1)
-    parts = [f"Take {first['method']}, {setting}: {duration(first['time_s'])} for {goal}{python}"]
+    parts = [f"Take {named(first)}: {duration(first['time_s'])} for {goal}{python}"]
     parts[0] += keeps(first)
     within = (others["ratio"] <= others["margin"]) & (others["margin"] <= WIDEST)
     alike = others[(others["verdict"] == Verdict.tie) | ((others["verdict"] == Verdict.undecided) & within)]
@@ -53,8 +56,8 @@ def best(ranked: pd.DataFrame, goal: str, rows: pd.DataFrame, frame: pd.DataFram
     packages = others["method"].map(lambda name: METHODS[name].package)
     foreign = others[(packages != "") & ~packages.duplicated()]
     own = others[(others["family"] == CONTACT) & (first["family"] != CONTACT)].iloc[:1]
-    named = pd.concat([own, foreign.iloc[:PEERS]]).drop(index=alike.index, errors="ignore")
-    parts += [f"{row['method']} {times(row['ratio'])}{keeps(row)}" for _, row in named.iterrows()]
+    beside = pd.concat([own, foreign.iloc[:PEERS]]).drop(index=alike.index, errors="ignore")
+    parts += [f"{row['method']} {times(row['ratio'])}{keeps(row)}" for _, row in beside.iterrows()]
     return "; ".join([*parts, *doubts(first, others, rows, frame)])
 
 
@@ -79,9 +82,9 @@ def untimed(rows: pd.DataFrame, goal: str) -> str:
     if reach.empty:
         return ""
     first = reach.iloc[0]
-    setting, evaluations = str(first["setting"]).replace("=", " ", 1), first["evaluations"]
-    cost = f"{count(int(evaluations))} evaluations" if evaluations > 0 else "evaluations not counted"
-    return f"Take {first['method']}, {setting}: {cost} for {goal}, the fewest; no time was left to time it (--budget)"
+    counted = first["evaluations"] > 0
+    cost = f"{count(int(first['evaluations']))} evaluations" if counted else "evaluations not counted"
+    return f"Take {named(first)}: {cost} for {goal}, the fewest; no time was left to time it (--budget)"
 
 
 def lack(rows: pd.DataFrame) -> str:
@@ -94,5 +97,4 @@ def lack(rows: pd.DataFrame) -> str:
     cut = rows.loc[rows["status"].isin(CUT), "method"].nunique()
     more = f"; {cut} method{'s' * (cut > 1)} cut off for want of time (--budget)" if cut else ""
     last = reached.iloc[0]
-    setting = str(last["setting"]).replace("=", " ", 1)
-    return f"the most accurate is {last['method']}, {setting}, with {last['error_reached']:.1e}{more}"
+    return f"the most accurate is {named(last)}, with {last['error_reached']:.1e}{more}"

@@ -122,6 +122,10 @@ class Schedule:
     def chosen(self, search: Search, error: float) -> Attempt | None:
         return search.best(error) if error >= self.floor else None
 
+    def reaching(self, error: float) -> list[tuple[Search, Attempt]]:
+        """Return the methods that reach an error, each with its setting."""
+        return [(each, a) for each in self.searches if (a := self.chosen(each, error)) is not None]
+
     def run(self) -> None:
         """Do all of it; Ctrl-C ends it with what there is, a second time at once."""
         for stage in (self.search, self.follow_motion, self.measure_laws, self.time):
@@ -132,9 +136,8 @@ class Schedule:
                 if self.interrupted:
                     break
                 self.interrupted = True
-                self.stop(
-                    "interrupted", "interrupted before it was tried", "interrupted after", self.searches
-                )
+                before, after = "interrupted before it was tried", "interrupted after"
+                self.stop("interrupted", before, after, self.searches)
             self.bar.update()
         self.bar.close()
 
@@ -197,8 +200,7 @@ class Schedule:
         """Keep a run to be drawn: of those that reach the smallest error the one that is soonest done."""
         scene, found = self.question.scene, list[tuple[Search, Attempt]]()
         for error in self.question.errors:
-            reach = [(each, a) for each in self.searches if (a := self.chosen(each, error)) is not None]
-            found = reach or found
+            found = self.reaching(error) or found
         if not found or scene.motion > LARGEST_DRAWN or self.interrupted or self.left(LAWS) < 0:
             return
         search, attempt = min(found, key=lambda pair: pair[1].seconds)
@@ -212,9 +214,10 @@ class Schedule:
     def measure_laws(self) -> None:
         self.bar.set_description("laws")
         for error in self.question.errors:
-            pairs = [(each, a) for each in self.searches if (a := self.chosen(each, error)) is not None]
             order = lambda pair: (pair[0].method.family == "established", differentiation_time(*pair))  # noqa: E731
-            for each, attempt in sorted(pairs, key=order):  # first what may have something to keep
+            for each, attempt in sorted(
+                self.reaching(error), key=order
+            ):  # first what may have something to keep
                 if id(attempt) not in self.laws and not self.interrupted:
                     begun, foreseen = perf_counter(), differentiation_time(each, attempt)
                     self.laws[id(attempt)] = self.laws_at(each, attempt)
@@ -232,7 +235,7 @@ class Schedule:
             return {}
         late = "" if self.slower * differentiation_time(search, attempt) <= left else "no time was left"
         try:
-            return laws_row(replace(solution, truth=truth), late, unraced)
+            return laws_row(replace(solution, truth=truth), late, LEFT_OUT.__contains__)
         except UserError:  # a function of floats, and laws are taken of arrays
             return {}
 
@@ -253,9 +256,8 @@ class Schedule:
         """Time each kind of engine by itself, the compiled first; the slowest are left out where time is short."""
         self.bar.set_description("timing")
         runs: dict[str, dict[int, Attempt]] = {kind: {} for kind in KINDS}
-        for each in self.searches:
-            found = (self.chosen(each, error) for error in self.question.errors)
-            runs[each.kind] |= {id(attempt): attempt for attempt in found if attempt}
+        for each, attempt in (pair for error in self.question.errors for pair in self.reaching(error)):
+            runs[each.kind][id(attempt)] = attempt
         least = sum(FEWEST_CALLS * attempt.seconds for attempt in runs["callbacks"].values())
         for kind in KINDS:
             left = max(self.left(1.0), LATE * self.budget)
@@ -263,14 +265,10 @@ class Schedule:
             attempts = sorted(runs[kind].values(), key=lambda attempt: attempt.seconds)
             spent = accumulate(FEWEST_CALLS * attempt.seconds for attempt in attempts)
             timed = [attempt for attempt, seconds in zip(attempts, spent, strict=True) if seconds <= given]
-            race = Race(
-                [Call(partial(attempt.run.bare, attempt.run.start)) for attempt in timed if attempt.run]
-            )
-            until = perf_counter() + given
+            race = Race([Call(partial(a.run.bare, a.run.start)) for a in timed if a.run])
+            until, late = perf_counter() + given, max(self.left(1 + LATE), LATE * self.budget)
             try:
-                race.go(
-                    0.0 if self.interrupted else FIELD * given, max(self.left(1 + LATE), LATE * self.budget)
-                )
+                race.go(0.0 if self.interrupted else FIELD * given, late)
                 if not self.interrupted:
                     self.settle(race, [id(attempt) for attempt in timed], until)
             finally:
@@ -292,21 +290,14 @@ class Schedule:
             reach = [e for e in self.question.errors if e <= error]
             chosen = ({id(a) for e in reach if (a := self.chosen(each, e))} for each in self.searches)
             runs = [[i for i in map(timed.index, own & {*timed}) if race.visits[i]] for own in chosen]
-            ranked = sorted(
-                (min(own, key=lambda i: least(race.visits[i])) for own in runs if own),
-                key=lambda i: least(race.visits[i]),
-            )
+            seconds = lambda i: least(race.visits[i])  # noqa: E731
+            ranked = sorted((min(own, key=seconds) for own in runs if own), key=seconds)
             for other in ranked[1:]:
                 first, second = race.visits[ranked[0]], race.visits[other]
                 apart = margin((halves(first), halves(second)), PROCESSES)
                 if apart > SETTLED and ties(least(second), least(first), apart):
                     found |= {ranked[0], other}
         return sorted(i for i in found if len(race.visits[i]) < MOST_OF_LEADERS)
-
-
-def unraced(law: str) -> bool:
-    """Return whether a race does not measure a law, of this name."""
-    return law in LEFT_OUT
 
 
 def halves(visits: list[Visit]) -> float:

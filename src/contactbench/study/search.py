@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from time import perf_counter
@@ -146,21 +146,34 @@ class Attempt:
 
     @property
     def ok(self) -> bool:
-        return self.status is Status.ok
+        return self.status is Status.ok and math.isfinite(self.error)
+
+    @property
+    def evaluations(self) -> float:
+        """Return right-hand sides, nan where the solver does not count them."""
+        count = self.counts.rhs_equivalents
+        return math.nan if count is None else count
 
     @property
     def work(self) -> float:
-        work = self.counts.rhs_equivalents
-        return self.seconds if work is None else work
+        return self.seconds if math.isnan(self.evaluations) else self.evaluations
+
+    @property
+    def engine(self) -> str:
+        return "" if self.run is None else self.run.request.engine
 
     def reaches(self, error: float) -> bool:
         return self.ok and self.error <= error
 
     def columns(self, floor: float) -> Row:
         """Return the columns of its setting; no error below the floor is claimed."""
-        counted = self.counts.rhs_equivalents is not None
-        columns = {"setting": self.setting, "error_reached": max(self.error, floor)}
-        return columns | {"evaluations": self.work if counted else math.nan}
+        error = max(self.error, floor)
+        return {"setting": self.setting, "error_reached": error, "evaluations": self.evaluations}
+
+
+def cheapest(attempts: Iterable[Attempt], error: float) -> Attempt | None:
+    """Return the setting tried that costs least of those that reach an error."""
+    return min((a for a in attempts if a.reaches(error)), key=lambda a: a.work, default=None)
 
 
 class Search:
@@ -189,7 +202,7 @@ class Search:
         return self.best(min(self.question.errors)) is not None
 
     def best(self, error: float) -> Attempt | None:
-        return min((a for a in self.attempts if a.reaches(error)), key=lambda a: a.work, default=None)
+        return cheapest(self.attempts, error)
 
     def turns(self) -> Iterator[None]:
         """Try one setting a turn; a method that gets no further says why."""

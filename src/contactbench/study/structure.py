@@ -58,10 +58,10 @@ AROUND = {
 #: left to the full profile at those: a run from 16 starts takes half a minute of each, 61 and 97 times the best
 LOST_LONG = {"cvode-adams", "heyoka-taylor"}
 N, GAMMA, SPAN, SAVES = 16, 1e-5, 1e4, 20
-#: other dampings, lengths of a run and numbers of sites, by the profile from which on they are run
+#: other dampings and lengths of a run, by the profile from which on they are run
 MORE = {
-    "standard": [(GAMMA, LONG_SPAN, N), (1e-4, SPAN, N), (1e-3, SPAN, N)],
-    "full": [(1e-4, 1e5, N), (GAMMA, 1e6, N)],
+    "standard": [(GAMMA, LONG_SPAN), (1e-4, SPAN), (1e-3, SPAN)],
+    "full": [(1e-4, 1e5), (GAMMA, 1e6)],
 }
 FEW = ("contact-strang", "contact-rkn4", "rk4", "cyrk-vern8")
 #: starts of a run, and the probability that the true median lies in its interval
@@ -75,11 +75,11 @@ TIMED = 500.0
 
 
 def ladder(profile: Profile) -> list[Cell]:
-    """(scene, method, engine, γ, end, sites, value)."""
+    """(scene, method, engine, γ, end, value)."""
     if profile.brief:
-        return [cell for name in EVERYWHERE for cell in rungs(RING, name, GAMMA, SPAN, N)[3:5]]
-    rows = [cell for name in LADDERS for cell in rungs(RING, name, GAMMA, SPAN, N)]
-    rows += [cell for name in FEW for cell in rungs(QUADRATIC, name, GAMMA, SPAN, N)]
+        return [cell for name in EVERYWHERE for cell in rungs(RING, name, GAMMA, SPAN)[3:5]]
+    rows = [cell for name in LADDERS for cell in rungs(RING, name, GAMMA, SPAN)]
+    rows += [cell for name in FEW for cell in rungs(QUADRATIC, name, GAMMA, SPAN)]
     full = profile.reaches("full")
     for case in MORE["standard"] + (MORE["full"] if full else []):
         chosen = set(LADDERS) - BRIEF - (set() if full else LOST_LONG) if case[0] == GAMMA else FEW
@@ -87,12 +87,12 @@ def ladder(profile: Profile) -> list[Cell]:
     return rows
 
 
-def rungs(scene: str, name: str, gamma: float, span: float, n: int) -> list[Cell]:
+def rungs(scene: str, name: str, gamma: float, span: float) -> list[Cell]:
     """Return the cells of a method; beside the main ones without the first, which is lost, and the last, dear one."""
     around = AROUND if (gamma, span) == (GAMMA, LONG_SPAN) else {}
-    main = (scene, gamma, span, n) == (RING, GAMMA, SPAN, N)
+    main = (scene, gamma, span) == (RING, GAMMA, SPAN)
     values = LADDERS[name] if main else around.get(name, LADDERS[name][1:-1])
-    return [(scene, name, cb.METHODS[name].engines[0], gamma, span, n, value) for value in values]
+    return [(scene, name, cb.METHODS[name].engines[0], gamma, span, value) for value in values]
 
 
 def quartic_bond(r: Arithmetic, beta: Arithmetic) -> Arithmetic:
@@ -109,26 +109,26 @@ def ring_potential(q: Vector, beta: Arithmetic) -> Arithmetic:
     return V
 
 
-def waves(n: int) -> np.ndarray:
-    """Return q, a long wave, and p, two of half its length and a drift, (2, n)."""
-    angle = 2 * np.pi * np.arange(n) / n
+def waves() -> np.ndarray:
+    """Return q, a long wave, and p, two of half its length and a drift, (2, N)."""
+    angle = 2 * np.pi * np.arange(N) / N
     return np.array([np.sin(angle), 0.3 + 0.5 * np.cos(2 * angle)])
 
 
 @cache
-def ring_of(name: str, gamma: float, span: float, n: int) -> Scene:
+def ring_of(name: str, gamma: float, span: float) -> Scene:
     """Return the ring; the one named `QUADRATIC` has a damping quadratic in s as well."""
-    q, p = map(tuple, waves(n).tolist())
+    q, p = map(tuple, waves().tolist())
     kappa = KAPPA if name == QUADRATIC else 0.0
     given: Row = {"gamma": gamma, "kappa": kappa, "parameters": {"beta": 1.0}, "t_end": span}
     return cb.Mechanical(name=name, potential=ring_potential, q=q, p=p, **given)
 
 
-def starts(n: int) -> np.ndarray:
+def starts() -> np.ndarray:
     """Return initial data: those of the scene, and others near them."""
-    off = AMPLITUDE * np.random.default_rng(SEED).normal(size=(STARTS, 2, n))
+    off = AMPLITUDE * np.random.default_rng(SEED).normal(size=(STARTS, 2, N))
     off[0] = 0
-    return waves(n) + off
+    return waves() + off
 
 
 def energy_left(q: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -145,13 +145,13 @@ def prepared(method: str, case: Cell, end: float, saves: int, **setting: float) 
 
 def runs(method: str, case: Cell, **setting: float) -> tuple[list[Solution], np.ndarray]:
     """Return the solutions from all starts, until one ends badly, and the energies left along them."""
-    run, n = prepared(method, case, case[2], SAVES, **setting), case[-1]
+    run = prepared(method, case, case[2], SAVES, **setting)
     found: list[Solution] = []
-    for q, p in starts(n):
+    for q, p in starts():
         found.append(run(q=q, p=p))
         if not found[-1].ok:
             break
-    return found, np.array([energy_left(each.y.T[:n], each.y.T[n : 2 * n]) for each in found])
+    return found, np.array([energy_left(each.y.T[:N], each.y.T[N : 2 * N]) for each in found])
 
 
 @cache
@@ -164,29 +164,24 @@ def truth(*case: object) -> tuple[np.ndarray, float]:
 
 def interval(errors: np.ndarray) -> tuple[float, float]:
     """Return the bootstrap's interval of the median over the starts (percentiles)."""
-    found = bootstrap(
-        (errors,),
-        np.median,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(SEED),
-    )
+    options: Row = {"method": "percentile", "rng": np.random.default_rng(SEED)}
+    found = bootstrap((errors,), np.median, confidence_level=CONFIDENCE, **options)
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def errors(cell: Cell) -> Row:
     """Return the row of a cell but for what is timed."""
-    name, method, engine, gamma, span, n, value = cell
-    case, control = (name, gamma, span, n), cb.METHODS[method].control
+    name, method, engine, gamma, span, value = cell
+    case, control = (name, gamma, span), cb.METHODS[method].control
     found, left = runs(method, case, **keywords(control, value))
     last, (true, floor) = found[-1], truth(*case)
-    row = key(name, method, engine, control, value) | {"gamma": gamma, "t_end": span, "n": n}
+    row = key(name, method, engine, control, value) | {"gamma": gamma, "t_end": span, "n": N}
     row |= {"starts": STARTS, "floor": floor}
     row |= {"status": str(last.status), "message": last.message, "evaluation_kind": last.counts.kind}
     if not last.ok:
         return row
     error = np.abs(left / true - 1).max(axis=1)
-    start = energy_left(*starts(n).transpose(1, 2, 0))
+    start = energy_left(*starts().transpose(1, 2, 0))
     loss = np.log(left[:, -1] / start) / np.log(true[:, -1] / start)
     numbers = {"energy_left": np.median(true[:, -1] / start), "energy_error": np.median(error)}
     low, high = interval(error)
@@ -199,8 +194,8 @@ def errors(cell: Cell) -> Row:
 
 def beginning(cell: Cell) -> tuple[Row, Call]:
     """Return what is timed of a run: its beginning."""
-    name, method, _, gamma, span, n, value = cell
-    case, control = (name, gamma, span, n), cb.METHODS[method].control
+    name, method, _, gamma, span, value = cell
+    case, control = (name, gamma, span), cb.METHODS[method].control
     run = prepared(method, case, TIMED, 1, **keywords(control, value))
     return {"timed_evaluations": run().counts.evaluations}, Call(partial(run.bare, run.start))
 

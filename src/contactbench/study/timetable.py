@@ -108,15 +108,16 @@ class Timetable(AbstractContextManager["Timetable"]):
         #: cells that are yet to be prepared
         self.ahead = set(cells)
         self.entries: list[Entry] = []
-        self.workers: dict[tuple[int, ...], Worker] = {}
+        #: the second process
+        self.other: Worker | None = None
 
     def second(self, timing: Timing) -> Remote:
         """Let a second process prepare a call on another core than this one's, and time it on the same."""
         cores = usable_cores()
         mine = sorted(os.sched_getaffinity(0)) if cores else []
         beside = [core for core in cores if core not in mine][:1] or mine
-        worker = self.workers.setdefault(tuple(beside), Worker(beside))
-        return Remote(worker, worker.submit(prepare, timing.prepare, *timing.arguments), mine)
+        self.other = self.other or Worker(beside)
+        return Remote(self.other, self.other.submit(prepare, timing.prepare, *timing.arguments), mine)
 
     def go(self) -> None:
         """Visit all of them in turns, slow ones less often; each is recorded with its last visit."""
@@ -133,5 +134,5 @@ class Timetable(AbstractContextManager["Timetable"]):
                     entry.finish(visits[id(entry.call)], visits.get(id(entry.again), []))
 
     def __exit__(self, *_: object) -> None:
-        for worker in self.workers.values():
-            worker.close()
+        if self.other is not None:
+            self.other.close()

@@ -15,14 +15,13 @@ import numpy as np
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.methods.base import Method, prepare
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.prepared import Prepared
 from contactbench.peers.heyoka import SHARED
 from contactbench.results.regret import WORST
 from contactbench.scene import Scene
 from contactbench.solution import Solution, Status, keywords
 from contactbench.study.experiment import Row
 from contactbench.study.features import Features
-from contactbench.study.search import Question
+from contactbench.study.search import Attempt, Question, cheapest
 from contactbench.study.settings import carry_of
 from contactbench.truth import Reference
 
@@ -67,24 +66,6 @@ def agreed(scene: Scene, carry: tuple[str, ...], one: Solution, other: Solution)
     return Reference(scene, carry, np.asarray(one.t), one.y, [], digits, "two solvers")
 
 
-@dataclass(frozen=True)
-class Tried:
-    """A setting of a method: how it ended, its error, its cost."""
-
-    value: float
-    status: Status
-    message: str
-    error: float
-    evaluations: float
-    run: Prepared
-    #: of the whole run, once: what its parts say
-    seconds: float
-
-    @property
-    def ok(self) -> bool:
-        return self.status is Status.ok and math.isfinite(self.error)
-
-
 @dataclass
 class Trial:
     """One method on one problem: the settings tried."""
@@ -94,9 +75,9 @@ class Trial:
     known: Features
     #: evaluations that a run may make
     limit: float = math.inf
-    tried: list[Tried] = field(default_factory=list)
+    tried: list[Attempt] = field(default_factory=list)
 
-    def attempt(self, value: float, control: str = "") -> Tried:
+    def attempt(self, value: float, control: str = "") -> Attempt:
         scene, carry = self.question.scene, carry_of(self.question.scene)
         beside = OWN_WORK if self.stages == VARIABLE else BESIDE
         most = min(self.limit, LONGEST / (self.known.cost + beside))
@@ -116,18 +97,8 @@ class Trial:
                 break
         last = solutions[-1]
         error = self.question.error(solutions) if last.ok else math.nan
-        count = last.counts.rhs_equivalents
-        self.tried.append(
-            Tried(
-                value,
-                last.status,
-                last.message,
-                error,
-                math.nan if count is None else count,
-                runs[-1],
-                seconds,
-            )
-        )
+        ended = last.status, last.message, seconds, error, last.counts, runs[-1]
+        self.tried.append(Attempt(value, runs[-1].request.setting, *ended))
         return self.tried[-1]
 
     @property
@@ -207,9 +178,8 @@ class Trial:
                 least[target] = min(least.get(target, math.inf), best.evaluations)
 
     # -- what came out -----------------------------------------------------------------------------------
-    def best(self, target: float) -> Tried | None:
-        reach = (one for one in self.tried if one.ok and one.error <= target)
-        return min(reach, key=lambda one: one.evaluations, default=None)
+    def best(self, target: float) -> Attempt | None:
+        return cheapest(self.tried, target)
 
     def rows(self, targets: Sequence[float], seconds: dict[int, float]) -> Iterator[Row]:
         good = [one for one in self.tried if one.ok]
@@ -217,7 +187,7 @@ class Trial:
         costs = costs_to_reach(errors, [one.evaluations for one in good], targets)
         for target, cost in zip(targets, costs, strict=True):
             best, finest = self.best(target), min(self.tried, key=lambda one: one.value)
-            row: Row = {"error": target, "control": self.method.control, "engine": finest.run.request.engine}
+            row: Row = {"error": target, "control": self.method.control, "engine": finest.engine}
             if best is None or math.isnan(cost):
                 ended = finest.status is not Status.ok
                 why = str(finest.status) if ended else "unreached"
