@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep, Piece
@@ -14,12 +13,12 @@ from contactbench.scene import AnyState, Scene
 from contactbench.scene.base import OwnState
 from contactbench.splitting.composition import (
     Composition,
+    Stage,
     advance,
     by_the_clock,
-    pieces,
     plan,
     refusal,
-    run_stages,
+    runner,
 )
 from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS
@@ -46,8 +45,15 @@ class ContactMethod(FixedStep):
     def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
         if by_the_clock(self.composition, scene):  # the clock is no part of the state
             return super().pieces(scene, whole)
-        made = pieces(self.composition, scene, whole)
-        return tuple(partial(run_stages, stages) if stages else None for stages in made)
+        steps = plan(self.composition, scene)
+        made = steps.opening, steps.inner, steps.joint, steps.closing
+        if whole and steps.joint:  # some stages in two of the pieces
+            made = steps.opening, (), (*steps.inner, *steps.joint), (*steps.inner, *steps.closing)
+
+        def piece(stages: tuple[Stage, ...]) -> Piece:
+            return lambda scene, x, h, xp, repeat: runner(stages, scene, h, xp, repeat)(stages, x)
+
+        return tuple(piece(stages) if stages else None for stages in made)
 
     def composed(self, scene: Scene) -> bool:
         return scene.is_contact

@@ -189,24 +189,6 @@ def advance(
     return run((*inner, *closing), x)
 
 
-def pieces(composition: Composition, scene: Scene, whole: bool) -> tuple[tuple[Stage, ...], ...]:
-    """Return the stages of an uninterrupted run step by step: what opens it, begins a step, leads on, and closes.
-
-    whole : in the pieces that `advance` runs in one go, some stages in two of them; else each once.
-    """
-    steps = plan(composition, scene)
-    if whole and steps.joint:
-        return steps.opening, (), (*steps.inner, *steps.joint), (*steps.inner, *steps.closing)
-    return steps.opening, steps.inner, steps.joint, steps.closing
-
-
-def run_stages(
-    stages: Sequence[Stage], scene: Scene, x: OwnState, h: Arithmetic, xp: Namespace, repeat: Repeat = repeat
-) -> OwnState:
-    """Apply stages one after the other, of a step of size h."""
-    return runner(stages, scene, h, xp, repeat)(stages, x)
-
-
 def runner(
     stages: Iterable[Stage], scene: Scene, h: Arithmetic, xp: Namespace, repeat: Repeat
 ) -> Callable[[Sequence[Stage], OwnState], OwnState]:
