@@ -495,7 +495,7 @@ class RungeKuttaPair(Adaptive):
         return len(self.form.tableau.nodes)
 
     def refuses(self, scene: Scene) -> str | None:
-        return refusal(self.name, self.form.tableau, scene)
+        return refusal(self, self.form.tableau, scene)
 
     def prepare(self, request: Request) -> Prepared:
         return ToleranceRun(self.name, request, self)

@@ -20,7 +20,7 @@ from contactbench.splitting.composition import (
     refusal,
     runner,
 )
-from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
+from contactbench.splitting.modified import modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS
 
 #: evaluations of a first step and of each one more, by method, kind of scene, and whether R is carried
@@ -59,9 +59,11 @@ class ContactMethod(FixedStep):
         return scene.is_contact
 
     def modified_hamiltonian(self, scene: Scene, x: OwnState, h: float) -> Arithmetic | None:
-        if not (scene.separable and scene.has_hamiltonian_law and has_modified_hamiltonian(self.composition)):
+        own = self.composition
+        symmetric = own.two_part and own.palindromic and not own.processor
+        if not (symmetric and scene.separable and scene.has_hamiltonian_law):
             return None
-        value: Arithmetic = modified_hamiltonian(scene, self.composition, x, h)
+        value: Arithmetic = modified_hamiltonian(scene, own, x, h)
         return value
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:

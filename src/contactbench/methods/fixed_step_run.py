@@ -84,7 +84,7 @@ class FixedStepRun(Prepared):
         if self.request.steps is not None:
             self.h, self.n, self.saved = plateaus(self.request.steps, self.ends)
         else:
-            self.n = self.division(step)
+            self.n = steps_in(self.marks, self.ends, step)
             self.h = self.marks / self.n
         if self.breaks:
             self.bridge()
@@ -114,12 +114,9 @@ class FixedStepRun(Prepared):
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, None if self.method_.iterates else evaluations, 0, 0, self.kind)
 
-    def division(self, step: float) -> np.ndarray:
-        return steps_in(self.marks, self.ends, step)
-
     def steps_at(self, y0: np.ndarray, step: float) -> int:
         """Return how many steps not longer than that a run takes."""
-        return total(self.division(step))
+        return total(steps_in(self.marks, self.ends, step))
 
     def size_at(self, step: float, steps: int) -> float:
         """Return their size, or the mean of it where saved times shorten them."""
