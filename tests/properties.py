@@ -272,14 +272,14 @@ def the_damped_time_is_smooth():
 
 
 def flows_agree_on_arrays():
-    """NumPy arrays (an ensemble), which take the branches traced numbers take, against mpmath."""
+    """NumPy arrays, which take the branches traced numbers take, against mpmath."""
 
     def agrees(scene, name):
         x = random_state(scene, 34)
         exact, z = in_mp(scene, x)
         twin = scene.with_numbers([np.float64(v) for v in scene.numbers()])
-        ensemble = scene.unpack([np.array([v, v]) for v in scene.pack(x)], scene.carry())
-        mine = np.array(flowed(twin, name, ensemble, np.float64(H), np))
+        arrays = scene.unpack([np.array([v, v]) for v in scene.pack(x)], scene.carry())
+        mine = np.array(flowed(twin, name, arrays, np.float64(H), np))
         truth = np.array([float(c) for c in flowed(exact, name, z, mp.mpf(H))])
         return np.allclose(mine, truth[:, None], rtol=1e-13, atol=1e-13)
 

@@ -15,6 +15,7 @@ import pytest
 import contactbench as cb
 from cases import ALL_SCENES, FIXED, REPOSITORY, few_slow, pairs, random_state, run
 from contactbench.methods.loops import loop_of
+from contactbench.numbers.control import repeat
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
 from contactbench.solution import Status
@@ -77,11 +78,6 @@ class Plain:
 
 
 def test_every_operation_is_compiled_to_what_it_is():
-    def repeat(n, body, x):
-        for _ in range(n):
-            x = body(x)
-        return x
-
     numbers, h, n = [0.7], 0.25, 4
     truth = every_operation(numbers, h, n, [np.float64(INSIDE)], Plain(), repeat)
     d = len(truth)
@@ -187,7 +183,7 @@ def test_what_cannot_be_recorded_is_named(name):
 
 
 # -- the cache -------------------------------------------------------------------------------------
-SECOND = """
+RUN = """
 import contactbench as cb, sys
 run = cb.prepare("central", "contact-rkn4", step=0.1)
 from contactbench.trace.compiled import machine
@@ -196,8 +192,8 @@ assert "numba" not in sys.modules, "it takes as long to import as all else"
 """
 
 
-def run_elsewhere(folder):
-    done = run(sys.executable, "-c", SECOND, CONTACTBENCH_CACHE=folder, PYTHONPATH=REPOSITORY / "src")
+def run_elsewhere(folder, source=RUN):
+    done = run(sys.executable, "-c", source, CONTACTBENCH_CACHE=folder, PYTHONPATH=REPOSITORY / "src")
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout.split(" ", 1)
 
@@ -269,24 +265,18 @@ def test_the_folder_of_programs_is_the_users_alone(first):
 
 
 @OTHERS
-@pytest.mark.parametrize("mode", [0o777, 0o770])
-def test_a_folder_that_others_may_write_to_is_left_alone(mode, kept):
+@pytest.mark.parametrize(
+    ("whose", "mode"), [("folder", 0o777), ("folder", 0o770), ("file", 0o622), ("file", 0o664)]
+)
+def test_what_others_may_write_to_is_not_run(whose, mode, kept):
+    """A folder is left alone, a program compiled anew."""
     folder, path, states = kept
-    path.parent.chmod(mode)
+    (path if whose == "file" else path.parent).chmod(mode)
     before = path.stat().st_mtime_ns
+    assert whose == "folder" or read_kept(path) is None
     assert run_elsewhere(folder) == ["1", states]
     assert [*path.parent.iterdir()] == [path]
-    assert path.stat().st_mtime_ns == before
-
-
-@OTHERS
-@pytest.mark.parametrize("mode", [0o622, 0o664])
-def test_a_program_that_others_may_write_to_is_compiled_anew(mode, kept):
-    folder, path, states = kept
-    path.chmod(mode)
-    assert read_kept(path) is None
-    assert run_elsewhere(folder) == ["1", states]
-    assert read_kept(path)
+    assert read_kept(path) if whose == "file" else path.stat().st_mtime_ns == before
 
 
 @OTHERS
@@ -309,9 +299,6 @@ def test_a_program_fits_no_other_name(kept):
 
 
 # -- calls from Python -----------------------------------------------------------------------------
-OSCILLATOR = {"step": 0.5, "carry": ()}
-
-
 def arguments_of(run):
     w, shape = run.ready[2]
     return run.start, w, shape, np.empty(len(run.n) * len(run.start))
@@ -340,30 +327,20 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_what_a_program_does_not_take_is_refused(name):
-    run = cb.prepare("oscillator", "contact-strang", **OSCILLATOR)
+    run = cb.prepare("oscillator", "contact-strang", step=0.5, carry=())
     given, (which, change) = [*arguments_of(run)], BAD[name]
     assert run.loop.loop.run(*given) == -1
-    given[which] = change(given[which])
-    with pytest.raises(TypeError):
-        run.loop.loop.run(*given)
+    wrong = [change(x) if i == which else x for i, x in enumerate(given)]
+    for arguments in (wrong, given[:3], given + given[:1]):
+        with pytest.raises(TypeError):
+            run.loop.loop.run(*arguments)
 
 
-@pytest.mark.parametrize("count", [3, 5])
-def test_a_program_takes_so_many_arrays(count):
-    run = cb.prepare("oscillator", "contact-strang", **OSCILLATOR)
-    given = arguments_of(run)
-    with pytest.raises(TypeError):
-        run.loop.loop.run(*(given + given)[:count])
+CALLED = [("oscillator", "contact-strang", {"step": 0.5}), ("oscillator", "rk8-7", {"rtol": 1e-6})]
+CALLED += [("rigid_body", "contact-exact", {})]
 
 
-@pytest.mark.parametrize(
-    ("scene", "method", "options"),
-    [
-        ("oscillator", "contact-strang", {"step": 0.5}),
-        ("oscillator", "rk8-7", {"rtol": 1e-6}),
-        ("rigid_body", "contact-exact", {}),
-    ],
-)
+@pytest.mark.parametrize(("scene", "method", "options"), CALLED)
 def test_a_bare_call_takes_any_start_of_its_size_and_leaves_it_alone(scene, method, options):
     """Strided and read-only ones too; of other sizes and types none."""
     run = cb.prepare(scene, method, **options)
@@ -371,13 +348,8 @@ def test_a_bare_call_takes_any_start_of_its_size_and_leaves_it_alone(scene, meth
     for same in (np.repeat(start, 2)[::2], frozen(start)):
         np.testing.assert_array_equal(run.bare(same), end)
         np.testing.assert_array_equal(same, start)
-    for other in (
-        start[:-1],
-        np.append(start, 0.0),
-        start.astype(np.float32),
-        start.astype(int),
-        start[None],
-    ):
+    others = start[:-1], np.append(start, 0.0), start.astype(np.float32), start.astype(int), start[None]
+    for other in others:
         with pytest.raises(TypeError):
             run.bare(other)
 
@@ -428,11 +400,4 @@ assert found[:4] * 3 == found, found
 def test_threads_that_compile_first_share_what_they_compile(tmp_path):
     for _ in range(3):
         shutil.rmtree(tmp_path / "cache", ignore_errors=True)
-        done = run(
-            sys.executable,
-            "-c",
-            TOGETHER,
-            CONTACTBENCH_CACHE=tmp_path / "cache",
-            PYTHONPATH=REPOSITORY / "src",
-        )
-        assert (done.returncode, done.stderr) == (0, "")
+        run_elsewhere(tmp_path / "cache", TOGETHER)

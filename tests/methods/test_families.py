@@ -122,7 +122,6 @@ def test_pilots_and_saved_times_are_counted_truly(name):
 
 
 # -- multistep methods -----------------------------------------------------------------------------
-NAMES = "quinlan-tremaine8", "quinlan-tremaine12"
 #: the denominator of the symmetric β and half of them, as printed
 PRINTED = {
     "quinlan-tremaine8": "12096 17671 -23622 61449 -50516",
@@ -138,7 +137,7 @@ def test_the_forces_of_symmetric_methods_are_the_printed_ones(name):
     assert (1, *cb.METHODS[name].alpha) == (1, *cb.METHODS[name].alpha)[::-1]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PRINTED)
 def test_momenta_and_actions_are_exact_on_polynomials(name):
     """h z' from the last increment and z''; ∫ g over ten steps: both of a higher degree than the method's own."""
     method = cb.METHODS[name]
@@ -157,15 +156,12 @@ def test_momenta_and_actions_are_exact_on_polynomials(name):
 
 
 #: steps over the whole run, and twice the error measured
-STEPS = {
-    "quinlan-tremaine8": (32_000, 8.5e-9),
-    "quinlan-tremaine12": (16_000, 2.4e-9),
-}
+STEPS = [("quinlan-tremaine8", 32_000, 8.5e-9), ("quinlan-tremaine12", 16_000, 2.4e-9)]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_long_run_takes_one_gradient_a_step(name):
-    scene, (n, bound) = cb.SCENES["particle_long"], STEPS[name]
+@pytest.mark.parametrize(("name", "n", "bound"), STEPS)
+def test_a_long_run_takes_one_gradient_a_step(name, n, bound):
+    scene = cb.SCENES["particle_long"]
     solution = cb.solve(scene, name, step=scene.t_end / n, save_at=[scene.t_end])
     error, size = absolute_error(solution)
     assert error.max() / size < bound
@@ -183,7 +179,7 @@ def test_the_energy_of_a_symmetric_method_has_no_drift():
     assert max(errors[10:]) < 2 * max(errors[:10]) < 1e-4  # measured: 1.3 times as large
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PRINTED)
 def test_what_it_has_no_formula_for_is_refused(name):
     with pytest.raises(cb.BadInput):
         cb.step_map("particle", name)

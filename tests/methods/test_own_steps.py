@@ -47,18 +47,14 @@ def test_a_race_refuses_it_too_and_goes_on(registries):
     assert "counted: right-hand side 2" in frame["reason"][0]
 
 
+STATE = "x = State(q=(1.0,), p=(0.0,), s=None)"
+CALLABLE = "scene.dV(q) and scene.velocity(p), which know the scene's parameters"
 WRONG = {
-    "action": (
-        lambda scene, x, h, xp: x._replace(s=x.s + h),
-        "s=None): vectors are tuples, what is not carried is",
-    ),
-    "vector": (lambda scene, x, h, xp: x._replace(p=x.p - h * x.q), "x = State(q=(1.0,), p=(0.0,), s=None)"),
-    "parameters": (
-        lambda scene, x, h, xp: x._replace(p=scene.gradient(x.q)),
-        "scene.dV(q) and scene.velocity(p), which know the scene's parameters",
-    ),
+    "action": (lambda scene, x, h, xp: x._replace(s=x.s + h), f"{STATE}: vectors are tuples, what is not"),
+    "vector": (lambda scene, x, h, xp: x._replace(p=x.p - h * x.q), STATE),
+    "parameters": (lambda scene, x, h, xp: x._replace(p=scene.gradient(x.q)), CALLABLE),
     "arguments": (lambda scene, x, h: x, "a step map is called with scene, x, h, xp"),
-    "body": (lambda scene, x, h, xp: x._replace(M=x.M), "x = State(q=(1.0,), p=(0.0,), s=None)"),
+    "body": (lambda scene, x, h, xp: x._replace(M=x.M), STATE),
 }
 
 

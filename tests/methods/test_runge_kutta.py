@@ -10,6 +10,7 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
+from cases import mine
 from chains import chain
 from contactbench.measure.order import order_at
 from contactbench.methods.by_tolerance import Explicit, RungeKuttaPair
@@ -165,10 +166,8 @@ def test_saved_times_are_stepped_onto(name):
 def test_steps_end_at_breaks(name):
     """A force that jumps: without breaks no better than its first order in the step across the jump."""
     jump, setting = 3.3, {"rtol": 1e-10} if "-" in name else {"step": 0.25}
-    force = lambda q, t: (q[0] + cb.math.where(t < jump, 0.0, 1.0),)  # noqa: E731
     potential = lambda q, t: q[0] ** 2 / 2 + cb.math.where(t < jump, 0.0, 1.0) * q[0]  # noqa: E731
-    own = {"potential": potential, "gradient": force, "gamma": 0.2, "q": (1.0,), "p": (0.0,), "t_end": 8.0}
-    broken = cb.Driven(name="jump", breaks=(jump,), **own)
+    broken = mine(potential, t_end=8.0, kind=cb.Driven, gamma=0.2, breaks=(jump,))
     omega = math.sqrt(1 - 0.01)
 
     def free(q, p, t):
@@ -185,24 +184,12 @@ def test_steps_end_at_breaks(name):
 @pytest.mark.parametrize("name", ["rkn8", "rkn12", "rkn8-6", "rkn12-10"])
 def test_a_damping_that_jumps_is_seen_once(name):
     jump, setting = 3.3, {"rtol": 1e-11} if "-" in name else {"step": 0.1}
-    scene = cb.Driven(
-        name="brake",
-        potential=lambda q, t: q[0] ** 2 / 2,
-        rate=lambda t: cb.math.where(t < jump, 0.2, 0.6),
-        span=None,
-        q=(1.0,),
-        p=(0.0,),
-        t_end=8.0,
-        breaks=(jump,),
-    )
-    pieces = [
-        cb.Mechanical(name="m", potential=lambda q: q[0] ** 2 / 2, gamma=g, q=(1.0,), p=(0.0,), t_end=8.0)
-        for g in (0.2, 0.6)
-    ]
-    first = cb.solve(pieces[0], "contact-rkn8", step=0.02, save_at=[jump], carry=()).y[-1]
-    last = cb.solve(
-        pieces[1].with_(q=first[:1], p=first[1:]), "contact-rkn8", step=0.02, save_at=[8.0 - jump], carry=()
-    ).y[-1]
+    rate = lambda t: cb.math.where(t < jump, 0.2, 0.6)  # noqa: E731
+    scene = mine(lambda q, t: q[0] ** 2 / 2, t_end=8.0, kind=cb.Driven, rate=rate, breaks=(jump,))
+    last = 1.0, 0.0
+    for gamma, end in ((0.2, jump), (0.6, 8.0 - jump)):
+        piece = mine(lambda q: q[0] ** 2 / 2, *map(float, last), t_end=8.0, gamma=gamma)
+        last = cb.solve(piece, "contact-rkn8", step=0.02, save_at=[end], carry=()).y[-1]
     found = cb.solve(scene, name, save_at=[8.0], carry=(), **setting).y[-1]
     assert np.abs(found[:2] - last).max() < 1e-9
 
@@ -220,14 +207,7 @@ def test_a_spent_budget_and_a_singularity_are_told_apart(name):
 @pytest.mark.parametrize("name", PAIRS)
 def test_rejected_steps_leave_no_trace(name):
     """A force that grows a hundredfold within one step."""
-    scene = cb.Mechanical(
-        name="wall",
-        potential=lambda q: cb.math.exp(30 * (q[0] - 1)) / 30,
-        gamma=0.1,
-        q=(0.0,),
-        p=(0.4,),
-        t_end=9.0,
-    )
+    scene = mine(lambda q: cb.math.exp(30 * (q[0] - 1)) / 30, 0.0, 0.4, 9.0, gamma=0.1)
     solution = cb.solve(scene, name, rtol=1e-10, save_at=[9.0], carry=())
     assert solution.counts.rejected > 0
     fine = cb.solve(scene, "contact-rkn8", step=9.0 / 20_000, save_at=[9.0], carry=())

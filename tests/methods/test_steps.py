@@ -101,15 +101,6 @@ def test_a_processor_is_paid_where_the_step_changes(plateau, evaluations):
     assert cb.solve(STAR, "contact-rkn8", step=grid, save_at=[20.0]).counts.evaluations == evaluations
 
 
-# -- ensembles ---------------------------------------------------------------------------------------
-
-
-def test_an_exponent_of_prescribed_steps():
-    """The sum is −γ, n degrees of freedom times."""
-    found = cb.lyapunov("oscillator", "contact-rkn6", step=[0.1, 0.4, 0.5], every=1.0, intervals=8)
-    assert found.total.value == pytest.approx(-0.1, rel=1e-12)
-
-
 # -- how it ends -------------------------------------------------------------------------------------
 @pytest.mark.parametrize("plateau", [1, 40])
 def test_a_divergence_is_found_to_the_step(plateau):
@@ -156,6 +147,7 @@ def test_a_round_off_gap_of_pilots_does_not_make_their_step_the_one():
     assert [run.counts.steps for run in runs] == [16, 16, 30]
 
 
+PAIR = {"q": (1.0, 0.0), "p": (-0.0647722295317518, -0.02106457787689715), "t_end": 13375.220471761308}
 STIFF_START = {
     "a well that coarse steps fly out of": cb.Mechanical(
         name="pair",
@@ -163,17 +155,10 @@ STIFF_START = {
             0.31183773 / 72 * ((q[0] ** 2 + q[1] ** 2) ** -6 - 2 * (q[0] ** 2 + q[1] ** 2) ** -3)
         ),
         gamma=8.066902826115688e-06,
-        q=(1.0, 0.0),
-        p=(-0.0647722295317518, -0.02106457787689715),
-        t_end=13375.220471761308,
+        **PAIR,
     ),
-    "a damping that coarse steps add": cb.Mechanical(
-        name="swing",
-        potential=lambda q: 1 - cb.math.cos(q[0]),
-        gamma=0.19,
-        q=(0.0,),
-        p=(2.963,),
-        t_end=97.5,
+    "a damping that coarse steps add": mine(
+        lambda q: 1 - cb.math.cos(q[0]), 0.0, 2.963, t_end=97.5, gamma=0.19
     ),
 }
 
@@ -205,10 +190,9 @@ def test_other_initial_data_get_a_step_of_their_own():
         assert cb.LAWS["solution_error"](solution) < 2e-8
 
 
-@pytest.mark.parametrize("engine", ["python"])
-def test_a_tolerance_out_of_reach_ends_as_budget(engine):
-    options = {"rtol": 1e-9, "save_at": [20.0], "max_steps": 2000}
-    solution = cb.solve("particle", "contact-printed", engine=engine, **options)
+def test_a_tolerance_out_of_reach_ends_as_budget():
+    options = {"rtol": 1e-9, "save_at": [20.0], "max_steps": 2000, "engine": "python"}
+    solution = cb.solve("particle", "contact-printed", **options)
     assert solution.status is cb.Status.budget
     assert "rtol = 1e-09" in solution.message
     assert np.isnan(solution.y).all()
@@ -225,20 +209,12 @@ def test_steps_that_saved_times_shorten_are_not_taken_for_halved_ones(method, rt
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.1, 1000.0])
-@pytest.mark.parametrize(("q", "p"), [((1.0,), (0.0,)), ((0.0,), (0.3,)), ((-0.4,), (2.0,))])
+@pytest.mark.parametrize(("q", "p"), [(1.0, 0.0), (0.0, 0.3), (-0.4, 2.0)])
 def test_the_period_that_bounds_pilots_is_that_of_the_undamped_motion(gamma, q, p):
     """Whatever the phase and the units: damping is exact at any step, and what it leaves may be slow."""
     for mass, stiffness in ((1.0, 1.0), (1e6, 4e6), (1e-3, 0.1)):
-        scene = cb.Mechanical(
-            name="spring",
-            potential=lambda q, k: k * q[0] ** 2 / 2,
-            parameters={"k": stiffness},
-            mass=mass,
-            gamma=gamma,
-            q=q,
-            p=p,
-            t_end=50.0,
-        )
+        given = {"parameters": {"k": stiffness}, "mass": mass, "gamma": gamma}
+        scene = mine(lambda q, k: k * q[0] ** 2 / 2, q, p, t_end=50.0, **given)
         run = cb.prepare(scene, "contact-rkn8", rtol=1e-3, carry=())
         assert isinstance(run, ChosenStep)
         assert run.time_scale(run.start) == pytest.approx(np.sqrt(mass / stiffness), rel=1e-3)
@@ -321,23 +297,17 @@ def test_a_pilot_that_is_not_finite_is_followed_by_finer_ones(monkeypatch):
     assert cb.LAWS["solution_error"](run) < 1e-6
 
 
-UNBOUND = {"q": (1.0,), "p": (1.0,), "gamma": 0.1, "t_end": 20.0}
 ENDING = [
-    cb.Mechanical(name="fed", potential=lambda q: q[0] ** 4 / 4, kappa=-0.5, s=1.0, **UNBOUND),
-    cb.Mechanical(name="escape", potential=lambda q: q[0] ** 2 / 2 - q[0] ** 4 / 4, **UNBOUND),
+    mine(lambda q: q[0] ** 4 / 4, 1.0, 1.0, 20.0, name="fed", gamma=0.1, kappa=-0.5, s=1.0),
+    mine(lambda q: q[0] ** 2 / 2 - q[0] ** 4 / 4, 1.0, 1.0, 20.0, name="escape", gamma=0.1),
 ]
 
 
 @pytest.mark.parametrize("scene", ENDING, ids=lambda scene: scene.name)
 def test_a_motion_that_leaves_any_scale_ends_then_and_is_right_before(scene):
     """The times are DOP853's, which ends where its steps vanish."""
-    late = solve_ivp(
-        lambda t, y: [*scene.pack(scene.rhs(scene.unpack(y, ("s",))))],
-        (0, 20.0),
-        [1.0, 1.0, scene.s or 0.0],
-        method="DOP853",
-        rtol=1e-10,
-    )
+    slope = lambda t, y: [*scene.pack(scene.rhs(scene.unpack(y, ("s",))))]  # noqa: E731
+    late = solve_ivp(slope, (0, 20.0), [1.0, 1.0, scene.s or 0.0], method="DOP853", rtol=1e-10)
     times = [0.3, 0.9 * late.t[-1], 20.0]
     run = cb.solve(scene, "contact-rkn6", rtol=1e-8, save_at=times, max_steps=10**5)
     assert run.status is cb.Status.diverged
@@ -347,9 +317,7 @@ def test_a_motion_that_leaves_any_scale_ends_then_and_is_right_before(scene):
 
 
 def test_a_wall_into_which_pilots_fly_is_no_end():
-    wall = cb.Mechanical(
-        name="wall", potential=lambda q: cb.math.exp(80 * (q[0] - 1)), **UNBOUND | {"q": (0.0,), "p": (3.0,)}
-    )
+    wall = mine(lambda q: cb.math.exp(80 * (q[0] - 1)), 0.0, 3.0, 20.0, gamma=0.1)
     assert cb.solve(wall, "contact-rkn6", rtol=1e-6, save_at=[20.0]).ok
 
 

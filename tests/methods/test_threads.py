@@ -15,12 +15,7 @@ STATEFUL = [("heyoka-taylor", "llvm"), ("cvode-bdf", "c"), ("contact-rkn6", "llv
 #: a problem of a few steps, so that there are many calls and many switches within them
 SCENE = cb.SCENES["particle"].with_(t_end=0.5)
 TIMES = {"end": [0.5], "grid": [0.0, 0.2, 0.35, 0.5]}
-PAIRS = [
-    (method, engine)
-    for method in cb.METHODS.values()
-    for engine in method.engines
-    if method.refuses(SCENE) is None
-]
+PAIRS = [(m, engine) for m in cb.METHODS.values() for engine in m.engines if m.refuses(SCENE) is None]
 
 
 def prepared(method, engine, times):

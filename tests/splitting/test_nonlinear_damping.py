@@ -9,7 +9,7 @@ from mpmath import mp
 
 import contactbench as cb
 import decimals
-from cases import in_mp, mine
+from cases import in_mp, mine, pairs
 from contactbench.measure import order as precision
 from contactbench.measure.laws import decay_rate
 from contactbench.methods.contact import ContactMethod
@@ -21,9 +21,7 @@ from properties import GENERAL, cubic_flow
 
 SCENE = cb.SCENES["quadratic_damping"]
 TIMES = SCENE.t_end * np.arange(1, 26) / 25
-COMPOSED = [
-    name for name, m in cb.METHODS.items() if isinstance(m, ContactMethod) and m.refuses(SCENE) is None
-]
+COMPOSED = [m for m in cb.METHODS.values() if isinstance(m, ContactMethod) and m.refuses(SCENE) is None]
 #: a linear part, damping that feeds (s < 0 at the start), κ of either sign
 SCENES = [
     SCENE,
@@ -66,12 +64,10 @@ def test_contact_methods_are_contact_maps_whose_factor_has_the_order_of_the_meth
     assert max(cb.LAWS["distribution_drift"](solution) for solution in solutions) < 1e-12
 
 
-@pytest.mark.parametrize("method", COMPOSED)
-@pytest.mark.parametrize("scene", SCENES, ids=lambda s: s.name)
+@pairs(COMPOSED, SCENES)
 @pytest.mark.quick(scene="both")
 def test_the_form_is_kept_but_for_a_factor_to_40_digits(method, scene):
     """Φ*η = c η with a number c, which is that of ∂_s."""
-    method = cb.METHODS[method]
     pulled, form = decimals.pullback(method, scene, "0.2", 3)
     context = decimal_context(decimals.DERIVATIVE_DIGITS)
     c = pulled[-1] / form[-1]

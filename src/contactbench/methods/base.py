@@ -253,9 +253,11 @@ def prepare(
     refused: list[Refused] = []
     try:
         for each in engines_of(chosen) if engine is None else (engine,):
-            run = prepare_on_engine(
-                chosen, request if each == request.engine else replace(request, engine=each)
-            )
+            asked = request if each == request.engine else replace(request, engine=each)
+            try:
+                run = chosen.prepare(asked)
+            except CannotRecord as error:
+                run = uncompiled(chosen, asked, error)
             if not isinstance(run, Refused):
                 return run
             refused.append(run)
@@ -264,14 +266,11 @@ def prepare(
     return refused[0]
 
 
-def prepare_on_engine(method: Method, request: Request) -> Prepared:
-    try:
-        return method.prepare(request)
-    except CannotRecord as error:
-        what = f"{method.name} on {request.scene.name!r} cannot be compiled"
-        plain = [engine for engine in method.engines if engine in CALLBACKS]
-        others = "".join(f"; engine {engine!r} calls it as it is" for engine in plain)
-        return Refused(method.name, request, f"{what}: {reason_of(error)}{others}")
+def uncompiled(method: Method, request: Request, error: CannotRecord) -> Refused:
+    what = f"{method.name} on {request.scene.name!r} cannot be compiled"
+    plain = [engine for engine in method.engines if engine in CALLBACKS]
+    others = "".join(f"; engine {engine!r} calls it as it is" for engine in plain)
+    return Refused(method.name, request, f"{what}: {reason_of(error)}{others}")
 
 
 def make_request(

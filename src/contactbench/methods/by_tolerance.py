@@ -20,7 +20,7 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive
 from contactbench.methods.loops import Loop
-from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request, stopwatch
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request, RunByTolerance, stopwatch
 from contactbench.methods.runge_kutta import (
     RKN8,
     RKN12,
@@ -55,7 +55,12 @@ from contactbench.numbers.protocol import (
 from contactbench.scene import Cache, Mechanical, Scene, State, key
 from contactbench.scene.algebra import DrivenState, scaled
 from contactbench.scene.base import OwnState
+<<<<<<< HEAD
 from contactbench.solution import DIVERGENCE, Counts, Solution, Status
+=======
+from contactbench.scene.mechanical import Canonical
+from contactbench.solution import DIVERGENCE, Counts, Status
+>>>>>>> r4
 from contactbench.trace.form import Assign, Element, Statement, Update, execute
 from contactbench.trace.native_call import Native
 from contactbench.trace.program import Program, record
@@ -339,7 +344,7 @@ _loops: Cache[Loop] = Cache(256)
 
 
 @dataclass
-class ToleranceRun(Prepared):
+class ToleranceRun(RunByTolerance):
     """Run a method whose loop decides how many steps lead to a saved time, or to a break.
 
     ``march(scene, x, beside, span, most, settings, xp, repeat)`` returns the state after a span and what is
@@ -347,8 +352,6 @@ class ToleranceRun(Prepared):
     covered.  `settings`, `evaluations`, `kind` and `failure` say what it is given, what is counted and why the loop
     gives up.
     """
-
-    method_: Any
 
     #: known before the run, of fixed steps
     needed, totals = None, Counts()
@@ -364,8 +367,12 @@ class ToleranceRun(Prepared):
         self.spans = np.diff(ends, prepend=0.0)
         self.settings = self.method_.settings(r, r.step)
         self.tables: Loop | None = None
-        self.run = self.compiled() if r.engine == "llvm" else self.in_python()
+        if r.engine == "llvm":
+            self.tables = _loops.get(key(self.scene.identity, self.method_, r.carry), self.make)
+        self.run: Callable[..., object] = self.tables.run if self.tables else self.in_python()
         self.divide(r.step)
+        if self.tables and r.engine == "llvm":
+            self.compile_s = self.tables.seconds
 
     def divide(self, step: float | None) -> None:
         """Make of the calls for a step, where there is one, closures of all they need."""
@@ -373,16 +380,19 @@ class ToleranceRun(Prepared):
         self.settings = self.method_.settings(self.request, step)
         d, beside = len(self.start), self.method_.beside(len(self.start))
         size = len(self.spans) * (d + beside)
-        run, (w, shape) = self.run, self.arguments(self.tables)
+        run, loop, rows = self.run, self.tables, None
+        if loop is not None:
+            numbers = np.array([*self.scene.numbers(), *self.settings])
+            rows = loop.rows(numbers, self.spans, np.full(len(self.spans), self.request.max_steps))
 
         def part(of: tuple[int, int]) -> Callable[[np.ndarray], np.ndarray]:
             """Return the function of a start that gives a part of the start and the states after it."""
-            if isinstance(run, Native):
-                return self.loop().on(d, (w, shape), of)
+            if loop is not None and rows is not None and isinstance(run, Native):
+                return loop.on(d, rows, of)
 
             def plain(y0: np.ndarray) -> np.ndarray:
                 y = np.append(y0, np.empty(size))
-                run(y0, w, shape, y[d:])
+                run(y0, rows, y[d:])
                 return y[of[0] : of[1]]
 
             return plain
@@ -396,27 +406,10 @@ class ToleranceRun(Prepared):
 
         self.states, self.bare = states, bare if self._clock is None else dated  # type: ignore
 
-    def arguments(self, loop: Loop | None) -> tuple[Any, Any]:
-        """Return what a recorded loop takes beside states."""
-        if loop is None:
-            return None, None
-        numbers = np.array([*self.scene.numbers(), *self.settings])
-        return loop.rows(numbers, self.spans, np.full(len(self.spans), self.request.max_steps))
-
     def make(self) -> Loop:
         elapsed = stopwatch()
         program = loop_program(self.method_, self.scene, self.request.carry, len(self.settings))
         return Loop(program, elapsed())
-
-    def loop(self) -> Loop:
-        return _loops.get(key(self.scene.identity, self.method_, self.request.carry), self.make)
-
-    def compiled(self) -> Callable[..., object]:
-        loop = self.tables = self.loop()
-        run = loop.run
-        self.arguments(loop)
-        self.compile_s = loop.seconds
-        return run
 
     def in_python(self) -> Callable[..., object]:
         """Return the same in floats: as it is written, where a function cannot be recorded or a float says "no"."""
@@ -433,25 +426,15 @@ class ToleranceRun(Prepared):
                 rows += [*scene.pack(x), *beside]
             return rows
 
-        def run(y0: np.ndarray, w: Any, shape: Any, after: np.ndarray) -> None:
+        def run(y0: np.ndarray, rows: Any, after: np.ndarray) -> None:
             if recorded is not None:
                 with suppress(*NO_NUMBER):
-                    recorded(y0.tolist(), w.tolist(), shape.tolist(), found := [0.0] * len(after))
+                    recorded(y0.tolist(), *(part.tolist() for part in rows), found := [0.0] * len(after))
                     after[:] = found
                     return
             after[:] = as_written(y0.tolist())
 
         return run
-
-    def __call__(self, **data: object) -> Solution:
-        """As in `Prepared`; an atol that is not the user's follows the scale of the motion."""
-        r = self.request
-        if data and r.scales is not None:
-            given = r.to_scale(True, **r.scene.checked(data))
-            if not np.array_equal(given.scales, r.scales):
-                other: Prepared = self.method_.prepare(given)
-                return other(**data)
-        return super().__call__(**data)
 
     def taken(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
         """Return packed states after each interval with what is beside them, and the counts."""
@@ -516,7 +499,7 @@ class RungeKuttaPair(Adaptive):
         return len(self.form.tableau.nodes)
 
     def refuses(self, scene: Scene) -> str | None:
-        return refusal(self.name, self.form.tableau, scene)
+        return refusal(self, self.form.tableau, scene)
 
     def prepare(self, request: Request) -> Prepared:
         return ToleranceRun(self.name, request, self)
@@ -534,15 +517,7 @@ class RungeKuttaPair(Adaptive):
         return tried * (len(tableau.nodes) - reuses) + entered * reuses + 2
 
     def march(
-        self,
-        scene: Any,
-        x: Any,
-        beside: Any,
-        span: Any,
-        most: Any,
-        settings: Any,
-        xp: Any,
-        repeat: Any,
+        self, scene: Any, x: Any, beside: Any, span: Any, most: Any, settings: Any, xp: Any, repeat: Any
     ) -> tuple[OwnState, list[Any]]:
         return march(self.form, scene, x, beside, span, most, settings, xp)
 

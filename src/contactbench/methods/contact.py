@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep, Piece
@@ -14,14 +13,14 @@ from contactbench.scene import AnyState, Scene
 from contactbench.scene.base import OwnState
 from contactbench.splitting.composition import (
     Composition,
+    Stage,
     advance,
     by_the_clock,
-    pieces,
     plan,
     refusal,
-    run_stages,
+    runner,
 )
-from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
+from contactbench.splitting.modified import modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS
 
 #: evaluations of a first step and of each one more, by method, kind of scene, and whether R is carried
@@ -46,16 +45,25 @@ class ContactMethod(FixedStep):
     def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
         if by_the_clock(self.composition, scene):  # the clock is no part of the state
             return super().pieces(scene, whole)
-        made = pieces(self.composition, scene, whole)
-        return tuple(partial(run_stages, stages) if stages else None for stages in made)
+        steps = plan(self.composition, scene)
+        made = steps.opening, steps.inner, steps.joint, steps.closing
+        if whole and steps.joint:  # some stages in two of the pieces
+            made = steps.opening, (), (*steps.inner, *steps.joint), (*steps.inner, *steps.closing)
+
+        def piece(stages: tuple[Stage, ...]) -> Piece:
+            return lambda scene, x, h, xp, repeat: runner(stages, scene, h, xp, repeat)(stages, x)
+
+        return tuple(piece(stages) if stages else None for stages in made)
 
     def composed(self, scene: Scene) -> bool:
         return scene.is_contact
 
     def modified_hamiltonian(self, scene: Scene, x: OwnState, h: float) -> Arithmetic | None:
-        if not (scene.separable and scene.has_hamiltonian_law and has_modified_hamiltonian(self.composition)):
+        own = self.composition
+        symmetric = own.two_part and own.palindromic and not own.processor
+        if not (symmetric and scene.separable and scene.has_hamiltonian_law):
             return None
-        value: Arithmetic = modified_hamiltonian(scene, self.composition, x, h)
+        value: Arithmetic = modified_hamiltonian(scene, own, x, h)
         return value
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:

@@ -12,16 +12,10 @@ from contactbench.methods.loops import Plain, Recorded, StepLoop
 from contactbench.methods.prepared import Outcome, Prepared, Request
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace
-from contactbench.scene import BodyState, Scene
+from contactbench.scene import Scene
 from contactbench.scene.base import OwnState
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
 from contactbench.solution import Counts, Status
-
-
-def evolve(scene: Scene, x: BodyState, t: Arithmetic, xp: Namespace) -> BodyState:
-    flow = scene.flows["free_damp"]
-    after: BodyState = flow.apply(scene, x, flow.constants(scene, t, xp), xp)
-    return after
 
 
 @dataclass
@@ -84,7 +78,8 @@ class ExactMethod(Method):
         self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat | None = None
     ) -> OwnState:
         """The state after the time nh, for engines that write loops of steps."""
-        return evolve(scene, x, n * h, xp)
+        flow = scene.flows["free_damp"]
+        return flow.apply(scene, x, flow.constants(scene, n * h, xp), xp)
 
     def prepare(self, request: Request) -> Prepared:
         # in Python its series end where nothing changes: they are not recorded

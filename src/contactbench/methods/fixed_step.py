@@ -63,9 +63,8 @@ class FixedStep(Method):
         if not is_fixed(self):  # what this package brings has tests of its own
             self.try_step(request.scene, request.carry, request.step)
         loop = LOOPS[request.engine](self, request)
-        if request.step is not None:
-            return FixedStepRun(self.name, request, self, loop)  # as `run_of`, without a call
-        return ChosenStep(self.name, request, self, loop)
+        kind = ChosenStep if request.step is None else FixedStepRun
+        return kind(self.name, request, self, loop)
 
     def run_of(self, request: Request, loop: StepLoop[Any]) -> FixedStepRun:
         return FixedStepRun(self.name, request, self, loop)

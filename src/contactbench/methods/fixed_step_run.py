@@ -36,11 +36,11 @@ class FixedStepRun(Prepared):
     method_
         The `FixedStep` itself.
     loop
-        What takes the steps; without one the run only divides time.
+        What takes the steps.
     """
 
     method_: FixedStep
-    loop: StepLoop[Any] = None  # type: ignore[assignment]
+    loop: StepLoop[Any]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -54,12 +54,11 @@ class FixedStepRun(Prepared):
         self.each_step = self.method_.counts(r.scene, 2, r.carry) - self.first_step
         self.kind = self.method_.kind_on(r.scene)
         self.divide(r.step or math.nan)  # a fixed-step request always has one
-        if self.loop is not None:
-            self.sensitivity_source, self.compile_s = self.loop.derivative, self.loop.seconds
-            if not is_fixed(self.method_):  # a user's map may be another when its derivative is asked for
-                with suppress(CannotRecord):
-                    self.loop.tangents  # noqa: B018, recorded now
-            self.shorten(self.loop)
+        self.sensitivity_source, self.compile_s = self.loop.derivative, self.loop.seconds
+        if not is_fixed(self.method_):  # a user's map may be another when its derivative is asked for
+            with suppress(CannotRecord):
+                self.loop.tangents  # noqa: B018, recorded now
+        self.shorten(self.loop)
 
     def shorten(self, loop: StepLoop[Any]) -> None:
         """Make of the calls for these steps, where nothing else is to be done, closures of all they need."""
@@ -85,14 +84,13 @@ class FixedStepRun(Prepared):
         if self.request.steps is not None:
             self.h, self.n, self.saved = plateaus(self.request.steps, self.ends)
         else:
-            self.n = self.division(step)
+            self.n = steps_in(self.marks, self.ends, step)
             self.h = self.marks / self.n
         if self.breaks:
             self.bridge()
         self.steps_taken = step, float(np.maximum.reduce(self.h))
         self.totals, self.needed = self.cost(self.n), total(self.n)
-        if self.loop is not None:
-            self.ready = self.loop.ready(self.h, self.n)
+        self.ready = self.loop.ready(self.h, self.n)
 
     def bridge(self) -> None:
         """Make a step of its own of the few roundings around every break, so that others end this side of it.
@@ -110,25 +108,15 @@ class FixedStepRun(Prepared):
             self.h, self.n = np.insert(self.h, k, margins.sum()), np.insert(self.n, k, 1)
             self.saved[self.saved >= k - 1 + (k == 0)] += 1
 
-    @property
-    def until(self) -> np.ndarray:
-        """Return the saved time at which each interval ends, nan where none is."""
-        times = np.full(len(self.n), math.nan)
-        times[self.saved] = self.later
-        return times
-
     def cost(self, n: np.ndarray) -> Counts:
         """Counts of intervals of n[k] steps; every interval starts afresh; evaluations are None where steps iterate."""
         steps = total(n)
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, None if self.method_.iterates else evaluations, 0, 0, self.kind)
 
-    def division(self, step: float) -> np.ndarray:
-        return steps_in(self.marks, self.ends, step)
-
     def steps_at(self, y0: np.ndarray, step: float) -> int:
         """Return how many steps not longer than that a run takes."""
-        return total(self.division(step))
+        return total(steps_in(self.marks, self.ends, step))
 
     def size_at(self, step: float, steps: int) -> float:
         """Return their size, or the mean of it where saved times shorten them."""

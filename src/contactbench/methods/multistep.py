@@ -3,9 +3,9 @@
     z_{n+1} + α₁ z_n + … + α_k z_{n+1−k} = h² (β₁ z''_n + … + β_K z''_{n+1−K}),
 
 the β exact on polynomials of the highest degree; with symmetric α the energy of z has no drift.  Quinlan, Tremaine,
-Astron. J. 100, 1694 (1990), doi:10.1086/115629; z_{n+1} − 2z_n + z_{n−1} is Störmer's: Hairer, Nørsett, Wanner, Solving
-Ordinary Differential Equations I, §III.10.  Every interval starts afresh: its K points before are found going back, by
-extrapolated Strang steps (§II.9 there); the action is s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V).
+Astron. J. 100, 1694 (1990), doi:10.1086/115629.  Every interval starts afresh: its K points before are found going
+back, by extrapolated Strang steps (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9); the
+action is s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V).
 """
 
 from __future__ import annotations

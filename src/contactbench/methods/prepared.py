@@ -53,7 +53,7 @@ class Request:
         """Return the request with the scales of the motion from its start, or other data, and the atol of these.
 
         Coordinates have one, and momenta, the largest of theirs: with one for every component the momenta of light
-        bodies would be held to digits that nobody asks for, at a fifth more evaluations (planets).
+        bodies would be held to digits that nobody asks for.
         """
         assert self.rtol is not None
         start = self.scene.initial(self.carry, **data)
@@ -221,12 +221,10 @@ class Prepared(ABC):
         return found
 
     def require_clock(self, y0: np.ndarray) -> None:
-        """Raise `BadInput` for states (d, …) that begin at another time, where steps end at breaks."""
-        if self.breaks and np.any(other := y0[self._clock] != self.start[self._clock]):
-            begins = float(np.ravel(y0[self._clock])[np.argmax(other)])
-            raise BadInput(
-                f"t = {begins:g}: steps that end at breaks begin with the scene: scene.with_(t={begins:g})"
-            )
+        """Raise `BadInput` for a state that begins at another time, where steps end at breaks."""
+        if self.breaks and (begins := y0[self._clock]) != self.start[self._clock]:
+            how = f"scene.with_(t={begins:g})"
+            raise BadInput(f"t = {begins:g}: steps that end at breaks begin with the scene: {how}")
 
     @abstractmethod
     def integrate(self, y0: np.ndarray) -> Outcome:
@@ -362,11 +360,32 @@ class Prepared(ABC):
         return None
 
 
+@dataclass
+class RunByTolerance(Prepared):
+    """A run of an `Adaptive` method: an atol that is not the user's follows the scale of the motion."""
+
+    method_: Any
+
+    def __call__(self, **data: object) -> Solution:
+        r = self.request
+        if data and r.scales is not None:
+            given = r.to_scale(self.method_.takes_atol, **r.scene.checked(data))
+            if not np.array_equal(given.scales, r.scales):
+                other: Prepared = self.method_.prepare(given)
+                return other(**data)
+        return super().__call__(**data)
+
+
 def furthest(scene: Scene, carry: tuple[str, ...], y0: np.ndarray, end: float) -> np.ndarray:
     """Return beyond what the motion from a packed state has diverged, (motion,)."""
     with np.errstate(all="ignore"):
+<<<<<<< HEAD
         scales = scene.scales(scene.unpack(scene.entries(y0), carry), end)[: scene.motion]
         most = np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion], axis=0)))
+=======
+        scales = scene.scales(scene.unpack(scene.components(y0), carry), end)[: scene.motion]
+        most = np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion])))
+>>>>>>> r4
     return np.asarray(DIVERGENCE * most)
 
 
@@ -440,13 +459,8 @@ BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 def scale(x: AnyState, v: AnyState, units: AnyState) -> float:
     """Return the size of the field that v moves, where it is zero what the motion makes of it."""
     for own, part, unit in zip(x, v, units, strict=True):
-        moved = part if isinstance(part, tuple) else (part or 0.0,)
-        if np.any(moved):
-            if isinstance(part, tuple) and isinstance(part[0], np.ndarray):
-                size = float(np.linalg.norm(np.concatenate(own)))
-            else:
-                size = norm(own if isinstance(own, tuple) else (own,))
-            return size or float(np.max(unit))
+        if any(part) if isinstance(part, tuple) else part:
+            return norm(own if isinstance(own, tuple) else (own,)) or float(np.max(unit))
     return 1.0
 
 

@@ -21,7 +21,7 @@ from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from contactbench.methods.base import METHODS
+from contactbench.methods.base import METHODS, Method, unfit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers import quadrature
 from contactbench.numbers.control import Repeat, repeat, settle
@@ -347,7 +347,7 @@ class RungeKutta(FixedStep):
     tableau: Tableau = field(kw_only=True)
 
     def refuses(self, scene: Scene) -> str | None:
-        return refusal(self.name, self.tableau, scene)
+        return refusal(self, self.tableau, scene)
 
     def advance(
         self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
@@ -362,16 +362,14 @@ class RungeKutta(FixedStep):
         return damped(scene, repeat(n, another, undamped(scene, x)))
 
 
-def refusal(name: str, tableau: Tableau, scene: Scene) -> str | None:
+def refusal(method: Method, tableau: Tableau, scene: Scene) -> str | None:
     """Return why a scene is out of reach, or None."""
     if not tableau.nystrom:
         return None
-    if scene.kind not in ("mechanical", "driven") or scene.nonlinear_damping:
-        needs = "a configuration q in Rⁿ and damping Γ = γ s"
-        return f"{name} needs {needs}, which scene {scene.name!r} does not have{scene.lacks}"
-    if scene.clock is not None and "rate" in scene.functions_of_floats:
-        return f"{name} needs γ'(t), and the rate of scene {scene.name!r} cannot be recorded"
-    return scene.own_equations
+    fits = scene.kind in ("mechanical", "driven") and not scene.nonlinear_damping
+    if fits and scene.clock is not None and "rate" in scene.functions_of_floats:
+        return f"{method.name} needs γ'(t), and the rate of scene {scene.name!r} cannot be recorded"
+    return unfit(method, scene, fits, "a configuration q in Rⁿ and damping Γ = γ s")
 
 
 def runge_kutta(name: str, tableau: Tableau, about: str) -> RungeKutta:

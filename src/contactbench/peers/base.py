@@ -13,12 +13,12 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.methods.base import Adaptive
-from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request, RunByTolerance
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.scene import AnyState, Scene, System, dot, key
 from contactbench.scene.scales import in_order
-from contactbench.solution import Counts, Solution, Status
+from contactbench.solution import Counts, Status
 from contactbench.trace.form import Function, Unpack, execute
 from contactbench.trace.recording import Recorded, Tape, attempt
 
@@ -102,7 +102,7 @@ class Call(ABC):
 
 
 @dataclass
-class PeerRun(Prepared):
+class PeerRun(RunByTolerance):
     """A run of another library, by its call."""
 
     method_: Peer
@@ -111,15 +111,6 @@ class PeerRun(Prepared):
         super().__post_init__()
         self.call = self.method_.call(self.method_, self.request)
         self.compile_s, self.bare = self.call.seconds, self.call.last  # type: ignore[method-assign]
-
-    def __call__(self, **data: object) -> Solution:
-        """Run as `Prepared` does; an atol that is not the user's follows the scale of the motion."""
-        r = self.request
-        if data and r.scales is not None:
-            given = r.to_scale(self.method_.takes_atol, **r.scene.checked(data))
-            if not np.array_equal(given.scales, r.scales):
-                return self.method_.prepare(given)(**data)
-        return super().__call__(**data)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         y, counts, status, message, stopped = self.call(y0)

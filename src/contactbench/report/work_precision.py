@@ -73,7 +73,7 @@ def tally(won: pd.DataFrame) -> tuple[str, str]:
 def answers_by_kind(frames: Frames) -> dict[str, Answer]:
     """Return the contests counted, by kind of cost; package: what this package runs beside what the libraries run."""
     found = {name: own.contests for name, own in all_contests(frames).items()}
-    own = costs(contestants(frames["work_precision"]), COMPILED)
+    own = costs(frames["work_precision"], COMPILED)
     found["package"] = contests(own, of_this_package)
     return {name: Answer(QUESTIONS[name], *tally(won)) for name, won in found.items() if len(won)}
 

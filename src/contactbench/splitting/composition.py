@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import accumulate, chain, groupby
+from itertools import accumulate, chain, cycle, groupby
 from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
@@ -70,10 +70,6 @@ class Composition:
     def two_part(self) -> bool:
         return {name for name, _ in self.stages} == {"kick", "drift_damp"}
 
-    def alphas(self) -> list[Fraction]:
-        """Return the coefficients of χ and χ* in turn (two-part compositions)."""
-        return list(accumulate((c for _, c in self.stages[:-1]), lambda alpha, c: c - alpha))
-
 
 def palindrome(first: str, second: str, half: Sequence[str | float]) -> tuple[Stage, ...]:
     """Return a palindromic list from the coefficients of its first half; the middle pair makes either sum one."""
@@ -123,11 +119,9 @@ def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
     if {name for name, _ in composition.stages} <= scene.flows.keys():
         return composition.stages
     if composition.two_part:
-        order = scene.parts
-        stages = []
-        for k, alpha in enumerate(composition.alphas()):
-            stages += [(name, alpha) for name in (order if k % 2 == 0 else order[::-1])]
-        return merge(stages)
+        alphas = accumulate((c for _, c in composition.stages[:-1]), lambda alpha, c: c - alpha)
+        orders = cycle((scene.parts, scene.parts[::-1]))  # of χ and χ* in turn
+        return merge((name, alpha) for alpha, parts in zip(alphas, orders, strict=False) for name in parts)
     names = scene.paper_flows
     own = ((names[name], coefficient) for name, coefficient in composition.stages if name in names)
     return merge(stage for stage in own if stage[0] in scene.flows)
@@ -187,24 +181,6 @@ def advance(
         return run(closing, repeat(n, lambda x: run(inner, x), run(opening, x)))
     x = repeat(n - 1, lambda x: run((*inner, *joint), x), run(opening, x))
     return run((*inner, *closing), x)
-
-
-def pieces(composition: Composition, scene: Scene, whole: bool) -> tuple[tuple[Stage, ...], ...]:
-    """Return the stages of an uninterrupted run step by step: what opens it, begins a step, leads on, and closes.
-
-    whole : in the pieces that `advance` runs in one go, some stages in two of them; else each once.
-    """
-    steps = plan(composition, scene)
-    if whole and steps.joint:
-        return steps.opening, (), (*steps.inner, *steps.joint), (*steps.inner, *steps.closing)
-    return steps.opening, steps.inner, steps.joint, steps.closing
-
-
-def run_stages(
-    stages: Sequence[Stage], scene: Scene, x: OwnState, h: Arithmetic, xp: Namespace, repeat: Repeat = repeat
-) -> OwnState:
-    """Apply stages one after the other, of a step of size h."""
-    return runner(stages, scene, h, xp, repeat)(stages, x)
 
 
 def runner(

@@ -101,10 +101,6 @@ def lift(x: Vector, direction: Sequence[Arithmetic]) -> Vector:
     return tuple(Dual(a, b) for a, b in zip(x, direction, strict=True))
 
 
-def has_modified_hamiltonian(composition: Composition) -> bool:
-    return composition.two_part and composition.palindromic and not composition.processor
-
-
 def modified_hamiltonian(
     scene: Any, composition: Composition, x: State, h: Arithmetic, degree: int = DEGREE
 ) -> Numeric:
