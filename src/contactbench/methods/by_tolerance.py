@@ -55,12 +55,7 @@ from contactbench.numbers.protocol import (
 from contactbench.scene import Cache, Mechanical, Scene, State, key
 from contactbench.scene.algebra import DrivenState, scaled
 from contactbench.scene.base import OwnState
-<<<<<<< HEAD
-from contactbench.solution import DIVERGENCE, Counts, Solution, Status
-=======
-from contactbench.scene.mechanical import Canonical
 from contactbench.solution import DIVERGENCE, Counts, Status
->>>>>>> r4
 from contactbench.trace.form import Assign, Element, Statement, Update, execute
 from contactbench.trace.native_call import Native
 from contactbench.trace.program import Program, record

@@ -379,13 +379,8 @@ class RunByTolerance(Prepared):
 def furthest(scene: Scene, carry: tuple[str, ...], y0: np.ndarray, end: float) -> np.ndarray:
     """Return beyond what the motion from a packed state has diverged, (motion,)."""
     with np.errstate(all="ignore"):
-<<<<<<< HEAD
         scales = scene.scales(scene.unpack(scene.entries(y0), carry), end)[: scene.motion]
-        most = np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion], axis=0)))
-=======
-        scales = scene.scales(scene.unpack(scene.components(y0), carry), end)[: scene.motion]
         most = np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion])))
->>>>>>> r4
     return np.asarray(DIVERGENCE * most)
 
 
