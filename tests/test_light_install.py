@@ -14,18 +14,7 @@ from contactbench.checks import INSTALLED_AS
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
 #: the names by which they are imported
-EXTRAS = (
-    "jax",
-    "jaxlib",
-    "numba",
-    "diffrax",
-    "optimistix",
-    "equinox",
-    "sksundae",
-    "heyoka",
-    "CyRK",
-    "gmpy2",
-)
+EXTRAS = ("jax", "jaxlib", "numba", "diffrax", "optimistix", "equinox", "sksundae", "heyoka", "CyRK", "gmpy2")
 
 
 def without_extras(code):
@@ -61,13 +50,7 @@ def test_what_is_missing_is_one_line_with_the_command():
             print("cb.diffrax |", error)
     """)
     said = dict(line.split(" | ") for line in printed.splitlines())
-    for name in (
-        "cvode-adams",
-        "heyoka-taylor",
-        "cyrk-dop853",
-        "diffrax-tsit5",
-        "cb.diffrax",
-    ):
+    for name in ("cvode-adams", "heyoka-taylor", "cyrk-dop853", "diffrax-tsit5", "cb.diffrax"):
         assert re.fullmatch(r"[\w-]+ is not installed: pip install [\w -]+", said[name]), (name, said[name])
 
 
@@ -104,14 +87,7 @@ def test_the_command_names_packages_of_the_extras(name):
 
 def test_nothing_of_an_extra_is_required():
     required = {re.match(r"[\w-]+", each)[0] for each in PROJECT["dependencies"]}
-    assert not required & {
-        "jax",
-        "diffrax",
-        "optimistix",
-        "scikit-sundae",
-        "heyoka",
-        "CyRK",
-    }
+    assert not required & {"jax", "diffrax", "optimistix", "scikit-sundae", "heyoka", "CyRK"}
     assert {method.package for method in cb.METHODS.values() if getattr(method, "package", "")} <= {
         *EXTRAS,
         "scipy",

@@ -50,8 +50,7 @@ def test_the_workload_is_the_finest_setting_that_is_short():
 
 
 @pytest.mark.parametrize(
-    ("timed", "reasons"),
-    [(range(6), 0), (range(3), 0), (range(2), 1), ([1, 2, 4], 1), ([], 2)],
+    ("timed", "reasons"), [(range(6), 0), (range(3), 0), (range(2), 1), ([1, 2, 4], 1), ([], 2)]
 )
 def test_too_few_cells_are_inconclusive(timed, reasons):
     """Less than half of them, or none of a kind."""
