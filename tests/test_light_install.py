@@ -77,18 +77,17 @@ def test_a_method_is_checked_and_timed_on_the_engines_that_are_there():
     assert printed.endswith("engine jax: jax is not installed: pip install jax\n")
 
 
+def names(requirements):
+    return {re.match(r"[\w-]+", each)[0] for each in requirements}
+
+
 @pytest.mark.parametrize("name", [*INSTALLED_AS.values(), "jax", "heyoka", "CyRK"])
 def test_the_command_names_packages_of_the_extras(name):
-    required = [
-        re.match(r"[\w-]+", each)[0] for group in PROJECT["optional-dependencies"].values() for each in group
-    ]
-    assert set(name.split()) <= set(required)
+    required = names(each for group in PROJECT["optional-dependencies"].values() for each in group)
+    assert {*name.split()} <= required
 
 
 def test_nothing_of_an_extra_is_required():
-    required = {re.match(r"[\w-]+", each)[0] for each in PROJECT["dependencies"]}
-    assert not required & {"jax", "diffrax", "optimistix", "scikit-sundae", "heyoka", "CyRK"}
-    assert {method.package for method in cb.METHODS.values() if getattr(method, "package", "")} <= {
-        *EXTRAS,
-        "scipy",
-    }
+    extras = {"jax", "diffrax", "optimistix", "scikit-sundae", "heyoka", "CyRK"}
+    assert not names(PROJECT["dependencies"]) & extras
+    assert {getattr(method, "package", "") for method in cb.METHODS.values()} <= {*EXTRAS, "scipy", ""}
