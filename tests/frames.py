@@ -40,11 +40,10 @@ def table(name: str, rows: Iterable[Mapping[str, Any]] = ()) -> pd.DataFrame:
     """Rows as a frame of a table; what they do not say is blank."""
     if not rows:
         return empty(name).copy()
-    columns = TABLES[name].every_column
+    columns = [*TABLES[name].every_column]
     frame = pd.DataFrame(list(rows))
-    unknown = set(frame) - set(columns)
-    assert not unknown, unknown
-    return set_types(frame.reindex(columns=[*columns]), TABLES[name])
+    assert not (unknown := set(frame) - set(columns)), unknown
+    return set_types(frame.reindex(columns=columns), TABLES[name])
 
 
 def frames(**tables: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:

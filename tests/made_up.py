@@ -26,9 +26,16 @@ def row(method="rk4", setting="step=0.1", profile="smoke", **more):
     return {**COMMON, "method": method, "setting": setting, **own, **more}
 
 
-FOURTH, EIGHTH = {"order": 4.0, "order_nominal": 4}, {"order": 8.0, "order_nominal": 8}
-CLAIM = {"id": "C01", "scene": "particle", "method": "any", "verdict": "holds", "status": "ok"}
-CLAIM |= {"profile": "smoke"}
+FOURTH = {"order": 4.0, "order_nominal": 4}
+EIGHTH = {"order": 8.0, "order_nominal": 8, "pairwise_order": 8.0, "in_fit": True}
+CLAIM = {
+    "id": "C01",
+    "scene": "particle",
+    "method": "any",
+    "verdict": "holds",
+    "status": "ok",
+    "profile": "smoke",
+}
 #: what the folder of a run holds: two methods on one scene, and a row of a larger profile
 ROWS = {
     "laws": [
@@ -38,15 +45,7 @@ ROWS = {
     "convergence": [
         row(step=0.1, solution_error=1e-5, pairwise_order=4.01, in_fit=True, **FOURTH),
         row(setting="step=0.8", step=0.8, solution_error=0.2, pairwise_order=2.0, in_fit=False, **FOURTH),
-        row(
-            "contact-o8",
-            "step=0.03125",
-            engine="mpmath",
-            step=0.03125,
-            solution_error=1e-20,
-            pairwise_order=8.0,
-        )
-        | {"in_fit": True, **EIGHTH},
+        row("contact-o8", "step=0.03125", engine="mpmath", step=0.03125, solution_error=1e-20, **EIGHTH),
     ],
     "work_precision": [
         row(carried="q p", solution_error=1e-6, time_median_s=1e-4),
@@ -74,7 +73,7 @@ def folder(path, change=same, run=RUN, keep=lambda row: True):
     """A folder of tables, each row changed (None: left out)."""
     path.mkdir(parents=True, exist_ok=True)
     for which, rows in ROWS.items():
-        changed = [change(which, dict(row)) for row in rows]
+        changed = (change(which, dict(row)) for row in rows)
         kept = [row for row in changed if row is not None and keep(row)]
         if kept == rows and not TABLES[which].path(path).exists():
             for name, text in files(which).items():

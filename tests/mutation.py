@@ -10,10 +10,10 @@ import json
 import os
 import random
 import shutil
+import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -58,9 +58,8 @@ def nodes(tree):
     """Yield the nodes of a tree but those of annotations, imports, messages and `strict=`."""
     yield tree
     for name, field in ast.iter_fields(tree):
-        for child in (field if isinstance(field, list) else [field]) * (
-            name not in ("annotation", "returns")
-        ):
+        children = field if isinstance(field, list) else [field]
+        for child in () if name in ("annotation", "returns") else children:
             message = isinstance(child, ast.Raise | ast.JoinedStr | ast.Import | ast.ImportFrom)
             if isinstance(child, ast.AST) and not message and getattr(child, "arg", "") != "strict":
                 yield from nodes(child)
@@ -120,43 +119,33 @@ def judges(known, name, line):
         yield [test for test, total in zip(given, spent, strict=True) if total < ENOUGH]
 
 
-def work(tree, tests):
-    os.chdir(tree)
-    sys.path[:0] = [f"{tree}/src", tree]
-    os.environ |= {"PYTHONPATH": f"{tree}/src:{tree}", "CONTACTBENCH_CACHE": f"{tree}/cache"}
-    os.dup2(os.open("log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 1)
-    os._exit(pytest.main(["-xq", "-p", "no:cacheprovider", "--tb=no", *tests]))
-
-
 def killer(tree, tests):
     """Return what fails of some tests in a copy of the project, how it ends, or nothing."""
-    process = get_context("fork").Process(target=work, args=(tree, tests))
-    process.start()
-    process.join(MOST)
-    process.kill()
-    process.join()
-    if process.exitcode == 4 and any("::" in test for test in tests):  # one has another name than in the map
+    variables = {"PYTHONPATH": f"{tree}/src:{tree}", "CONTACTBENCH_CACHE": f"{tree}/cache"}
+    command = [sys.executable, "-m", "pytest", "-xq", "-p", "no:cacheprovider", "--tb=no", *tests]
+    given = {"cwd": tree, "env": os.environ | variables, "capture_output": True, "timeout": MOST}
+    try:
+        done = subprocess.run(command, text=True, errors="replace", **given)
+    except subprocess.TimeoutExpired:
+        return f"longer than {MOST} s"
+    if done.returncode == 4 and any("::" in test for test in tests):  # one has another name than in the map
         return killer(tree, sorted({test.partition("::")[0] for test in tests}))
-    log = (Path(tree) / "log").read_text(errors="replace").splitlines()
-    failed = (line for line in log if line.startswith(("FAILED", "ERROR")))
-    return next(failed, f"exit {process.exitcode}" if process.exitcode else "")
+    failed = (line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR")))
+    return next(failed, f"exit {done.returncode}" if done.returncode else "")
 
 
 def judge(folder, count, seed=40):
     known, path = json.loads((folder / "map.json").read_text()), folder / "mutants.jsonl"
     done = len(path.read_text().splitlines()) if path.exists() else 0
-    for name, line, before, after, first, last in random.Random(int(seed)).sample([*mutants()], int(count))[
-        done:
-    ]:
+    drawn = random.Random(int(seed)).sample([*mutants()], int(count))
+    for name, line, before, after, first, last in drawn[done:]:
         with tempfile.TemporaryDirectory() as tree, path.open("a") as file:
             ignored = shutil.ignore_patterns(".git", "__pycache__", ".venv", ".tox")
             shutil.copytree(ROOT, tree, dirs_exist_ok=True, ignore=ignored)
             place = Path(tree) / SOURCE / name
             place.write_bytes((text := place.read_bytes())[:first] + after.encode() + text[last:])
-            killed = next(
-                filter(None, (killer(tree, tests) for tests in judges(known, name, line) if tests)), ""
-            )
-            print(json.dumps([name, line, before, after, killed]), file=file)
+            found = (killer(tree, tests) for tests in judges(known, name, line) if tests)
+            print(json.dumps([name, line, before, after, next(filter(None, found), "")]), file=file)
 
 
 if __name__ == "__main__":
@@ -165,6 +154,4 @@ if __name__ == "__main__":
     if what == "map":
         pytest.main(more, plugins=[Map(Path(where) / "map.json")])
     else:
-        import diffrax, matplotlib.pyplot, numba, pandas  # noqa
-
         judge(Path(where), *more)

@@ -14,20 +14,19 @@ from contactbench.solution import Counts, Status
 
 class Misbehaving(Prepared):
     def integrate(self, y0):
-        times, name = self.request.save_at, self.method
-        y = np.tile(y0, (len(times), 1))
-        end = float(times[-1])
-        if name == "planted-hang":
-            while True:
-                time.sleep(0.05)
-        if name == "planted-crash":
-            os.kill(os.getpid(), signal.SIGKILL)
-        if name == "planted-raise":
-            raise FloatingPointError("of its own making")
-        if name == "planted-nan":
-            y[-1] = np.nan
-        if name == "planted-early":
-            end /= 2
+        times = self.request.save_at
+        y, end = np.tile(y0, (len(times), 1)), float(times[-1])
+        match self.method:
+            case "planted-hang":
+                time.sleep(3600.0)
+            case "planted-crash":
+                os.kill(os.getpid(), signal.SIGKILL)
+            case "planted-raise":
+                raise FloatingPointError("of its own making")
+            case "planted-nan":
+                y[-1] = np.nan
+            case "planted-early":
+                end /= 2
         return Outcome(y, Counts(1, 1), Status.ok, "", end)
 
 
@@ -51,16 +50,14 @@ def row(method):
     for name in NAMES:
         if name not in METHODS:
             METHODS.add(Planted(name))
-    rtol, engine = ("rtol", 1e-6), METHODS[method].engines[0]
-    return stability_row("oscillator", method, engine, *rtol, 10_000)
+    return stability_row("oscillator", method, METHODS[method].engines[0], "rtol", 1e-6, 10_000)
 
 
 class Exact(Prepared):
     def integrate(self, y0):
-        r = self.request
-        evaluations = round(8 * r.save_at[-1])
-        y = cb.reference(r.scene, r.save_at, r.carry).y
-        return Outcome(y, Counts(evaluations, evaluations), Status.ok, "", float(r.save_at[-1]))
+        r, end = self.request, float(self.request.save_at[-1])
+        counts = Counts(round(8 * end), round(8 * end))
+        return Outcome(cb.reference(r.scene, r.save_at, r.carry).y, counts, Status.ok, "", end)
 
 
 class Truth(Planted):

@@ -21,13 +21,9 @@ LARGER = Fraction(1001, 1000)
 
 def plugin(path: Path, call: str) -> Path:
     """A plug-in file that plants a fault: ``call`` is that of a function of this module."""
-    lines = (
-        "import sys",
-        f"sys.path.append({str(Path(__file__).parent)!r})",
-        "import planted_faults",
-        f"planted_faults.{call}",
-    )
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    here = str(Path(__file__).parent)
+    text = f"import sys\nsys.path.append({here!r})\nimport planted_faults\nplanted_faults.{call}\n"
+    path.write_text(text, encoding="utf-8")
     return path
 
 
@@ -40,13 +36,13 @@ def put(method: Any) -> None:
 # -- coefficients ----------------------------------------------------------------------------------
 def faulty(composition: Composition) -> list[Composition]:
     """The composition with one coefficient a part in a thousand larger, for each of them."""
-    return [
-        replace(
-            composition, **{which: tuple((n, c * LARGER if i == k else c) for i, (n, c) in enumerate(stages))}
-        )
-        for which, stages in (("stages", composition.stages), ("processor", composition.processor))
-        for k in range(len(stages))
-    ]
+    found = []
+    for which in ("stages", "processor"):
+        stages = getattr(composition, which)
+        for k, (name, c) in enumerate(stages):
+            other = (*stages[:k], (name, c * LARGER), *stages[k + 1 :])
+            found.append(replace(composition, **{which: other}))
+    return found
 
 
 # -- speed -----------------------------------------------------------------------------------------

@@ -36,15 +36,9 @@ def rows():
 def parts(frames):
     frame = frames["half_life"]
     panel = Panel("particle", Axis("step", "log"), Axis("half-life"), by_method(frame, "value", "half_life"))
-    return [
-        View(
-            "half_life",
-            "Half-life",
-            frame[["method", "value", "half_life"]].set_axis(["method", "step", "half-life"], axis=1),
-            "The time at which H0 is half of what it was.",
-        ),
-        Figure("half_life", "Half-life of the energy against the step", (panel,)),
-    ]
+    shown = frame[["method", "value", "half_life"]].set_axis(["method", "step", "half-life"], axis=1)
+    view = View("half_life", "Half-life", shown, "The time at which H0 is half of what it was.")
+    return [view, Figure("half_life", "Half-life of the energy against the step", (panel,))]
 
 
 def answers(frames):
@@ -52,11 +46,8 @@ def answers(frames):
     yield Answer("When is half of the energy gone?", f"at {values.mean():.3g}", f"{len(values)} steps")
 
 
-CHAPTERS.add(
-    Chapter(
-        "half_life", "Half-life of the energy", "When is half of it gone?", 90, ("half_life",), parts, answers
-    )
-)
+TITLE, LEAD = "Half-life of the energy", "When is half of it gone?"
+CHAPTERS.add(Chapter("half_life", TITLE, LEAD, 90, ("half_life",), parts, answers))
 
 if __name__ == "__main__":
     merge(HALF_LIFE, rows(), Path(sys.argv[1]))

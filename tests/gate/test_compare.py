@@ -52,35 +52,35 @@ def without(**values):
 
 LAWS, WORK, CLAIMS, ORDERS = "laws", "work_precision", "claims", "convergence"
 FIT, NO_FIT = [("in_fit", True)], [("in_fit", False)]
-#: a change of one method's rows in a table, which is red in the first of its columns
-MOVED = {
-    "error": (LAWS, "rk4", {"solution_error": 2.2e-5}),
-    "error gone down": (LAWS, "rk4", {"solution_error": 4e-6}),
-    "at fifty digits": (ORDERS, "contact-o8", {"solution_error": 1e-19}),
-    "not a number": (LAWS, "rk4", {"solution_error": math.nan}),
-    "round-off lost": (LAWS, "rk4", {"momentum_law": 3e-12}),
-    "one gradient more": (WORK, "rk4", {"evaluations": 801}),
-    "one step more of an adaptive solver": (WORK, "cvode-adams", {"steps": 201}),
-    "status": (WORK, "rk4", {"status": "diverged", "solution_error": math.nan}),
-    "a refusal that ends well": (WORK, "cvode-bdf", {"status": "ok"}),
-    "verdict of a claim": (CLAIMS, "any", {"verdict": "refuted"}),
-    "what a claim measures": (CLAIMS, "any", {"measured": 3e-12}),
-    "the bound of a claim": (CLAIMS, "any", {"bound": 1e-11}),
-    "what is carried": (WORK, "rk4", {"carried": "q p s"}),
-    "a larger profile": (LAWS, "rk4", {"profile": "full"}),
-    "no profile": (LAWS, "rk4", {"profile": ""}),
-}
 
 
-FAULTS = {name: (change(t, m, **to), (t, m, next(iter(to)))) for name, (t, m, to) in MOVED.items()} | {
-    "slope": (change(ORDERS, "rk4", FIT, pairwise_order=3.8), (ORDERS, "rk4", "pairwise_order")),
-    "fitted order": (change(ORDERS, "rk4", NO_FIT, order=3.9), (ORDERS, "rk4", "order")),
+def moved(table, method, where=(), **to):
+    """A change of one method's rows in a table, and what is red: the first of its columns."""
+    return change(table, method, where, **to), (table, method, next(iter(to)))
+
+
+FAULTS = {
+    "error": moved(LAWS, "rk4", solution_error=2.2e-5),
+    "error gone down": moved(LAWS, "rk4", solution_error=4e-6),
+    "at fifty digits": moved(ORDERS, "contact-o8", solution_error=1e-19),
+    "not a number": moved(LAWS, "rk4", solution_error=math.nan),
+    "round-off lost": moved(LAWS, "rk4", momentum_law=3e-12),
+    "one gradient more": moved(WORK, "rk4", evaluations=801),
+    "one step more of an adaptive solver": moved(WORK, "cvode-adams", steps=201),
+    "status": moved(WORK, "rk4", status="diverged", solution_error=math.nan),
+    "a refusal that ends well": moved(WORK, "cvode-bdf", status="ok"),
+    "verdict of a claim": moved(CLAIMS, "any", verdict="refuted"),
+    "what a claim measures": moved(CLAIMS, "any", measured=3e-12),
+    "the bound of a claim": moved(CLAIMS, "any", bound=1e-11),
+    "what is carried": moved(WORK, "rk4", carried="q p s"),
+    "a larger profile": moved(LAWS, "rk4", profile="full"),
+    "no profile": moved(LAWS, "rk4", profile=""),
+    "slope": moved(ORDERS, "rk4", FIT, pairwise_order=3.8),
+    "fitted order": moved(ORDERS, "rk4", NO_FIT, order=3.9),
     "dropped method": (without(method="contact-o8"), (ORDERS, "contact-o8", "row")),
     "dropped setting": (without(table=ORDERS, setting="step=0.8"), (ORDERS, "rk4", "row")),
     "dropped table": (without(table=LAWS), (LAWS, "", "table")),
 }
-
-
 #: faults that do not touch each other are judged together: reading the tables takes all the time
 TOGETHER = [
     ("error", "at fifty digits", "one gradient more", "one step more of an adaptive solver", "slope"),

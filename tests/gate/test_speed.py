@@ -50,8 +50,7 @@ def test_the_workload_is_the_finest_setting_that_is_short():
 
 
 @pytest.mark.parametrize(
-    ("timed", "reasons"),
-    [(range(6), 0), (range(3), 0), (range(2), 1), ([1, 2, 4], 1), ([], 2)],
+    ("timed", "reasons"), [(range(6), 0), (range(3), 0), (range(2), 1), ([1, 2, 4], 1), ([], 2)]
 )
 def test_too_few_cells_are_inconclusive(timed, reasons):
     """Less than half of them, or none of a kind."""
@@ -118,11 +117,9 @@ def test_turns_are_shuffled_and_paired(clocked):
 def test_a_pinned_revision_sees_the_drift_that_each_parent_did_not(clocked):
     """Three in a round, right after one another; each pair has its own interval, and its own end of the rounds."""
     factor = {"pinned": 1.0, "base": 1.2, "tree": 1.4}
-    clock = lambda name, cell, k: factor[name] * np.exp(k / 50)  # noqa: E731
-    ratios, order = clocked(clock, 2, sides=("base", "pinned"))
-    assert {side: ratios[side, 1].ratio for side in ("base", "pinned")} == pytest.approx(
-        {"base": 1.4 / 1.2, "pinned": 1.4}, rel=0.03
-    )
+    ratios, order = clocked(lambda name, cell, k: factor[name] * np.exp(k / 50), 2, sides=("base", "pinned"))
+    assert ratios["base", 1].ratio == pytest.approx(1.4 / 1.2, rel=0.03)
+    assert ratios["pinned", 1].ratio == pytest.approx(1.4, rel=0.03)
     rounds = [order[i : i + 3] for i in range(0, 90, 3)]
     assert {len({*map(itemgetter(1), one)}) for one in rounds} == {1}
     assert len({tuple(map(itemgetter(0), one)) for one in rounds}) == 6
@@ -162,18 +159,6 @@ def judge(copy, cells, base=None, pin=""):
     with revisions.checkout(copy, "HEAD") as tree:
         moved = speed.compare_speed(copy, base or tree, cells, pin=pin).moved
     return moved[moved["red"]]
-
-
-@contextmanager
-def patched(file, old, new):
-    """A source file with one passage replaced, for as long as the block lasts."""
-    original = file.read_text()
-    assert original.count(old) == 1
-    file.write_text(original.replace(old, new))
-    try:
-        yield
-    finally:
-        file.write_text(original)
 
 
 def test_the_same_code_is_not_slower_and_half_as_much_again_is(copy, tmp_path, monkeypatch):
@@ -225,8 +210,14 @@ def test_a_delay_of_every_public_call_is_found(quick, copy, monkeypatch):
     """All of them planted in the sources of the head; what is quick beside a pinned revision, as slow as its parent."""
     monkeypatch.setattr(speed, "ROUNDS", 7)
     cells = [cell for cell in PUBLIC if (cell.call in QUICK) is quick]
-    with patched(copy / "src/contactbench/__init__.py", "load_installed()\n", "load_installed()\n" + DELAYS):
+    file = copy / "src/contactbench/__init__.py"
+    original = file.read_text()
+    assert original.count("load_installed()\n") == 1
+    file.write_text(original.replace("load_installed()\n", "load_installed()\n" + DELAYS))
+    try:
         found = judge(copy, cells, copy if quick else None, "HEAD" if quick else "")
+    finally:
+        file.write_text(original)
     expected = {(cell.scene, cell.setting) for cell in cells}
     assert {*zip(found["scene"], found["setting"], strict=True)} == expected
     assert {*found["between"]} == {"pinned → tree" if quick else "base → tree"}

@@ -16,10 +16,10 @@ from frames import row
 
 def rows(method, order):
     """A method of an order, at three steps."""
+    fit = {"order": order, "last_slope": order, "in_fit": True, "order_nominal": order, "profile": "smoke"}
     for h in (0.1, 0.01, 0.001):
         laws = {"energy_law": h**order, "contact_drift": h**order, "evaluations": round(20 / h)}
-        fit = {"step": h, "order": order, "last_slope": order, "in_fit": True, "order_nominal": order}
-        yield row("particle", method, h, solution_error=h**order / 10, profile="smoke", **laws, **fit)
+        yield row("particle", method, h, solution_error=h**order / 10, step=h, **laws, **fit)
 
 
 @pytest.fixture(scope="module")
@@ -78,13 +78,15 @@ HARM = {
     "no table gives it": lambda path: path.write_text(""),
     "missing": lambda path: path.unlink(),
 }
-FILES = ("convergence.md", "../README.md"), ("old.md", "figures/old.svg")
-FILES += (("laws.md", "figures/convergence.svg"),)
-
-
-@pytest.mark.parametrize(
-    ("name", "says"), [(n, says) for says, names in zip(HARM, FILES, strict=True) for n in names]
+FILES = (
+    ("convergence.md", "../README.md"),
+    ("old.md", "figures/old.svg"),
+    ("laws.md", "figures/convergence.svg"),
 )
+CASES = [(name, says) for says, names in zip(HARM, FILES, strict=True) for name in names]
+
+
+@pytest.mark.parametrize(("name", "says"), CASES)
 def test_a_file_that_differs_is_named_and_nothing_is_written(name, says, results, capsys):
     path = (results / name).resolve()
     HARM[says](path)

@@ -91,11 +91,8 @@ def test_the_cheapest_is_named_with_the_factor_of_the_best_contact_method():
 
 # -- hard scenes -----------------------------------------------------------------------------------
 def test_a_setting_that_was_not_run_is_no_ending_and_escaping_as_the_motion_does_is_right():
-    rows = [
-        row("large_step", "rk4", 0.1, status="budget", end_time=1.0),
-        row("large_step", "rk4", 0.01, status="budget"),
-        row("large_step", "rk4", 0.001, status="unsupported"),
-    ]
+    ended = ({"status": "budget", "end_time": 1.0}, {"status": "budget"}, {"status": "unsupported"})
+    rows = [row("large_step", "rk4", 10.0**-k, **each) for k, each in enumerate(ended)]
     rows += [row("escape", "rk4", 0.1, status=s, end_time=1.0, blow_up_time=1.5) for s in ("diverged", "ok")]
     assert started_runs(table("stability", rows))["right"].tolist() == [False, True, False]
 
@@ -143,7 +140,7 @@ def test_who_has_the_energy_left_right_at_the_least_cost_in_the_longest_run():
     assert (time.answer, time.count) == ("contact-a", "8 ms; herglotz2 ×2.35, rk4 ×3.00")
     assert evaluations.answer == "contact-a"
     assert evaluations.count == "4 per unit of time; herglotz2 ×1.17, rk4 ×2.00"
-    contradicting = [*RING, *on_the_ring("rk5", {1e4: (1e-4, 1e-5), 1e5: (1e-4, 1e-5)}, 1.0)]
+    contradicting = [*RING, *on_the_ring("rk5", dict.fromkeys((1e4, 1e5), (1e-4, 1e-5)), 1.0)]
     assert next(structure.answers(frames(structure_buys=contradicting))).answer == "rk5"
     assert not [*structure.answers(frames())]
 
@@ -188,8 +185,7 @@ def test_the_glossary_has_every_method_scene_and_column():
 
 
 def test_infinite_numbers_have_their_sign_and_missing_ones_are_dashes():
-    assert as_cell(float("inf")).text == "∞"
-    assert as_cell(pd.NA).text == "—"
+    assert (as_cell(float("inf")).text, as_cell(pd.NA).text) == ("∞", "—")
 
 
 # -- A comparison on one scene as text and plot -----------------------------------------------------
@@ -209,10 +205,12 @@ def test_text_has_every_time_and_the_plot_every_kind(frame):
 def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
     own = frame[frame["method"] == "contact-strang"].copy()
     assert race.kept_laws(own) == "η"
-    own.loc[own.index[0], ["contact_drift", "laws_kept"]] = [np.nan, ""]  # measured at one of the two errors
-    assert race.kept_laws(own) == "η"
-    own["contact_drift"], own["laws_kept"] = np.nan, ""
-    assert race.kept_laws(own) == "η not measured"
+    for rows, kept in (
+        (own.index[0], "η"),
+        (own.index, "η not measured"),
+    ):  # at one of the two errors, at both
+        own.loc[rows, ["contact_drift", "laws_kept"]] = [np.nan, ""]
+        assert race.kept_laws(own) == kept
     assert race.kept_laws(frame[frame["method"] == "rk4"]) == "none"
 
 
@@ -225,7 +223,7 @@ def test_a_curve_says_what_an_error_costs_and_never_turns_back():
 
 
 def test_a_run_that_ended_well_shows_its_error_and_another_how_it_ended():
-    ended = {"ok": 1e-3, "diverged": np.nan, "budget": np.nan}
-    found = [ending(pd.Series({"status": how, "solution_error": error})) for how, error in ended.items()]
-    assert [cell.value for cell in found] == [1e-3, None, None]
-    assert [cell.text for cell in found[1:]] == ["diverged", "budget"]
+    ended = (("ok", 1e-3), ("diverged", np.nan), ("budget", np.nan))
+    ok, *bad = (ending(pd.Series({"status": how, "solution_error": error})) for how, error in ended)
+    assert ok.value == 1e-3
+    assert [(cell.value, cell.text) for cell in bad] == [(None, "diverged"), (None, "budget")]
