@@ -17,12 +17,12 @@ from contactbench.errors import BadInput
 from contactbench.measure.clock import Call
 from contactbench.measure.isolation import bind
 from contactbench.methods import METHODS
-from contactbench.results.cells import DiskFull, disk
 from contactbench.scenes import SCENES
 from contactbench.study import population
 from contactbench.study.experiment import PROFILES, Experiment, experiments
 from contactbench.study.runner import Run, Task
 from contactbench.study.timetable import Timetable
+from contactbench.tables.cells import DiskFull, disk
 
 #: what this process may use before it is bound to one of them
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []

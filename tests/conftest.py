@@ -10,9 +10,9 @@ from mpmath import mp
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS
 from contactbench.plugins import GROUPS, LOADED, OWN, VARIABLE
-from contactbench.results.schema import TABLES
 from contactbench.scene import Cache
 from contactbench.scenes import SCENES
+from contactbench.tables.schema import TABLES
 
 
 def pytest_configure():

@@ -7,12 +7,12 @@ from typing import Any
 import pandas as pd
 
 from contactbench.report.chapters import Tables
-from contactbench.results.schema import TABLES
-from contactbench.results.store import set_types
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Status
 from contactbench.study.schedule import Schedule
 from contactbench.study.search import Attempt, Search
+from contactbench.tables.schema import TABLES
+from contactbench.tables.store import set_types
 
 FAMILIES = {"contact": "contact", "herglotz": "variational"}
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from cases import REPOSITORY
-from contactbench.results.schema import TABLES
-from contactbench.results.store import merge
+from contactbench.tables.schema import TABLES
+from contactbench.tables.store import merge
 
 #: the record of a run, as complete as the benchmark writes it
 RUN = {"run": "one", "profile": "smoke", "cpu": "a", "isa": "x", "python": "3.13", "packages": {"jax": "1"}}

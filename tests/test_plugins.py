@@ -20,9 +20,9 @@ from contactbench import plugins
 from contactbench.cli import main
 from contactbench.limits import VARIABLE
 from contactbench.report import write
-from contactbench.results.provenance import runs
-from contactbench.results.store import read
-from contactbench.results.tables import CONVERGENCE, WORK_PRECISION
+from contactbench.tables.declared import CONVERGENCE, WORK_PRECISION
+from contactbench.tables.provenance import runs
+from contactbench.tables.store import read
 from made_up import RUN
 
 MINE = ("my-method", "double-well")

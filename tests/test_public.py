@@ -34,7 +34,7 @@ WITH_EXAMPLES = [
 SOLVERS = {"jax", "numba", "mpmath", "diffrax", "heyoka", "sksundae", "CyRK", "scipy.integrate"}
 #: other libraries, and parts of the package, that take long to load
 HEAVY = SOLVERS | {"matplotlib", "pandas", "scipy.linalg", "scipy.optimize"}
-HEAVY |= {f"contactbench.{part}" for part in ("gate", "report", "results.store", "testing")}
+HEAVY |= {f"contactbench.{part}" for part in ("gate", "report", "tables.store", "testing")}
 #: what only some programs need, and the list of claims: short commands do without
 SELDOM = {"scipy", "numpy.polynomial", "difflib", "logging", "concurrent.futures", "contactbench.paper"}
 

@@ -15,7 +15,6 @@ from contactbench.methods.one_step import step_map
 from contactbench.methods.prescribed import geometric_steps
 from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
-from contactbench.results.tables import results
 from contactbench.scene import (
     ContactSystem,
     Driven,
@@ -29,6 +28,7 @@ from contactbench.scene import (
 )
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
+from contactbench.tables.declared import results
 from contactbench.truth import reference
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 from cases import REPOSITORY, few_slow
-from contactbench.results import tables
+from contactbench.tables import declared
 from made_up import folder
 
 BLOCK = re.compile(r"^```python[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -29,7 +29,7 @@ def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
     made = folder(tmp_path / "tables")  # a clone's may be those of any run
     for table in (REPOSITORY / "results").glob("population*.csv"):  # those that lead are found in it
         copy(table, made)
-    monkeypatch.setattr(tables, "shipped_folder", lambda: made)
+    monkeypatch.setattr(declared, "shipped_folder", lambda: made)
     monkeypatch.setattr(cb, "compare", partial(cb.compare, budget=BUDGET))
     text, scope = page.read_text(), {}
     for block in BLOCK.finditer(text):

@@ -13,9 +13,9 @@ from contactbench.report.chapters import CHAPTERS, Answer, Chapter
 from contactbench.report.curves import by_method
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.views import View
-from contactbench.results.schema import TABLES, Column, Rule, Table
-from contactbench.results.store import merge
-from contactbench.results.tables import COMMON
+from contactbench.tables.declared import COMMON
+from contactbench.tables.schema import TABLES, Column, Rule, Table
+from contactbench.tables.store import merge
 
 COLUMNS = {**COMMON, "half_life": Column("time at which H0 is half of H0(0)", "number", Rule.value)}
 ABOUT = "when H0 has fallen to a half of H0(0), by linear interpolation"

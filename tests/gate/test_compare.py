@@ -6,8 +6,8 @@ import math
 import pytest
 
 from contactbench.gate.compare import compare_folders
-from contactbench.results.schema import TABLES, Rule
-from contactbench.results.store import merge
+from contactbench.tables.schema import TABLES, Rule
+from contactbench.tables.store import merge
 from made_up import CLAIM, ROWS, RUN, folder, row, same
 
 

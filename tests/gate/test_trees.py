@@ -12,8 +12,8 @@ import made_up
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import revisions, trees
-from contactbench.results.schema import TABLES
-from contactbench.results.store import merge
+from contactbench.tables.schema import TABLES
+from contactbench.tables.store import merge
 from made_up import ROWS, commit, folder, fresh, git, project, repository, same
 
 

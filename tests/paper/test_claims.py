@@ -16,11 +16,11 @@ from contactbench.paper.curves import FIGURES, rows
 from contactbench.paper.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
 from contactbench.paper.ledger import BOUNDS, Claim, Measurement
 from contactbench.report import paper
-from contactbench.results.schema import BEYOND
-from contactbench.results.store import merge
-from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.scene import Mechanical, RigidBody
 from contactbench.splitting.tables import COMPOSITIONS
+from contactbench.tables.declared import CLAIMS_TABLE, PAPER_FIGURES
+from contactbench.tables.schema import BEYOND
+from contactbench.tables.store import merge
 
 
 def ids(*numbers):

@@ -9,8 +9,8 @@ from contactbench.report import markdown
 from contactbench.report.chapters import chapters, discovered, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View
-from contactbench.results.schema import TABLES
-from contactbench.results.store import read
+from contactbench.tables.schema import TABLES
+from contactbench.tables.store import read
 from frames import frames, row
 
 

@@ -9,8 +9,8 @@ from cases import REPOSITORY
 from contactbench.cli import main
 from contactbench.gate import trees
 from contactbench.report.write import README_PART
-from contactbench.results.store import merge
-from contactbench.results.tables import CONVERGENCE, LAWS_TABLE
+from contactbench.tables.declared import CONVERGENCE, LAWS_TABLE
+from contactbench.tables.store import merge
 from frames import row
 
 

@@ -14,8 +14,8 @@ from contactbench.report.numbers import duration
 from contactbench.report.stability import ending, rates_view, started_runs
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.report.write import glossary
-from contactbench.results.contest import COMPILED
-from contactbench.results.schema import TABLES
+from contactbench.tables.contest import COMPILED
+from contactbench.tables.schema import TABLES
 from frames import frames, row, table
 
 

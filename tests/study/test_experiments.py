@@ -13,9 +13,6 @@ from contactbench.measure.clock import Part, Visit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.paper import CLAIMS
 from contactbench.paper.curves import FIGURES
-from contactbench.results.schema import PROFILES as NAMES
-from contactbench.results.store import read
-from contactbench.results.tables import DEFINITIONS, WORK_PRECISION
 from contactbench.scenes import scenes_of
 from contactbench.study import choice
 from contactbench.study.choice import DEAR, SMOKE
@@ -26,6 +23,9 @@ from contactbench.study.search import step_at, tolerance_at
 from contactbench.study.settings import ENDS, steps
 from contactbench.study.timetable import SAMPLE, SPARED, Entry, Timetable
 from contactbench.study.work_precision import error, errors, evaluations_spread, ladder, passes_through, runs
+from contactbench.tables.declared import DEFINITIONS, WORK_PRECISION
+from contactbench.tables.schema import PROFILES as NAMES
+from contactbench.tables.store import read
 
 
 class Scripted:
@@ -164,7 +164,7 @@ def test_every_line_of_what_is_left_to_full_leaves_something_out_of_a_standard_r
 FULL = """
 import errno
 from contactbench.methods import METHODS
-from contactbench.results import cells
+from contactbench.tables import cells
 
 METHODS["rk4"] = METHODS["rk4"].__class__(**vars(METHODS["rk4"]))  # a plug-in registers something
 

@@ -11,12 +11,12 @@ import contactbench as cb
 from contactbench.measure.statistics import NORMAL, quantile_interval, wilson
 from contactbench.peers import heyoka
 from contactbench.report import population as report
-from contactbench.results.tables import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
 from contactbench.study import population
 from contactbench.study.experiment import PROFILES
 from contactbench.study.features import features, force_cost
 from contactbench.study.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, REPLICATE, SEED, draw
 from contactbench.study.search import Question
+from contactbench.tables.declared import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
 
 #: those that start at the bottom of a well whose smallest frequency is ω
 WELLS = ["well-4", "well-6", "pendulum", "cosine-lattice", "morse", "henon-heiles", "toda-5", "fput-3"]

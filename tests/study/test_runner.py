@@ -5,12 +5,12 @@ import pytest
 import contactbench as cb
 import planted
 from cases import refusal
-from contactbench.results.cells import Cells
-from contactbench.results.store import read
-from contactbench.results.tables import CONVERGENCE, DEFINITIONS
 from contactbench.study import runner
 from contactbench.study.experiment import PROFILES, Experiment, experiments
 from contactbench.study.runner import Run, Task
+from contactbench.tables.cells import Cells
+from contactbench.tables.declared import CONVERGENCE, DEFINITIONS
+from contactbench.tables.store import read
 from made_up import row
 
 TASK = Task(experiments()["laws"], ("particle_long", "cvode-adams"), "particle_long-cvode-adams")

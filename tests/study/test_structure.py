@@ -3,8 +3,8 @@
 import pytest
 
 import contactbench as cb
-from contactbench.results.tables import STRUCTURE_BUYS
 from contactbench.study import structure
+from contactbench.tables.declared import STRUCTURE_BUYS
 
 SHORT = ("chaotic_ring", 1e-3, 200.0)
 

@@ -14,7 +14,7 @@ from contactbench.errors import BadInput
 
 def claim(arguments: argparse.Namespace) -> int:
     from contactbench.paper import CLAIMS
-    from contactbench.results.schema import SEPARATOR
+    from contactbench.tables.schema import SEPARATOR
 
     row = CLAIMS[arguments.id.upper()].row()
     if arguments.json:

@@ -16,9 +16,9 @@ from contactbench.errors import BadInput
 from contactbench.gate.removed import Removed
 from contactbench.measure.law import STRUCTURE
 from contactbench.report.markdown import escaped
-from contactbench.results import provenance
-from contactbench.results.schema import PROFILES, SPREAD, TABLES, Rule, Table, floor
-from contactbench.results.store import read
+from contactbench.tables import provenance
+from contactbench.tables.schema import PROFILES, SPREAD, TABLES, Rule, Table, floor
+from contactbench.tables.store import read
 
 #: packages that solve nothing: runs may differ in them and be of one machine
 IDLE_PACKAGES = ("contactbench", "pandas", "matplotlib", "pytest-benchmark")

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from contactbench.results.schema import Table
-from contactbench.results.store import set_types
+from contactbench.tables.schema import Table
+from contactbench.tables.store import set_types
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from contactbench.errors import BadInput
 from contactbench.plugins import VARIABLE
-from contactbench.results.provenance import SOURCES
+from contactbench.tables.provenance import SOURCES
 
 #: what the main branch may be called, the first there is
 MAIN = ("origin/HEAD", "origin/main", "main", "master")

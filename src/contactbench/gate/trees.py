@@ -34,9 +34,9 @@ from contactbench.gate.compare import (
 from contactbench.gate.removed import Removed
 from contactbench.plugins import brought
 from contactbench.report.write import computed_part
-from contactbench.results import provenance
-from contactbench.results.schema import TABLES, Rule, Table
-from contactbench.results.store import OldTable, read
+from contactbench.tables import provenance
+from contactbench.tables.schema import TABLES, Rule, Table
+from contactbench.tables.store import OldTable, read
 
 PARTS = ("accuracy", "speed")
 #: in the messages of commits: tables that are meant to change, or all, and tests that are meant to go

@@ -22,7 +22,7 @@ from importlib.resources import files
 from typing import Any, SupportsFloat
 
 from contactbench.registry import Registry
-from contactbench.results.schema import SEPARATOR
+from contactbench.tables.schema import SEPARATOR
 
 CLAIMS = Registry("claim")
 #: by id, the fields of `Claim`

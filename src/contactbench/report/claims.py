@@ -11,7 +11,7 @@ from contactbench.report.chapters import Answer, Frames, Part, Section, Text, ch
 from contactbench.report.drawing import Figure
 from contactbench.report.numbers import DASH, how_often
 from contactbench.report.views import View, frame_of
-from contactbench.results.schema import BEYOND, SEPARATOR
+from contactbench.tables.schema import BEYOND, SEPARATOR
 
 CAPTIONS = {
     "repairs": "Corrected",

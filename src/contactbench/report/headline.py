@@ -28,9 +28,9 @@ from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.laws import cost_cells, law_label
 from contactbench.report.numbers import DASH, duration, how_often, names
 from contactbench.report.views import Cell, View, frame_of
-from contactbench.results.contest import OTHER
-from contactbench.results.judgement import law_rows
-from contactbench.results.tables import ORBIT, TRUTH
+from contactbench.tables.contest import OTHER
+from contactbench.tables.declared import ORBIT, TRUTH
+from contactbench.tables.judgement import law_rows
 
 NAME = "README"
 #: the scene whose work–precision picture stands here

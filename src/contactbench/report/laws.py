@@ -17,10 +17,10 @@ from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
 from contactbench.report.numbers import DASH, count, how_often, names, power, readable, scientific, times
 from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
-from contactbench.results.contest import CONTACT
-from contactbench.results.judgement import law_rows, laws_at_equal_cost, laws_in, structural_laws
-from contactbench.results.schema import Column
-from contactbench.results.tables import LAWS_TABLE
+from contactbench.tables.contest import CONTACT
+from contactbench.tables.declared import LAWS_TABLE
+from contactbench.tables.judgement import law_rows, laws_at_equal_cost, laws_in, structural_laws
+from contactbench.tables.schema import Column
 
 DAGGER, DOUBLE_DAGGER = "†", "‡"
 LEGEND: str = PROSE["laws"]["legend"]

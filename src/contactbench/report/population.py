@@ -12,8 +12,8 @@ from contactbench.measure.statistics import COUNTED, quantile_interval, wilson
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, view
 from contactbench.report.numbers import DASH, power, times
 from contactbench.report.views import Cell, Mark, View, frame_of
-from contactbench.results.contest import CONTACT, OTHER, OURS
-from contactbench.results.regret import COSTS, regrets
+from contactbench.tables.contest import CONTACT, OTHER, OURS
+from contactbench.tables.regret import COSTS, regrets
 
 #: costs in words, and the questions about them
 LABELS = {"evaluations": "evaluations", "time_s": "compiled time"}

@@ -17,8 +17,8 @@ from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import law_label
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.views import Cell, View, frame_of
-from contactbench.results.judgement import structural_laws
-from contactbench.results.tables import LAWS_TABLE, shipped_folder
+from contactbench.tables.declared import LAWS_TABLE, shipped_folder
+from contactbench.tables.judgement import structural_laws
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: what a law is about, and what follows from what

@@ -18,10 +18,10 @@ from contactbench.report.laws import LEGEND, drift_cell, law_label
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
-from contactbench.results.contest import EVALUATIONS
-from contactbench.results.judgement import laws_in
-from contactbench.results.schema import numbers
-from contactbench.results.tables import STABILITY
+from contactbench.tables.contest import EVALUATIONS
+from contactbench.tables.declared import STABILITY
+from contactbench.tables.judgement import laws_in
+from contactbench.tables.schema import numbers
 
 #: with which the others are compared under strong damping: a composition without steps against time
 BASE = "contact-strang"

@@ -15,7 +15,7 @@ from contactbench.report.curves import best_of_each, by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.numbers import duration, names, power, scientific, times
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
-from contactbench.results.contest import CONTACT
+from contactbench.tables.contest import CONTACT
 
 #: how far the energy left may be off
 ALLOWED = 0.01

@@ -12,8 +12,8 @@ from contactbench.report import population, stability, structure
 from contactbench.report.chapters import PROSE, Frames, Part, Section, Text, chapter, view
 from contactbench.report.numbers import DASH, names, power, times
 from contactbench.report.views import Cell, View, frame_of
-from contactbench.results.contest import CONTACT
-from contactbench.results.regret import COSTS, regrets
+from contactbench.tables.contest import CONTACT
+from contactbench.tables.regret import COSTS, regrets
 
 NAME = "which"
 #: kinds of problem and the families that are of each, None: all the others; and the questions, in order

@@ -15,7 +15,7 @@ from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapes
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
 from contactbench.report.views import Cell, Mark, View, grid, matrix
-from contactbench.results.contest import (
+from contactbench.tables.contest import (
     COMPILED,
     CONTACT,
     EVALUATIONS,

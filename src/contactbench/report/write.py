@@ -16,9 +16,9 @@ from contactbench.report import draw, headline, markdown
 from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, discovered, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View, frame_of
-from contactbench.results.provenance import runs
-from contactbench.results.schema import TABLES
-from contactbench.results.store import read
+from contactbench.tables.provenance import runs
+from contactbench.tables.schema import TABLES
+from contactbench.tables.store import read
 
 #: the caller hands over the registries: the report itself knows no solvers
 Registries = Mapping[str, Mapping[str, Any]]

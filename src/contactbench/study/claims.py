@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from contactbench.paper import CLAIMS, curves
-from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.study.experiment import Cell, Profile, Recorded, experiment
+from contactbench.tables.declared import CLAIMS_TABLE, PAPER_FIGURES
 
 #: claims that take longer than a second, which the smoke profile leaves out
 NUMBERS = (1, 3, 4, 5, 12, 15, 18, 20, 22, 24, 26, 33, 34, 37, 39, 41, 44, 45, 47, 48)

@@ -16,7 +16,6 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.measure.laws import laws_of
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.base import METHODS
-from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
 from contactbench.solution import Solution
@@ -26,6 +25,7 @@ from contactbench.study.recommendation import recommendation
 from contactbench.study.schedule import LEFT_OUT, Schedule
 from contactbench.study.search import Attempt, Search
 from contactbench.study.settings import ENDS, carry_of, times
+from contactbench.tables.contest import CUT, standings
 from contactbench.truth import Reference
 
 ERRORS = (1e-3, 1e-6, 1e-9)

@@ -14,12 +14,12 @@ from contactbench.measure.order import error_at, fit_order
 from contactbench.methods.base import Method
 from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.results.tables import CONVERGENCE
 from contactbench.scene import Scene
 from contactbench.solution import keywords
 from contactbench.study.choice import key, outcome, pairs
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.settings import halving_steps, times
+from contactbench.tables.declared import CONVERGENCE
 
 POINTS = 9
 #: below this, relative to the solution, an error is round-off

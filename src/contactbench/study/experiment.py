@@ -12,8 +12,8 @@ from typing import Any
 
 from contactbench.measure.clock import MOST_VISITS, VISITS, Call
 from contactbench.registry import import_modules
-from contactbench.results.schema import PROFILES as NAMES
-from contactbench.results.schema import Table
+from contactbench.tables.schema import PROFILES as NAMES
+from contactbench.tables.schema import Table
 
 type Cell = tuple[Any, ...]
 type Row = dict[str, Any]

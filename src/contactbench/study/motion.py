@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
-from contactbench.results.tables import MOTION, ORBIT, TRUTH
 from contactbench.study.experiment import Cell, Profile, Recorded, experiment
 from contactbench.study.trial import agreed
+from contactbench.tables.declared import MOTION, ORBIT, TRUTH
 
 #: the central force, so weakly damped that a motion has many turns
 SCENE, GAMMA, SPAN = "central", 0.005, 300.0

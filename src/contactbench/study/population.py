@@ -12,7 +12,6 @@ import numpy as np
 from contactbench.measure.clock import Call
 from contactbench.methods.base import METHODS, Method, prepare
 from contactbench.peers.heyoka import SHARED
-from contactbench.results.tables import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
 from contactbench.scene import Scene
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.features import Features, features
@@ -30,6 +29,7 @@ from contactbench.study.problems import (
 from contactbench.study.search import Attempt, Question
 from contactbench.study.settings import carry_of
 from contactbench.study.trial import CLEAR, ENDS, Trial, agreed, is_short
+from contactbench.tables.declared import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
 from contactbench.truth import Reference
 
 #: those that are best on such problems in the tables, the classical ones, and what libraries compile soon; first those

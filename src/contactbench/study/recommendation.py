@@ -10,7 +10,7 @@ from contactbench.measure.statistics import WIDEST, Verdict
 from contactbench.methods.base import METHODS
 from contactbench.report.numbers import count, duration, exact_power, names, times
 from contactbench.report.race import kept_and_unknown
-from contactbench.results.contest import CONTACT, CUT
+from contactbench.tables.contest import CONTACT, CUT
 
 #: solvers of other libraries that are named beside the fastest
 PEERS = 2

@@ -23,12 +23,12 @@ from contactbench.measure.isolation import Died, Worker, settle
 from contactbench.methods import METHODS
 from contactbench.methods.base import ENGINES
 from contactbench.plugins import brought
-from contactbench.results import cells as journal
-from contactbench.results import provenance
-from contactbench.results.schema import TABLES, Table
-from contactbench.results.store import OldTable, check, read
 from contactbench.study.experiment import Cell, Experiment, Profile, Row, experiments
 from contactbench.study.timetable import Entry, Timetable
+from contactbench.tables import cells as journal
+from contactbench.tables import provenance
+from contactbench.tables.schema import TABLES, Table
+from contactbench.tables.store import OldTable, check, read
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from contactbench.measure.law import MEANINGFUL
 from contactbench.measure.laws import row as laws_row
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.results.tables import DAMPING_RATES, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
@@ -32,6 +31,7 @@ from contactbench.study.choice import controlled, key, left_to_full, outcome, sm
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.search import right_hand_sides, step_at, tolerance_at
 from contactbench.study.settings import SAVES, times
+from contactbench.tables.declared import DAMPING_RATES, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
 from contactbench.truth import blow_up_time, condition_number
 
 #: seconds after which a call hangs; the dearest, over 10⁵ units of time, takes about twenty

@@ -16,8 +16,6 @@ from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
-from contactbench.results.contest import CONTACT
-from contactbench.results.tables import WORK_PRECISION
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, GROWING, PILOTS, Solution
@@ -34,6 +32,8 @@ from contactbench.study.settings import (
     times,
     tolerances,
 )
+from contactbench.tables.contest import CONTACT
+from contactbench.tables.declared import WORK_PRECISION
 
 #: of tolerances down to this a profile chooses some; tighter ones are all run
 TIGHT = 1e-13

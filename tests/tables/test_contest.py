@@ -5,9 +5,9 @@ import math
 import pytest
 
 from contactbench.measure.law import is_kept
-from contactbench.results import contest
-from contactbench.results.contest import COMPILED, EVALUATIONS, TARGETS, contests, costs
-from contactbench.results.judgement import law_rows
+from contactbench.tables import contest
+from contactbench.tables.contest import COMPILED, EVALUATIONS, TARGETS, contests, costs
+from contactbench.tables.judgement import law_rows
 from frames import frames, row, table
 
 

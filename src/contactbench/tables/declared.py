@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from contactbench.errors import BadInput
 from contactbench.measure.law import JUDGEMENT
 from contactbench.measure.laws import LAWS
-from contactbench.results.schema import TABLES, Column, Rule, Table
+from contactbench.tables.schema import TABLES, Column, Rule, Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -128,7 +128,7 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
     >>> laws.attrs["columns"].keys() == set(laws.columns)
     True
     """
-    from contactbench.results.store import read  # takes long to load, as pandas does
+    from contactbench.tables.store import read  # takes long to load, as pandas does
 
     table = TABLES[name]
     where = shipped_folder() if folder is None else Path(folder)

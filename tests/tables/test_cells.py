@@ -8,11 +8,11 @@ import time
 import pytest
 
 from cases import bench, finished, own_processes
-from contactbench.results.cells import FOLDER, Cells
-from contactbench.results.provenance import runs
-from contactbench.results.schema import TABLES
-from contactbench.results.store import read
-from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
+from contactbench.tables.cells import FOLDER, Cells
+from contactbench.tables.declared import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
+from contactbench.tables.provenance import runs
+from contactbench.tables.schema import TABLES
+from contactbench.tables.store import read
 from made_up import row
 
 SMALL = "particle and (strang or cvode-adams) and not long"
@@ -82,7 +82,7 @@ def test_what_is_merged_is_not_merged_again(tmp_path):
 KILLED_WHILE_MERGING = """
 import os, sys
 from pathlib import Path
-from contactbench.results import cells, provenance, store, tables
+from contactbench.tables import cells, provenance, store, tables
 row = {"scene": "particle", "method": "rk4", "engine": "jax", "setting": "step=0.1", "status": "ok", "message": ""}
 alone = {name: row[name] for name in tables.LAWS_TIME.key[:-1]}
 two = [(t, row) for t in (tables.CONVERGENCE, tables.LAWS_TABLE)]

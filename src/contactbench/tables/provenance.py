@@ -23,7 +23,7 @@ from contactbench.errors import BadInput
 from contactbench.files import replacing
 from contactbench.measure.clock import SEED
 from contactbench.plugins import LOADED
-from contactbench.results.schema import TABLES, Row
+from contactbench.tables.schema import TABLES, Row
 
 PACKAGES = """contactbench numpy scipy pandas matplotlib mpmath
 llvmlite numba jax jaxlib diffrax scikit-sundae heyoka cyrk"""

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import pandas as pd
 
 from contactbench.measure.law import JUDGEMENT
-from contactbench.results.schema import Column, Rule, Table, numbers
-from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
+from contactbench.tables.declared import DECAY_LAWS, LAWS_TABLE
+from contactbench.tables.schema import Column, Rule, Table, numbers
 
 #: the tables whose rows are judged
 JUDGED_TABLES = ("laws", "stability")

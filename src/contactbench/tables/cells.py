@@ -21,9 +21,9 @@ from filelock import FileLock
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
-from contactbench.results.provenance import save_run
-from contactbench.results.schema import PROFILES, TABLES, Row, Table
-from contactbench.results.store import check, keys, merge, note, read
+from contactbench.tables.provenance import save_run
+from contactbench.tables.schema import PROFILES, TABLES, Row, Table
+from contactbench.tables.store import check, keys, merge, note, read
 
 FOLDER = ".cells"
 #: of a file that is not merged yet, of one that is, and of the time at which a selection was last begun

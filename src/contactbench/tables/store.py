@@ -19,7 +19,7 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
-from contactbench.results.schema import Column, Row, Table, floor
+from contactbench.tables.schema import Column, Row, Table, floor
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
 FLAGS = {"True": True, "False": False, True: True, False: False}

@@ -11,11 +11,11 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY
 from contactbench.measure.law import STRUCTURE
-from contactbench.results import provenance, tables
-from contactbench.results.schema import TABLES, Rule
-from contactbench.results.store import OldTable, keys, merge, read, replacing
-from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 from contactbench.study.choice import controlled
+from contactbench.tables import provenance, tables
+from contactbench.tables.declared import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
+from contactbench.tables.schema import TABLES, Rule
+from contactbench.tables.store import OldTable, keys, merge, read, replacing
 from made_up import ROWS, folder
 
 
@@ -214,7 +214,7 @@ def test_environment_lists_the_last_whole_run_and_the_partial_ones_since(tmp_pat
 @pytest.mark.parametrize("name", ROWS)
 def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name, tmp_path, monkeypatch):
     made = folder(tmp_path / "tables")
-    monkeypatch.setattr(tables, "shipped_folder", lambda: made)
+    monkeypatch.setattr(declared, "shipped_folder", lambda: made)
     frame, columns = cb.results(name), TABLES[name].every_column
     assert len(frame) == len(ROWS[name])
     assert set(frame.attrs["columns"]) == set(frame.columns) == set(columns)
@@ -231,7 +231,7 @@ def test_tables_lie_inside_an_installed_package_or_beside_the_sources(tmp_path, 
     assert "/results/*.csv" in wheel["include"]
     assert wheel["sources"]["results"] == "contactbench/_results"
     package = tmp_path / "src" / "contactbench"
-    monkeypatch.setattr(tables, "__file__", str(package / "results" / "tables.py"))
+    monkeypatch.setattr(declared, "__file__", str(package / "tables" / "declared.py"))
     with pytest.raises(cb.BadInput, match="no result tables in this installation"):
         cb.results("claims")
     folder(package / "_results")
