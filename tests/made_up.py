@@ -69,6 +69,11 @@ def same(which, row):
     return row
 
 
+def without(**values):
+    """A change that leaves rows out."""
+    return lambda which, row: None if values.items() <= {"table": which, **row}.items() else row
+
+
 def folder(path, change=same, run=RUN, keep=lambda row: True):
     """A folder of tables, each row changed (None: left out)."""
     path.mkdir(parents=True, exist_ok=True)

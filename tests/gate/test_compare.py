@@ -8,7 +8,7 @@ import pytest
 from contactbench.gate.compare import compare_folders
 from contactbench.tables.schema import TABLES, Rule
 from contactbench.tables.store import merge
-from made_up import CLAIM, ROWS, RUN, folder, row, same
+from made_up import CLAIM, ROWS, RUN, folder, row, same, without
 
 
 @pytest.fixture
@@ -43,11 +43,6 @@ def all_of(changes):
         return row
 
     return changed
-
-
-def without(**values):
-    """A change that leaves rows out."""
-    return lambda t, r: None if values.items() <= {"table": t, **r}.items() else r
 
 
 LAWS, WORK, CLAIMS, ORDERS = "laws", "work_precision", "claims", "convergence"

@@ -14,7 +14,7 @@ from contactbench.errors import BadInput
 from contactbench.gate import revisions, trees
 from contactbench.tables.schema import TABLES
 from contactbench.tables.store import merge
-from made_up import ROWS, commit, folder, fresh, git, project, repository, same
+from made_up import ROWS, commit, folder, fresh, git, project, repository, same, without
 
 
 @pytest.fixture(autouse=True)
@@ -60,8 +60,7 @@ def edited(name, old, new):
     return lambda root: edit(root / "results" / name, old, new)
 
 
-def without_rk4(which, row):
-    return None if which == "laws" and row["method"] == "rk4" else row
+without_rk4 = without(table="laws", method="rk4")
 
 
 def broken(which, row):
@@ -103,8 +102,6 @@ def append(name, **values):
 
 
 RECORD, STUB = "results/environment.json", json.dumps({"runs": [{"profile": "smoke"}]})
-
-
 ROW = append("work_precision", solution_error=1e-14, evaluations=10)
 #: one that no run makes
 LARGE = append("work_precision", profile="full", solution_error=1e-14)
@@ -140,9 +137,8 @@ def test_an_untouched_tree_is_green(judge):
 def test_a_change_of_tables_is_red_unless_it_is_listed_and_then_a_reviewer_sees_it(root, judge):
     """A method is removed, the others' numbers are other ones, and the tables say so."""
 
-    def change(which, row):
-        return None if row.get("method") == "cvode-adams" else broken(which, row)
-
+    gone = without(method="cvode-adams")
+    change = lambda which, row: gone(which, row) and broken(which, row)  # noqa: E731
     remake(change)(root)
     commit(root, "Without cvode-adams")
     assert {"base → tree: row", "base → tree: solution_error"} <= red(judge(change))

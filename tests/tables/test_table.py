@@ -12,7 +12,7 @@ import contactbench as cb
 from cases import REPOSITORY
 from contactbench.measure.law import STRUCTURE
 from contactbench.study.choice import controlled
-from contactbench.tables import provenance, tables
+from contactbench.tables import declared, provenance
 from contactbench.tables.declared import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 from contactbench.tables.schema import TABLES, Rule
 from contactbench.tables.store import OldTable, keys, merge, read, replacing

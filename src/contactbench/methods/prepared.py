@@ -379,7 +379,7 @@ class RunByTolerance(Prepared):
 def furthest(scene: Scene, carry: tuple[str, ...], y0: np.ndarray, end: float) -> np.ndarray:
     """Return beyond what the motion from a packed state has diverged, (motion,)."""
     with np.errstate(all="ignore"):
-        scales = scene.scales(scene.unpack(scene.entries(y0), carry), end)[: scene.motion]
+        scales = scene.scales(scene.unpack(tuple(y0), carry), end)[: scene.motion]
         most = np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion])))
     return np.asarray(DIVERGENCE * most)
 
