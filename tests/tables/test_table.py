@@ -89,11 +89,11 @@ def test_the_order_in_which_rows_are_made_does_not_show(tmp_path):
 
 def test_infinity_is_kept_where_it_is_a_value_and_blank_elsewhere(tmp_path):
     limits = {"method": "rk4", "gamma": 1.0, "omega": 1.0, "limit": math.inf}
-    merge(tables.STABILITY_LIMITS, [limits], tmp_path)
-    assert read(tables.STABILITY_LIMITS, tmp_path)["limit"].tolist() == [math.inf]
+    merge(declared.STABILITY_LIMITS, [limits], tmp_path)
+    assert read(declared.STABILITY_LIMITS, tmp_path)["limit"].tolist() == [math.inf]
     damping = {"method": "rk4", "gamma": 1.0, "damping_per_evaluation": 0.1, "error": math.inf}
-    merge(tables.STRONG_DAMPING, [damping], tmp_path)
-    assert read(tables.STRONG_DAMPING, tmp_path)["error"].tolist() == [math.inf]
+    merge(declared.STRONG_DAMPING, [damping], tmp_path)
+    assert read(declared.STRONG_DAMPING, tmp_path)["error"].tolist() == [math.inf]
     assert merge(CONVERGENCE, [row(order=math.inf)], tmp_path)["order"].isna().all()
 
 
@@ -101,17 +101,17 @@ def test_a_key_that_is_a_number_is_found_again(tmp_path):
     """Written with six digits, it must still replace its row."""
     for limit in (2.0, 3.0):
         row = {"method": "rk4", "gamma": 1 / 3, "omega": 2 / 3, "limit": limit}
-        merge(tables.STABILITY_LIMITS, [row], tmp_path)
-    assert read(tables.STABILITY_LIMITS, tmp_path)["limit"].tolist() == [3.0]
+        merge(declared.STABILITY_LIMITS, [row], tmp_path)
+    assert read(declared.STABILITY_LIMITS, tmp_path)["limit"].tolist() == [3.0]
 
 
 def test_a_measurement_that_now_times_out_does_not_keep_its_old_result(tmp_path):
     """Weak damping: the setting is found by the measurement, and a run that ends early knows none."""
     weak = {"experiment": "weak", "scene": "weak_damping", "method": "rk4", "engine": "jax", "t_end": 1e4}
     done = weak | controlled("step", 0.5) | {"status": "ok"}
-    merge(tables.DAMPING_RATES, [done, done | {"t_end": 1e5}], tmp_path)
-    merge(tables.DAMPING_RATES, [weak | {"setting": "", "status": "timeout"}], tmp_path)
-    back = read(tables.DAMPING_RATES, tmp_path)[["t_end", "status", "setting"]]
+    merge(declared.DAMPING_RATES, [done, done | {"t_end": 1e5}], tmp_path)
+    merge(declared.DAMPING_RATES, [weak | {"setting": "", "status": "timeout"}], tmp_path)
+    back = read(declared.DAMPING_RATES, tmp_path)[["t_end", "status", "setting"]]
     assert back.values.tolist() == [[1e4, "timeout", ""], [1e5, "ok", "step=0.5"]]
 
 
