@@ -57,8 +57,8 @@ def test_a_method_leads_that_is_near_the_least_on_a_part_of_the_problems(planted
 
 @pytest.mark.parametrize(("gamma", "first"), [(1e-4, "contact-rkn8"), (1.0, "contact-rkn4")])
 def test_problems_of_the_nearest_damping_are_asked(planted, gamma, first):
-    weak = {name: lambda k, own=own: 1.0 if (k < 50) == own else 9.0 for name, own in
-            (("contact-rkn8", True), ("contact-rkn4", False))}  # fmt: skip
+    halves = {"contact-rkn8": True, "contact-rkn4": False}
+    weak = {name: lambda k, own=own: 1.0 if (k < 50) == own else 9.0 for name, own in halves.items()}
     planted(weak, damping=lambda k: 1e-4 if k < 50 else 1.0, count=100)
     assert beside(field.field(OSCILLATOR.with_(gamma=gamma), [1e-6])) == [first]
 
@@ -136,6 +136,7 @@ def test_without_tables_all_race(monkeypatch):
         ("all", [*cb.METHODS], ["rk4"], compare.LONG_BUDGET),
         (["rk8", "rk4"], ["rk8", "rk4"], [], compare.LONG_BUDGET),
     ],
+    ids=lambda scene: getattr(scene, "name", scene),
 )
 def test_who_races_and_for_how_long(monkeypatch, methods, raced, leading, budget):
     taken = []
