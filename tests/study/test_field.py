@@ -96,13 +96,18 @@ def test_a_method_of_ones_own_always_races(planted, registries):
         "rigid_body",
         cb.Equations(name="own", rhs=lambda t, y: (y[1], -y[0]), y0=(1.0, 0.0), t_end=5.0),
         cb.Mechanical(
-            name="floats", q=(1.0,), p=(0.0,), gamma=0.1, t_end=20.0,
-            potential=lambda q: float(q[0]) ** 2 / 2, gradient=lambda q: (float(q[0]),),
+            name="floats",
+            q=(1.0,),
+            p=(0.0,),
+            gamma=0.1,
+            t_end=20.0,
+            potential=lambda q: float(q[0]) ** 2 / 2,
+            gradient=lambda q: (float(q[0]),),
         ),
         cb.Mechanical(name="rest", q=(0.0,), p=(0.0,), gamma=0.0, t_end=5.0, potential=lambda q: q[0] ** 2),
     ],
-    ids=str,
-)  # fmt: skip
+    ids=lambda scene: getattr(scene, "name", scene),
+)
 def test_about_ten_methods_race_on_every_kind_of_scene_a_contact_method_among_them(scene):
     scene = cb.SCENES[scene] if isinstance(scene, str) else scene
     found = [cb.METHODS[name] for name in field.field(scene, compare.ERRORS)]
@@ -136,7 +141,6 @@ def test_without_tables_all_race(monkeypatch):
         ("all", [*cb.METHODS], ["rk4"], compare.LONG_BUDGET),
         (["rk8", "rk4"], ["rk8", "rk4"], [], compare.LONG_BUDGET),
     ],
-    ids=lambda scene: getattr(scene, "name", scene),
 )
 def test_who_races_and_for_how_long(monkeypatch, methods, raced, leading, budget):
     taken = []
