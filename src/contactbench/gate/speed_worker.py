@@ -35,7 +35,9 @@ FILL = 1e-3
 def call(cell: Mapping[str, Any]) -> Callable[[], object]:
     name, method, value = cell["scene"], cell["method"], cell["value"]
     scene = cb.SCENES[name]
-    given = {"step": value, "engine": cell["engine"]}
+    engines = cb.METHODS[method].engines
+    engine = cell["engine"] if cell["engine"] in engines else engines[0]  # an older revision names it otherwise
+    given = {"step": value, "engine": engine}
     match cell["call"]:
         case "solve":
             return lambda: cb.solve(name, method, **given)
@@ -49,7 +51,7 @@ def call(cell: Mapping[str, Any]) -> Callable[[], object]:
             return lambda: subprocess.run([sys.executable, "-P", "-c", "import contactbench"], check=True)
     times = [scene.t_end * k / cell["saves"] for k in range(1, cell["saves"] + 1)]
     setting = {cell["control"]: value} if cell["control"] in ("step", "rtol") else {}
-    run = cb.prepare(scene, method, engine=cell["engine"], save_at=times, carry=cell["carry"], **setting)
+    run = cb.prepare(scene, method, engine=engine, save_at=times, carry=cell["carry"], **setting)
     if cell["call"] == "bare":
         packed = run.start
         return lambda: run.bare(packed)
