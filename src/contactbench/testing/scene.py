@@ -167,7 +167,7 @@ def has_its_laws(case: SceneCase) -> None:
 def has_tangents(case: SceneCase) -> None:
     scene, twin = case.scene, case.twin
 
-    def curve(x: AnyState, v: AnyState) -> Callable[[Arithmetic], list[Arithmetic]]:
+    def curve(x: AnyState, v: AnyState) -> Callable[[Any], list[Arithmetic]]:
         return lambda d: twin.pack(twin.displaced(x, v, d))
 
     for x, z in case.states:
