@@ -26,6 +26,17 @@ FORCED_PULSATING = cb.Driven(
 )
 
 
+#: without parameters, a force and a damping that depend on time
+PULSATING = cb.Driven(
+    name="pulsating",
+    potential=lambda q, t: q[0] ** 2 / 2 - 0.3 * q[0] * cb.math.sin(0.7 * t),
+    rate=lambda t: 0.1 * (1 + 1.5 * cb.math.sin(1.3 * t)),
+    q=(1.0,),
+    p=(0.0,),
+    t_end=20.0,
+)
+
+
 # -- Lane–Emden of index 0 and 1, and the Bessel equation of order ½, in closed form ---------------------------
 def lane_emden_0(scene, t, mp):
     """q = C + D/t − t²/6, with 1 − t²/6 among them."""

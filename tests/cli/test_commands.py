@@ -118,8 +118,7 @@ def test_a_method_on_one_engine_and_a_scene_have_every_rule(capsys):
     out, err = capsys.readouterr()
     assert err == ""
     assert [int(row[0]) for row in rows(out)] == 3 * list(METHOD_RULES)
-    order = next(row for row in rows(out) if row[0] == "6")
-    assert float(order[order.index("order") + 1].rstrip(",")) == pytest.approx(4, abs=0.02)
+    assert {row[-1] for row in rows(out)} == {"kept"}
     assert main(["check", "central"]) == 0
     assert [int(row[0]) for row in rows(capsys.readouterr().out)] == list(SCENE_RULES)
 

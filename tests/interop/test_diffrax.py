@@ -8,16 +8,8 @@ import pytest
 
 import contactbench as cb
 from contactbench.xla import jax, jnp
+from own_scenes import PULSATING
 
-#: a force and a damping that depend on time
-PULSATING = cb.Driven(
-    name="pulsating",
-    potential=lambda q, t: q[0] ** 2 / 2 - 0.3 * q[0] * cb.math.sin(0.7 * t),
-    rate=lambda t: 0.1 * (1 + 1.5 * cb.math.sin(1.3 * t)),
-    q=(1.0,),
-    p=(0.0,),
-    t_end=20.0,
-)
 SCENES = {
     scene.name: scene
     for scene in (*map(cb.SCENES.get, ("particle", "forced_oscillator", "oscillator")), PULSATING)

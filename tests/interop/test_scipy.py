@@ -7,20 +7,12 @@ from scipy.interpolate import CubicSpline
 
 import contactbench as cb
 from cases import FIXED, by_name, pairs
+from own_scenes import PULSATING
 
 #: Herglotz's steps are merged in a run of `cb.solve`, and agree to round-off, as do those that iterate
 MERGED = [m for m in FIXED if m.one_step and not m.iterates and m.family != "variational"]
 #: those whose compiled loop sums the terms of s in another order than one step alone does
 OTHERWISE, ROUNDINGS = ("rkn8", "rkn12"), 4 * np.finfo(float).eps
-#: a force and a damping that depend on time
-PULSATING = cb.Driven(
-    name="pulsating",
-    potential=lambda q, t: q[0] ** 2 / 2 - 0.3 * q[0] * cb.math.sin(0.7 * t),
-    rate=lambda t: 0.1 * (1 + 1.5 * cb.math.sin(1.3 * t)),
-    q=(1.0,),
-    p=(0.0,),
-    t_end=20.0,
-)
 SCENES = [*map(cb.SCENES.get, ("particle", "quadratic_damping", "rigid_body_anisotropic")), PULSATING]
 START = {"q": (1.0,), "p": (0.0,), "gamma": 0.1, "t_end": 2.0}
 

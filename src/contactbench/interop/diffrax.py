@@ -283,14 +283,9 @@ def terms_of(scene: Scene | str) -> Terms:
     (1,)
     """
     scene = scene_of(scene)
-    if not scene.separable:
-        raise BadInput(
-            f"scene {scene.name!r} has no terms on (q, p), being of kind {scene.kind!r}; cb.step_map takes it"
-        )
-    if scene.nonlinear_damping:
-        raise BadInput(
-            f"scene {scene.name!r} has no terms on (q, p) alone: its damping depends on s; cb.step_map takes it"
-        )
+    if not scene.separable or scene.nonlinear_damping:
+        why = "its damping depends on s" if scene.separable else f"it is of kind {scene.kind!r}"
+        raise BadInput(f"scene {scene.name!r} has no terms on (q, p) alone: {why}; cb.step_map takes it")
     names, own = scene.number_names(), scene.numbers()
     known = {*names} - {"", "kappa"}  # that of a damping which is not linear
 

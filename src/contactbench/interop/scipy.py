@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -67,18 +67,18 @@ def pieces(step: OneStep, h: float) -> list[Callable[[np.ndarray], np.ndarray]]:
     """Return the four pieces of a run of steps of size h on packed states, compiled where they can be."""
     request = Request(step.scene, "python", step.carry, np.array([1.0]), h)
 
-    def by(loop: Callable[..., StepLoop[Any]], whole: bool) -> Iterator[Callable[[np.ndarray], np.ndarray]]:
-        for which, piece in enumerate(step.method.pieces(step.scene, whole)):
-            if piece is None:
-                yield lambda y: y
-            else:
-                made = loop(Piece(step.method, which, whole), request)
-                yield made.last(made.ready(np.array([h]), np.array([1])))
+    def by(loop: Callable[..., StepLoop[Any]], whole: bool) -> list[Callable[[np.ndarray], np.ndarray]]:
+        def made(which: int) -> Callable[[np.ndarray], np.ndarray]:
+            steps = loop(Piece(step.method, which, whole), request)
+            return steps.last(steps.ready(np.array([h]), np.array([1])))
+
+        there = enumerate(step.method.pieces(step.scene, whole))
+        return [(lambda y: y) if piece is None else made(which) for which, piece in there]
 
     with suppress(CannotRecord):
         if COMPILES and len(step.start) <= LARGEST:
-            return list(by(Recorded, whole=True))
-    return list(by(partial(Plain, recorded=False), whole=False))
+            return by(Recorded, whole=True)
+    return by(partial(Plain, recorded=False), whole=False)
 
 
 class Hermite(DenseOutput):
@@ -116,28 +116,14 @@ class ContactSolver(OdeSolver):
     ) -> None:
         step, scene = self.step_map, self.step_map.scene
         if max_step == math.inf:
-            why = f"{step.method.name} takes equal steps, the longest not above max_step"
-            raise BadInput(f"max_step is missing: {why}")
+            raise BadInput("max_step is missing: steps are equal, the longest not above it")
         if vectorized:
             raise BadInput("vectorized = True: the slope of a scene is that of one state at a time")
         warn_extraneous(extraneous)
         super().__init__(fun, t0, y0, t_bound, vectorized)
         if self.n != len(self.labels):
-            names = ", ".join(self.labels[:8]) + (", …" if len(self.labels) > 8 else "")
+            names = ", ".join(self.labels[:8]) + ", …" * (len(self.labels) > 8)
             raise BadInput(f"y0 has {self.n} components: must be {len(self.labels)}, {names}")
-        self._require_equations(t0)
-        self.t0, self.taken, span = t0, 0, abs(t_bound - t0)
-        self.steps = int(steps_in(span, max(abs(t0), abs(t_bound)), positive("max_step", max_step)))
-        start = self.y if scene.clock is None else np.array(scene.with_clock(self.y.tolist(), float(t0)))
-        self.bound = furthest(scene, step.carry, start, span)
-        self.cost = step.method.per_step(scene, step.carry)
-        if span:
-            opening, *self.pieces = pieces(step, self.direction * (span / self.steps))
-            self.kept = opening(start)
-
-    def _require_equations(self, t0: float) -> None:
-        """Raise `BadInput` where `fun` is not the scene's right-hand side, which is what the steps solve."""
-        scene = self.step_map.scene
         try:
             given, own = self.fun_single(t0, self.y), self.rhs(t0, self.y)
         except NO_NUMBER as error:
@@ -148,6 +134,14 @@ class ContactSolver(OdeSolver):
                 f"fun({t0:g}, y0) = {excerpt(given.tolist())}: the steps solve scene {scene.name!r}, whose slope "
                 f"there is {excerpt(own.tolist())}; give the solver's own rhs"
             )
+        self.t0, self.taken, span = t0, 0, abs(t_bound - t0)
+        self.steps = int(steps_in(span, max(abs(t0), abs(t_bound)), positive("max_step", max_step)))
+        start = self.y if scene.clock is None else np.array(scene.with_clock(self.y.tolist(), float(t0)))
+        self.bound = furthest(scene, step.carry, start, span)
+        self.cost = step.method.per_step(scene, step.carry)
+        if span:
+            opening, *self.pieces = pieces(step, self.direction * (span / self.steps))
+            self.kept = opening(start)
 
     def _step_impl(self) -> tuple[bool, str | None]:
         begin, lead_on, close = self.pieces
@@ -155,8 +149,8 @@ class ContactSolver(OdeSolver):
         self.kept, reached = lead_on(begun), close(begun)
         self.taken += 1
         self.nfev += self.cost
-        span = self.t_bound - self.t0
-        t = self.t_bound if self.taken == self.steps else self.t0 + self.taken * (span / self.steps)
+        last, size = self.taken == self.steps, (self.t_bound - self.t0) / self.steps
+        t = self.t_bound if last else self.t0 + self.taken * size
         scene = self.step_map.scene
         y = reached if scene.clock is None else np.delete(reached, scene.clock)
         if not ((np.abs(y[: scene.motion]) <= self.bound).all() and np.isfinite(y).all()):
@@ -165,9 +159,8 @@ class ContactSolver(OdeSolver):
         return True, None
 
     def _dense_output_impl(self) -> Hermite:
-        return Hermite(
-            *((t, self._derivatives(t, y)) for t, y in ((self.t_old, self.y_old), (self.t, self.y)))
-        )
+        ends = (self.t_old, self.y_old), (self.t, self.y)
+        return Hermite(*((t, self._derivatives(t, y)) for t, y in ends))
 
     def _derivatives(self, t: float, y: np.ndarray) -> list[np.ndarray]:
         """Return y, y' and, where dual numbers pass through the scene, y''."""

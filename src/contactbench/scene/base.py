@@ -380,15 +380,13 @@ class Scene(System):
         that a run may leave out.
      2. ``pack`` and ``unpack`` are each other's inverse for every choice of optional fields, in the order of
         ``labels``; a slope has the fields of its state.
-     3. ``with_numbers(numbers())`` is the same scene, of the same `structure`; each number that has a name is
-        changed by it in ``with_``.
+     3. ``with_numbers(numbers())`` is the same scene; each number that has a name is changed by it in ``with_``.
      4. Everything is plain arithmetic on tuples of components, without branches on values, so that it runs on
         floats, arrays, traced, recorded and mpmath numbers, with the same result.
      5. ``jacobian`` is the derivative of ``rhs``, where it `has_jacobian`.
      6. Where it `is_contact`, the right-hand side X is the contact vector field of ``hamiltonian``: η(X) = −H
         and L_X η = −Γ' η, Γ' = ∂H/∂s; a `conformal_rate` that is not None is Γ'.
-     7. H0 does not grow unless it `may_gain_energy`; J' = −Γ' J where it `has_momentum_law`; the ``…_terms``
-        are no smaller than what they are the terms of.
+     7. H0 does not grow unless it `may_gain_energy`; J' = −Γ' J where it `has_momentum_law`.
      8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies;
         ``displaced`` leaves along them.
      9. ``exact``, where given, starts at the initial state and solves the equations.

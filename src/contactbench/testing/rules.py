@@ -1,7 +1,4 @@
-"""How a rule of a contract is followed: a function of a case that raises, and notes there what it measured.
-
-Where it has nothing to say about a case it returns why.
-"""
+"""How the rules of a contract are followed: each a function of a case that raises, or returns why it does not apply."""
 
 from __future__ import annotations
 
@@ -30,19 +27,15 @@ class Finding(NamedTuple):
 
     Attributes
     ----------
-    rule, name, scene, measured
-        Its number and name, where it was followed, and what was measured.
-    engine
-        Of a method; empty for a scene.
+    rule, engine, scene
+        Its number and where it was followed; no engine for a scene.
     not_here
         Why the rule does not apply there, or empty.
     """
 
     rule: int
-    name: str
     engine: str
     scene: str
-    measured: dict[str, float]
     not_here: str
 
 
@@ -53,15 +46,13 @@ def require(condition: object, message: str) -> None:
 
 
 def follow(
-    rules: Mapping[int, Callable[..., str | None]], case: Any, what: str, engine: str = ""
+    rules: Mapping[int, Callable[[Any], str | None]], case: Any, what: str, engine: str = ""
 ) -> Iterator[Finding]:
     """Follow rules one after the other, up to the first that is broken."""
     for number, rule in rules.items():
-        case.measured.clear()
         try:
             not_here = rule(case) or ""
         except Exception as error:
             reason = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
             raise Violation(number, f"{what}: {reason}") from error
-        name = rule.__name__.replace("_", " ")
-        yield Finding(number, name, engine, case.scene.name, dict(case.measured), not_here)
+        yield Finding(number, engine, case.scene.name, not_here)
