@@ -19,12 +19,7 @@ from types import ModuleType
 from numpydoc.docscrape import get_doc_object
 from numpydoc.validate import Validator, validate
 
-MODULES = (
-    "contactbench",
-    "contactbench.interop.scipy",
-    "contactbench.interop.diffrax",
-    "contactbench.testing",
-)
+MODULES = [f"contactbench{part}" for part in ("", ".interop.scipy", ".interop.diffrax", ".testing")]
 CONTRACTS = {
     "methods.base": ["Method"],
     "methods.fixed_step_run": ["FixedStepRun"],
@@ -62,13 +57,11 @@ class Documented(Validator):
 
 def names() -> Iterator[str]:
     """Yield the names under which the objects are defined; of a registry, which is no class, that of its class."""
+    yield from MODULES
     wanted = {module: import_module(module).__all__ for module in MODULES}
     wanted |= {f"contactbench.{module}": classes for module, classes in CONTRACTS.items()}
     for module, inside in wanted.items():
-        if module in MODULES:
-            yield module
-        for name in inside:
-            found = getattr(import_module(module), name)
+        for found in (getattr(import_module(module), name) for name in inside):
             if isinstance(found, ModuleType):
                 yield found.__name__
             else:

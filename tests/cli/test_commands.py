@@ -96,20 +96,19 @@ def test_version_and_help_without_a_command(capsys):
 
 
 # -- ``contactbench check`` ------------------------------------------------------------------------
-RK4 = cb.METHODS["rk4"].step
-
-
 @pytest.fixture
 def mine(monkeypatch):
     """A method that keeps its contract, one that claims a higher order, and a scene of each kind."""
     for name, order in (("kept", 4), ("broken", 5)):
-        monkeypatch.setitem(cb.METHODS, name, FixedStep(name, order, RK4, evaluations=4, about="planted"))
+        method = FixedStep(name, order, cb.METHODS["rk4"].step, evaluations=4, about="planted")
+        monkeypatch.setitem(cb.METHODS, name, method)
     wrong = cb.SCENES["particle"].with_(name="torn", rotation_invariant=True)
     monkeypatch.setitem(cb.SCENES, "torn", wrong)
 
 
-def rows(out):
-    return [line.split() for line in out.splitlines()[1:]]
+def rules(out):
+    """The rules that a check lists."""
+    return [int(line.split()[0]) for line in out.splitlines()[1:]]
 
 
 @pytest.mark.usefixtures("mine")
@@ -117,10 +116,10 @@ def test_a_method_on_one_engine_and_a_scene_have_every_rule(capsys):
     assert main(["check", "kept", "--engine", "python"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert [int(row[0]) for row in rows(out)] == 3 * list(METHOD_RULES)
-    assert {row[-1] for row in rows(out)} == {"kept"}
+    assert rules(out) == 3 * list(METHOD_RULES)
+    assert all(line.endswith("kept") for line in out.splitlines() if line[:4].strip().isdigit())
     assert main(["check", "central"]) == 0
-    assert [int(row[0]) for row in rows(capsys.readouterr().out)] == list(SCENE_RULES)
+    assert rules(capsys.readouterr().out) == list(SCENE_RULES)
 
 
 @pytest.mark.usefixtures("mine")
@@ -128,7 +127,7 @@ def test_a_method_on_one_engine_and_a_scene_have_every_rule(capsys):
 def test_a_broken_rule_ends_it(line, rule, capsys):
     assert main(["check", *line]) == 1
     out, err = capsys.readouterr()
-    assert [int(row[0]) for row in rows(out)] == list(range(1, rule))
+    assert rules(out) == list(range(1, rule))
     assert (err.startswith(f"contactbench: rule {rule}: {line[0]}"), err.count("\n")) == (True, 1)
 
 

@@ -36,7 +36,9 @@ def call(cell: Mapping[str, Any]) -> Callable[[], object]:
     name, method, value = cell["scene"], cell["method"], cell["value"]
     scene = cb.SCENES[name]
     engines = cb.METHODS[method].engines
-    engine = cell["engine"] if cell["engine"] in engines else engines[0]  # an older revision names it otherwise
+    engine = (
+        cell["engine"] if cell["engine"] in engines else engines[0]
+    )  # an older revision names it otherwise
     given = {"step": value, "engine": engine}
     match cell["call"]:
         case "solve":
