@@ -317,7 +317,7 @@ def test_entry_points_are_loaded_and_a_broken_one_is_a_warning(tmp_path):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1.5\n")
     (info / "entry_points.txt").write_text(POINTS)
     gone = tmp_path / "gone.py"
-    done = module("contactbench", "list", PYTHONPATH=search(tmp_path), **{VARIABLE: str(gone)})
+    done = module("contactbench", "list", PYTHONPATH=search(tmp_path), **{plugins.VARIABLE: str(gone)})
     assert done.returncode == 0, done.stderr
     assert {"decorated", "made", "first", "second", "object"} <= set(done.stdout.split())
     warned = [line for line in done.stderr.splitlines() if "is left out" in line]
