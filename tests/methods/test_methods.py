@@ -163,7 +163,7 @@ def test_diffrax_counts_what_it_evaluates(name, monkeypatch):
 
     run = cb.prepare(PARTICLE, name, rtol=1e-8, save_at=[4.0])
     monkeypatch.setattr(cb.Mechanical, "slopes", counting)
-    jax.block_until_ready(jax.jit(run.call._solve)(run.start, run.call.xla.fixed))
+    jax.block_until_ready(jax.jit(run.call._solve)(run.start, run.call.fixed))
     jax.effects_barrier()
     assert run().counts.evaluations == len(calls) > run.method_.stages
 

@@ -290,7 +290,7 @@ def test_many_components_compile(n):
 @pytest.mark.parametrize("method", ["cvode-adams", "cvode-bdf", "cyrk-dop853"])
 def test_programs_of_peers_grow_with_the_couplings_not_with_their_square(method):
     sizes = [
-        sum(len(function.body) for function in functions(chain(n).recorded(), (), jacobian=True)[1].values())
+        sum(len(function.body) for function in functions(chain(n).recorded(), ())[1].values())
         for n in (8, 16, 32, 64)
     ]
     assert max(b / a for a, b in pairwise(sizes)) < 2.6

@@ -82,7 +82,8 @@ def test_what_is_merged_is_not_merged_again(tmp_path):
 KILLED_WHILE_MERGING = """
 import os, sys
 from pathlib import Path
-from contactbench.tables import cells, provenance, store, tables
+from contactbench.tables import cells, provenance, store
+from contactbench.tables import declared as tables
 row = {"scene": "particle", "method": "rk4", "engine": "jax", "setting": "step=0.1", "status": "ok", "message": ""}
 alone = {name: row[name] for name in tables.LAWS_TIME.key[:-1]}
 two = [(t, row) for t in (tables.CONVERGENCE, tables.LAWS_TABLE)]
