@@ -26,6 +26,8 @@ KNOWN = ("rk4", "scipy-dop853", "cyrk-dop853", "cvode-adams")
 LEADS, PART = 1.25, 0.2
 #: and on hard scenes, whose runs are timed once
 LEADS_ONCE = 1.5
+#: leaders that race at most, those that lead on most of the problems
+MOST = 12
 #: problems of the same kind that are asked, those of the nearest damping; damping below which there is none
 NEAREST, UNDAMPED = 40, 1e-5
 #: errors at which methods are compared on named scenes
@@ -58,14 +60,14 @@ def leaders(
 ) -> set[str]:
     """Return which methods lead on a part of the problems, at one of the errors and by one of the costs."""
     rows = rows[rows["method"].isin(methods)]
-    measured, found = rows["error"].unique(), set[str]()
+    measured, parts = rows["error"].unique(), dict[str, float]()
     nearest = {min(measured, key=lambda own: abs(np.log(own / error))) for error in errors if len(measured)}
     for error in nearest:
         for cost in COSTS:
             table = regrets(rows, error, cost)
             share = table.le(most).sum() / table.notna().sum()
-            found |= {*share.index[share >= PART]}
-    return found
+            parts |= {name: max(part, parts.get(name, 0.0)) for name, part in share[share >= PART].items()}
+    return {*sorted(parts, key=lambda name: -parts[name])[:MOST]}
 
 
 def damping_of(scene: Scene) -> float:
