@@ -11,7 +11,7 @@ import contactbench as cb
 from contactbench.measure.statistics import NORMAL, quantile_interval, wilson
 from contactbench.peers import heyoka
 from contactbench.report import population as report
-from contactbench.study import population
+from contactbench.study import population, trial
 from contactbench.study.experiment import PROFILES
 from contactbench.study.features import features, force_cost
 from contactbench.study.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, REPLICATE, SEED, draw
@@ -99,16 +99,60 @@ def test_what_an_error_costs_is_what_a_scan_of_steps_says():
     problem = draw(SEED, "pendulum", 1)
     truth, _ = population.truth_of(problem)
     question = Question(problem.scene, truth, population.ERRORS, math.inf)
-    trial = population.Trial(question, cb.METHODS["rk4"], features(problem.scene))
-    trial.search([1e-4], {})
-    (row,) = trial.rows([1e-4], {})
-    scan = population.Trial(question, cb.METHODS["rk4"], trial.known)
+    one = population.Trial(question, cb.METHODS["rk4"], features(problem.scene))
+    one.search([1e-4], {})
+    (row,) = one.rows([1e-4], {})
+    scan = population.Trial(question, cb.METHODS["rk4"], one.known)
     for n in range(20, 400, 4):
         if scan.attempt(problem.scene.t_end / n).error <= 1e-4:
             break
     assert row["evaluations"] == pytest.approx(scan.tried[-1].evaluations, rel=0.15)
     assert row["value"] == pytest.approx(scan.tried[-1].value, rel=0.2)
-    assert trial.best(1e-4).error <= 1e-4 == row["error"]
+    assert one.best(1e-4).error <= 1e-4 == row["error"]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("contact-rkn6", 1.0 / np.arange(2, 600, 2)), ("rk8-7", np.geomspace(1e-2, 1e-12, 121))],
+)
+def test_errors_are_searched_for_one_after_the_other(name, settings):
+    """Every error, from loose to tight, costs what a fine scan says, within what two settings may be apart."""
+    problem, targets = draw(SEED, "pendulum", 1), [1e-2, 1e-4, 1e-7]
+    truth, _ = population.truth_of(problem)
+    question = Question(problem.scene, truth, population.ERRORS, math.inf)
+    search, scan = (population.Trial(question, cb.METHODS[name], features(problem.scene)) for _ in range(2))
+    search.search(targets, {})
+    for value in settings * (problem.scene.t_end if search.method.control == "step" else 1.0):
+        if scan.attempt(scan.allowed(value)).error <= targets[-1]:
+            break
+    for row in search.rows(targets, {}):
+        first = next(one for one in scan.tried if one.error <= row["error"])
+        assert 1 / trial.APART < row["evaluations"] / first.evaluations < trial.APART, row
+
+
+def test_what_only_coarse_compiled_settings_offer_is_searched_among_them():
+    problem = draw(SEED, "pendulum", 1)
+    truth, _ = population.truth_of(problem)
+    question = Question(problem.scene, truth, population.ERRORS, math.inf)
+    search = population.Trial(question, heyoka.SHARED, features(problem.scene))
+    search.search([1e-4, 1e-8], {})
+    assert {one.value for one in search.tried} <= set(trial.RUNGS[heyoka.SHARED.name])
+    assert search.best(1e-8).error <= 1e-8
+
+
+def test_an_error_that_no_setting_reaches_is_a_row_that_says_so():
+    problem = draw(SEED, "pendulum", 1)
+    truth, _ = population.truth_of(problem)
+    search = population.Trial(
+        Question(problem.scene, truth, population.ERRORS, math.inf),
+        cb.METHODS["rk4"],
+        features(problem.scene),
+    )
+    search.search([1e-30], {})
+    (row,) = search.rows([1e-30], {})
+    assert row["status"] in {"unreached", "budget"}
+    assert row["message"]
+    assert "evaluations" not in row
 
 
 def test_truth_says_how_far_two_solvers_agree():
