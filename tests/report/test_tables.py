@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 from contactbench.report import markdown, race, structure, work_precision
-from contactbench.report.headline import at_equal_cost, most_met_cost
+from contactbench.report.headline import at_equal_cost, cost_answers, most_met_cost
 from contactbench.report.laws import equal_cost_view
 from contactbench.report.numbers import duration
 from contactbench.report.stability import ending, rates_view, started_runs
@@ -87,6 +87,18 @@ def test_the_cheapest_is_named_with_the_factor_of_the_best_contact_method():
     won = contest(contact=1.0, rk4=2.0)
     assert work_precision.winners_view(won, "w").rows[0][1].mark is Mark.best
     assert not work_precision.losses_view({"time": won.contests}, "l").rows
+
+
+def test_the_scenes_where_a_contact_method_loses_at_every_error_are_named_and_those_elsewhere_counted():
+    rows = [
+        row(scene, method, error, solution_error=error, time_min_s=factor * time, time_median_s=time)
+        for scene, contact in (("oscillator", 2.0), ("particle", 1.0))
+        for method, factor in (("contact", contact), ("rk4", 1.5))
+        for error, time in ((1e-2, 1e-6), (1e-13, 1e-5))
+    ]
+    slower = [each for each in cost_answers(frames(work_precision=rows)) if "slower" in each.question]
+    assert [each.answer for each in slower] == ["`oscillator`"]
+    assert [each.count for each in slower] == ["4 of 4 pairs there, 0 of 4 elsewhere"]
 
 
 # -- hard scenes -----------------------------------------------------------------------------------
