@@ -1,7 +1,7 @@
 """Random problems: they are what the document says, their costs are measured right, answers follow from tables."""
 
 import math
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 import pandas as pd
@@ -95,16 +95,24 @@ def test_one_program_of_heyoka_runs_a_family():
     assert len(spent) == 1  # that of the first, whose program it is
 
 
+# -- what an error costs -----------------------------------------------------------------------------
+PENDULUM = draw(SEED, "pendulum", 1)
+
+
+def trials(method):
+    """Trials of a method on one problem, one after the other."""
+    truth, _ = population.truth_of(PENDULUM)
+    question = Question(PENDULUM.scene, truth, population.ERRORS, math.inf)
+    while True:
+        yield population.Trial(question, method, features(PENDULUM.scene))
+
+
 def test_what_an_error_costs_is_what_a_scan_of_steps_says():
-    problem = draw(SEED, "pendulum", 1)
-    truth, _ = population.truth_of(problem)
-    question = Question(problem.scene, truth, population.ERRORS, math.inf)
-    one = population.Trial(question, cb.METHODS["rk4"], features(problem.scene))
+    one, scan = islice(trials(cb.METHODS["rk4"]), 2)
     one.search([1e-4], {})
     (row,) = one.rows([1e-4], {})
-    scan = population.Trial(question, cb.METHODS["rk4"], one.known)
     for n in range(20, 400, 4):
-        if scan.attempt(problem.scene.t_end / n).error <= 1e-4:
+        if scan.attempt(PENDULUM.scene.t_end / n).error <= 1e-4:
             break
     assert row["evaluations"] == pytest.approx(scan.tried[-1].evaluations, rel=0.15)
     assert row["value"] == pytest.approx(scan.tried[-1].value, rel=0.2)
@@ -113,16 +121,17 @@ def test_what_an_error_costs_is_what_a_scan_of_steps_says():
 
 @pytest.mark.parametrize(
     ("name", "settings"),
-    [("contact-rkn6", 1.0 / np.arange(2, 600, 2)), ("rk8-7", np.geomspace(1e-2, 1e-12, 121))],
+    [
+        ("contact-rkn6", PENDULUM.scene.t_end / np.arange(2, 600, 2)),
+        ("rk8-7", np.geomspace(1e-2, 1e-12, 121)),
+    ],
 )
 def test_errors_are_searched_for_one_after_the_other(name, settings):
     """Every error, from loose to tight, costs what a fine scan says, within what two settings may be apart."""
-    problem, targets = draw(SEED, "pendulum", 1), [1e-2, 1e-4, 1e-7]
-    truth, _ = population.truth_of(problem)
-    question = Question(problem.scene, truth, population.ERRORS, math.inf)
-    search, scan = (population.Trial(question, cb.METHODS[name], features(problem.scene)) for _ in range(2))
+    targets = [1e-2, 1e-4, 1e-7]
+    search, scan = islice(trials(cb.METHODS[name]), 2)
     search.search(targets, {})
-    for value in settings * (problem.scene.t_end if search.method.control == "step" else 1.0):
+    for value in settings:
         if scan.attempt(scan.allowed(value)).error <= targets[-1]:
             break
     for row in search.rows(targets, {}):
@@ -131,23 +140,14 @@ def test_errors_are_searched_for_one_after_the_other(name, settings):
 
 
 def test_what_only_coarse_compiled_settings_offer_is_searched_among_them():
-    problem = draw(SEED, "pendulum", 1)
-    truth, _ = population.truth_of(problem)
-    question = Question(problem.scene, truth, population.ERRORS, math.inf)
-    search = population.Trial(question, heyoka.SHARED, features(problem.scene))
+    search = next(trials(heyoka.SHARED))
     search.search([1e-4, 1e-8], {})
     assert {one.value for one in search.tried} <= set(trial.RUNGS[heyoka.SHARED.name])
     assert search.best(1e-8).error <= 1e-8
 
 
 def test_an_error_that_no_setting_reaches_is_a_row_that_says_so():
-    problem = draw(SEED, "pendulum", 1)
-    truth, _ = population.truth_of(problem)
-    search = population.Trial(
-        Question(problem.scene, truth, population.ERRORS, math.inf),
-        cb.METHODS["rk4"],
-        features(problem.scene),
-    )
+    search = next(trials(cb.METHODS["rk4"]))
     search.search([1e-30], {})
     (row,) = search.rows([1e-30], {})
     assert row["status"] in {"unreached", "budget"}
