@@ -1,4 +1,4 @@
-"""What was removed or renamed on purpose, named in ``removed.toml`` beside the tables of the tree that is judged."""
+"""Names removed or changed on purpose; ``removed.toml``, beside the tables being judged, lists them."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from contactbench.tables.store import set_types
 
 @dataclass(frozen=True)
 class Removed:
-    """Names of what went: rows of it are taken out of an older table, everything else is compared as ever.
+    """The list of removed names.  Their rows are left out of an older table; all other rows are compared as usual.
 
     columns : patterns of TABLE.COLUMN.  engines : old name → new one.  engine_of : engine → the pattern of the
-    methods that still have it.
+    methods that still run on it.
     """
 
     tables: Sequence[str] = ()
@@ -50,5 +50,5 @@ class Removed:
         return set_types(rows[~gone].drop(columns=lost).reindex(columns=rows.columns), table)
 
     def remains(self, table: Table, rows: pd.DataFrame) -> bool:
-        """Return whether a table still has what is named."""
+        """Return whether a table still contains something listed as removed."""
         return not self.take_out(table, rows).equals(rows)

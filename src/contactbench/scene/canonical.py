@@ -1,4 +1,4 @@
-"""What scenes share whose states are coordinates q, momenta p and the action s, with η = ds − p·dq."""
+"""The base class of scenes with coordinates q, momenta p, an action s and the contact form η = ds − p·dq."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Canonical(Scene):
 
 
 def angular_momentum(q: Vector, p: Vector) -> Vector | None:
-    """Return q × p (one component in the plane, three in space), else None."""
+    """Return q × p: one component in the plane, three in space, None in other dimensions."""
     if len(q) == 2:
         return (q[0] * p[1] - q[1] * p[0],)
     return cross(q, p) if len(q) == 3 else None

@@ -1,4 +1,4 @@
-"""Which methods race on a scene: those that lead on problems like it in the tables, and a few that everybody knows."""
+"""Which methods race on a scene: the leaders on similar problems in the tables, and the best-known solvers."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ from contactbench.tables.contest import CONTACT
 from contactbench.tables.declared import results
 from contactbench.tables.regret import COSTS, regrets
 
-#: the solvers that a reader asks about, which race whatever they cost
+#: solvers that every reader knows: they race on every scene
 KNOWN = ("rk4", "scipy-dop853", "cyrk-dop853", "cvode-adams")
-#: a method leads where it costs at most so many times the least, and races if it leads on this part of the problems
+#: a method leads on a problem if its cost is at most `LEADS` times the least; it races if it leads on at
+#: least the share `PART` of the problems
 LEADS, PART = 1.25, 0.2
-#: and on hard scenes, whose runs are timed once
+#: the same factor for hard scenes, whose runs are timed only once
 LEADS_ONCE = 1.5
-#: leaders that race at most, those that lead on most of the problems
+#: the most leaders taken from one set of problems: those that lead on the largest part of it
 MOST = 12
-#: problems of the same kind that are asked, those of the nearest damping; damping below which there is none
+#: how many random problems are consulted, those with the nearest damping; a smaller damping counts as this one
 NEAREST, UNDAMPED = 40, 1e-5
-#: errors at which methods are compared on named scenes
+#: errors at which the costs on named scenes are compared
 ERRORS = (1e-3, 1e-6, 1e-9)
 
 
 def field(scene: Scene, errors: Collection[float]) -> list[str]:
-    """Return the methods that race by default, what plug-ins bring among them; none where no tables are installed."""
+    """Return the methods that race by default, those of plug-ins included; none if no tables are installed."""
     able = [
         name
         for name, method in METHODS.items()
@@ -58,7 +59,7 @@ def field(scene: Scene, errors: Collection[float]) -> list[str]:
 def leaders(
     rows: pd.DataFrame, methods: list[str], errors: Collection[float], most: float = LEADS
 ) -> set[str]:
-    """Return which methods lead on a part of the problems, at one of the errors and by one of the costs."""
+    """Return the methods that lead on enough problems, at any of the errors and by any of the costs."""
     rows = rows[rows["method"].isin(methods)]
     measured, parts = rows["error"].unique(), dict[str, float]()
     nearest = {min(measured, key=lambda own: abs(np.log(own / error))) for error in errors if len(measured)}
@@ -71,14 +72,14 @@ def leaders(
 
 
 def damping_of(scene: Scene) -> float:
-    """Return damping over frequency as a pilot finds it, nan where a function fails on it."""
+    """Return the ratio of damping to frequency, estimated by a pilot run; nan if the pilot fails."""
     with suppress(BadInput):
         return max(float(features(scene).damping), UNDAMPED)
     return np.nan
 
 
 def random_problems(scene: Scene, damping: float) -> pd.DataFrame:
-    """Return what methods cost on the random problems of the same kind whose damping is nearest."""
+    """Return the costs on the random problems of the same kind with the nearest damping."""
     problems = results("population_problems").set_index(["seed", "scene"])
     alike = problems[(problems["hard"] == "") & (problems["kind"] == scene.kind)]
     if damping == damping:
@@ -89,14 +90,14 @@ def random_problems(scene: Scene, damping: float) -> pd.DataFrame:
 
 
 def named_scenes(scene: Scene) -> pd.DataFrame:
-    """Return what methods cost on the named scenes of the same kind, on all of them where there is none."""
+    """Return the costs on the named scenes of the same kind, or on all named scenes if there is none."""
     work = results("work_precision")
     alike = work[work["scene"].isin([name for name, own in SCENES.items() if own.kind == scene.kind])]
     return cost_rows(alike if len(alike) else work, "time_min_s")
 
 
 def strongly_damped_scenes(scene: Scene) -> pd.DataFrame:
-    """Return what methods cost on the hard scenes of the same kind that are damped beyond the random problems."""
+    """Return the costs on the hard scenes of the same kind with more damping than any random problem."""
     hard = results("stability")
     alike = (SCENES[name] for name in hard["scene"].unique() if name in SCENES)
     names = [own.name for own in alike if own.kind == scene.kind and damping_of(own) > DAMPING[1]]
@@ -104,7 +105,7 @@ def strongly_damped_scenes(scene: Scene) -> pd.DataFrame:
 
 
 def cost_rows(runs: pd.DataFrame, time: str) -> pd.DataFrame:
-    """Return what each error costs each method on each scene, in the columns of the random problems."""
+    """Return the cost of each error for each method and scene, in the columns of the random problems."""
     found = []
     for (scene, method), own in runs[runs["status"] == "ok"].groupby(["scene", "method"]):
         columns = (own[name].to_numpy(dtype=float, na_value=np.nan) for name in ("rhs_equivalents", time))

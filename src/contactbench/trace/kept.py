@@ -1,4 +1,4 @@
-"""Compiled code kept on disk from one process to the next, where nobody else can have put it."""
+"""Compiled code kept on disk between processes, in a folder that no other user can write to."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 
 from contactbench.files import replacing
 
-#: folder for compiled programs; by default the user's cache folder
+#: the environment variable that names the folder; without it programs are kept in the user's cache folder
 VARIABLE = "CONTACTBENCH_CACHE"
-#: bytes of a digest
+#: length of a digest in bytes
 DIGEST = hashlib.sha256().digest_size
 
 
 def is_private(status: os.stat_result) -> bool:
-    """Return whether a file or folder belongs to this user, and nobody else may write to it."""
+    """Return whether a file or folder belongs to this user and no other user may write to it."""
     if not hasattr(os, "getuid"):  # Windows: the cache folder is the user's own
         return True
     return status.st_uid == os.getuid() and not status.st_mode & 0o022
@@ -26,7 +26,7 @@ def is_private(status: os.stat_result) -> bool:
 
 @cache
 def folder() -> Path:
-    """Return where programs are kept: a new folder of this process where that is not writable, or others may write."""
+    """Return the folder of kept programs, or a temporary one if it is not writable or others may write to it."""
     from platformdirs import user_cache_path
 
     chosen = os.environ.get(VARIABLE)
@@ -43,12 +43,12 @@ def folder() -> Path:
 
 
 def seal(path: Path, content: bytes) -> bytes:
-    """Return the head of a file, which fits no other name: a name says the program, the versions and the processor."""
+    """Return the digest at the head of a file; it covers the name, which stands for program, versions and processor."""
     return hashlib.sha256(path.name.encode() + b"\n" + content).digest()
 
 
 def read_kept(path: Path) -> bytes | None:
-    """Return what was kept; None where a file is missing, damaged, that of another name, or others may write to it."""
+    """Return the kept code; None if the file is missing, damaged, renamed, or writable by other users."""
     with suppress(OSError), path.open("rb") as file:
         head, content = file.read(DIGEST), file.read()
         if is_private(os.fstat(file.fileno())) and head == seal(path, content):

@@ -1,4 +1,4 @@
-"""Calls of compiled programs from Python: by ctypes, with one pointer to a block of where their arrays are."""
+"""Call compiled programs from Python by ctypes: the one argument points to a block with the addresses of the arrays."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Any
 
 import numpy as np
 
-#: a program, which runs without the interpreter's lock; with types of arguments a call would take half as long again
+#: the C function; it runs without the interpreter's lock. Declared argument types would make a call half as long again
 PROGRAM = ctypes.CFUNCTYPE(ctypes.c_int64)
-#: the same where nobody asks for what it returns
+#: the same function, its result ignored
 QUIET = ctypes.CFUNCTYPE(None)
 DOUBLE = np.dtype(np.float64)
-#: the type of an array and its number of dimensions
+#: the dtype of an array and its number of dimensions
 Kind = tuple[np.dtype, int]
-#: what a block says of an array: its address, its length, the length of a row
+#: words of the block for each array: its address, its length, the length of a row
 WORDS = 3
-#: what lies at an address
+#: a ctypes object of no bytes, to find the address of a buffer
 ANYTHING = ctypes.c_char * 0
-#: doubles up to which the memory of a call is kept for the next one
+#: results of up to so many doubles are copied, and their buffer serves the next call
 SMALL = 2**12
 
 
 def words(array: np.ndarray, kind: Kind) -> tuple[int, int, int]:
-    """Return what a block says of a contiguous array; raise `TypeError` for any other."""
+    """Return the words of the block for a contiguous array; raise `TypeError` for any other."""
     if type(array) is not np.ndarray or (array.dtype, array.ndim) != kind or not array.flags.c_contiguous:
         raise TypeError(f"a contiguous array of {kind[0]} in {kind[1]} dimensions is needed")
     shape = array.shape
@@ -38,26 +38,26 @@ def address(array: np.ndarray) -> int:
 
 
 def block_of(words: Sequence[int]) -> Any:
-    """Return a pointer to a block, which lives as long."""
+    """Return a pointer to a new block; the pointer keeps the block alive."""
     return ctypes.byref((ctypes.c_int64 * len(words))(*words))
 
 
 class Native:
-    """A compiled program of arrays, the last of which it writes to; it may be called from several threads.
+    """A compiled program that works on arrays and writes to the last one; several threads may call it.
 
     Parameters
     ----------
     at
         The address of a C function ``int64_t (const int64_t *block)``.
     kinds
-        Of its arrays.
+        The dtype and the number of dimensions of each array.
     """
 
     def __init__(self, at: int, kinds: Sequence[Kind]) -> None:
         self.program, self.quiet, self.kinds = PROGRAM(at), QUIET(at), tuple(kinds)
 
     def __call__(self, *arrays: np.ndarray) -> int:
-        """Return what the program does; raise `TypeError` for arrays that it does not take."""
+        """Return the result of the program; raise `TypeError` for arrays of another kind."""
         if len(arrays) != len(self.kinds):
             raise TypeError(f"{len(arrays)} arrays: the program takes {len(self.kinds)}")
         block = [word for array, kind in zip(arrays, self.kinds, strict=True) for word in words(array, kind)]
@@ -69,10 +69,10 @@ class Native:
     def bind(
         self, d: int, w: np.ndarray, shape: np.ndarray, size: int, part: slice, flagged: bool
     ) -> Callable[[np.ndarray], Any]:
-        """Return a program of (start, w, shape, after) as the fastest function there is of the start, d doubles.
+        """Return a function of the start alone, d doubles, of a program of (start, w, shape, after).
 
-        It returns a part of both (d doubles of the start, then `size` of what is after it), as a new array, and where
-        it is `flagged` what the program returns too; it raises `TypeError` for any other start.
+        `after` has `size` doubles.  The function joins start and `after`, and returns `part` of them as a new array,
+        with the result of the program too if it is `flagged`.  It raises `TypeError` for any other start.
         """
         program: Callable[[object], Any] = self.program if flagged else self.quiet
         double, small = DOUBLE, d + size <= SMALL
