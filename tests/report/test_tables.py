@@ -9,7 +9,7 @@ import pytest
 import contactbench as cb
 from contactbench.report import markdown, race, structure, work_precision
 from contactbench.report.headline import at_equal_cost, cost_answers, most_met_cost
-from contactbench.report.laws import equal_cost_view
+from contactbench.report.laws import along_time, equal_cost_view, least_errors
 from contactbench.report.numbers import duration
 from contactbench.report.stability import ending, rates_view, started_runs
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
@@ -64,6 +64,23 @@ def test_clamped_uncertain_and_kept_entries_are_told_apart():
     written = ["5.0e-01†", "1.0e-08 ± 2e-09", "≤ 1.0e-08", "1.0e-15", "1.0e-15", "1.0e-04‡"]
     assert [cell.text for cell in cells] == written
     assert [cell.mark for cell in cells] == [None, None, None, Mark.kept, None, None]  # as the column says
+
+
+def test_the_closest_to_the_true_energy_are_all_that_tie_or_are_at_round_off():
+    assert least_errors(pd.Series({"a": 2.1e-3, "b": 1.9e-3, "c": 1e-3, "d": np.nan})) == ["c", "b"]
+    rows = [
+        {
+            "scene": "s",
+            "method": method,
+            "setting": "step=0.2",
+            "t": time,
+            "energy_deviation": time * deviation,
+        }
+        for method, deviation in {"contact-o8": 3e-13, "rk8": 1e-15, "rk4": 1e-3}.items()
+        for time in (1.0, 2.0)
+    ]
+    title = along_time(table("laws_time", rows), "s").title
+    assert title == "s: closest to the true energy, to 10⁻¹²: rk8 and contact-o8"
 
 
 # -- cost ------------------------------------------------------------------------------------------

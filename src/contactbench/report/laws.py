@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.law import DECIDABLE, UNSURE
+from contactbench.measure.law import DECIDABLE, STRUCTURE, UNSURE
+from contactbench.measure.statistics import ALIKE, ties
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
@@ -194,6 +195,12 @@ ALONG_TIME = {
 }
 
 
+def least_errors(errors: pd.Series) -> list[str]:
+    """Return the methods that tie for the least error, smallest first: all within a factor of it or at round-off."""
+    errors = errors.dropna().sort_values(kind="stable")
+    return list(errors.index[(errors <= STRUCTURE) | ties(errors, errors.min(), ALIKE)])
+
+
 def along_time(frame: pd.DataFrame, scene: str) -> Figure | None:
     rows = frame[frame["scene"] == scene]
     panels = []
@@ -202,6 +209,12 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure | None:
             curves = best_of_each(by_method(rows, "t", column), lambda curve, _: -max(curve.y))
             panels.append(Panel(title, Axis("t"), Axis(label, "log"), curves, (ROUND_OFF,)))
     worst = rows.groupby("method")["energy_deviation"].max()
-    least = power(10.0 ** math.ceil(math.log10(worst.min()))) if worst.min() > 0 else "0"
+    first, drawn = least_errors(worst), {c.method for each in panels[:1] for c in each.curves if not c.muted}
+    first.sort(key=lambda method: method not in drawn)  # those in colour are named
+    deviation = worst[first].max()
+    least = power(10.0 ** math.ceil(math.log10(deviation))) if deviation > 0 else "0"
     known: dict[str, Any] = {"scene": scene, "settings": ", ".join(dict.fromkeys(rows["setting"]))}
-    return chart("along_time", panels, f"laws_{scene}", method=worst.idxmin(), deviation=least, **known)
+    closest = names(first, len(drawn.intersection(first)))
+    return chart(
+        "along_time", panels, f"laws_{scene}", alike=ALIKE, methods=closest, deviation=least, **known
+    )

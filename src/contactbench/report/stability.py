@@ -9,12 +9,11 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.law import STRUCTURE
-from contactbench.measure.statistics import ALIKE, COUNTED, ties
+from contactbench.measure.statistics import ALIKE, COUNTED
 from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import best_of_each, by_method, highest
 from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.laws import LEGEND, drift_cell, law_label
+from contactbench.report.laws import LEGEND, drift_cell, law_label, least_errors
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
@@ -151,12 +150,13 @@ def at_equal_cost(fixed: pd.DataFrame, adaptive: pd.DataFrame) -> tuple[Cell, Ce
 
 
 def best_cell(errors: pd.Series) -> Cell:
-    errors = errors[errors < 1].sort_values(kind="stable")
+    errors = errors[errors < 1]
     if not len(errors):
         return Cell(DASH)
-    least = float(errors.iloc[0])
-    first = list(errors.index[(errors <= STRUCTURE) | ties(errors, least, ALIKE)])
-    return Cell(f"{names(first, 3)} {scientific(least)}", mark=Mark.tie if len(first) > 1 else Mark.best)
+    first = least_errors(errors)
+    return Cell(
+        f"{names(first, 3)} {scientific(errors.min())}", mark=Mark.tie if len(first) > 1 else Mark.best
+    )
 
 
 def usable(rows: pd.DataFrame, base: pd.DataFrame) -> float:
