@@ -1,4 +1,4 @@
-"""Figures: which curves are in colour and in which, where axes end, where names stand, and what a file holds."""
+"""Figures: which methods they show, where axes end, where names stand, and what a file holds."""
 
 import re
 from itertools import combinations, product
@@ -7,15 +7,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
 import contactbench as cb
 from contactbench import METHODS
 from contactbench.report import convergence, draw, laws, paper, work_precision
-from contactbench.report.curves import MOST, best_of_each, cheapest
+from contactbench.report.curves import MOST, cheapest, choose, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.look import FAMILIES, LOOKS, MUTED, SHADES, look
+from contactbench.report.look import CONTESTANTS, LOOKS, look
 from frames import row, table
 
 ERRORS = tuple(10.0**-k for k in range(1, 12))
@@ -25,17 +24,45 @@ def curve(method, cost, power=-0.2):
     return Curve(ERRORS, tuple(cost * e**power for e in ERRORS), method, method)
 
 
-def colours(curves):
-    return {c.label for c in curves if not c.muted}
+# -- what is shown ---------------------------------------------------------------------------------
+CONTESTED = {
+    "rkn12": 1.0,
+    "contact-rkn6": 2.0,
+    "contact-rkn8": 3.0,
+    "contact-strang": 70.0,
+    "rk4": 60.0,
+    "scipy-dop853": 9.0,
+    "cyrk-dop853": 8.0,
+    "scipy-radau": 40.0,
+    "cvode-bdf": 50.0,
+    "cvode-adams": 30.0,
+    "diffrax-dopri8": 20.0,
+    "heyoka-taylor": 4.0,
+    "herglotz2": 90.0,
+}
 
 
-# -- what is in colour -----------------------------------------------------------------------------
-def test_the_cheapest_of_each_family_is_in_colour_and_the_others_are_drawn_below():
-    guide = Curve((1.0,), (1.0,), "theory", role="guide")
-    methods = {"contact-rkn6": 1.0, "contact-rkn8": 2.0, "rk4": 9.0, "cvode-bdf": 5.0, "cvode-adams": 4.0}
-    found = best_of_each([guide, *(curve(*item) for item in methods.items())], cheapest)
-    assert colours(found) == {"theory", "contact-rkn6", "rk4", "cvode-adams"}
-    assert [c.muted for c in found] == sorted((c.muted for c in found), reverse=True)
+def test_the_best_and_the_contestants_of_the_mission_are_shown_and_nothing_else():
+    curves = [curve(*item) for item in CONTESTED.items()]
+    first = ["rkn12", "contact-rkn6", "contact-strang", "rk4", "cyrk-dop853", "scipy-radau", "cvode-adams"]
+    chosen = choose(curves, cheapest)
+    assert chosen == [*first, "diffrax-dopri8"]
+    assert [c.method for c in only(curves, chosen)] == chosen
+
+
+def test_the_subjects_of_a_figure_are_shown_and_free_places_go_to_other_families():
+    curves = [
+        curve(*item) for item in CONTESTED.items() if not item[0].startswith(("cvode", "scipy", "cyrk"))
+    ]
+    chosen = choose(curves, cheapest, subjects=["herglotz2", "contact-rkn8"])
+    assert chosen[:4] == ["herglotz2", "contact-rkn8", "contact-strang", "rk4"]
+    assert set(chosen[4:]) == {"diffrax-dopri8", "rkn12", "contact-rkn6", "heyoka-taylor"}
+
+
+@pytest.mark.parametrize("contestants", CONTESTANTS, ids=lambda names: names[0])
+def test_every_contestant_is_named_on_a_planted_scene(contestants):
+    for panel in FIGURES["work_precision"]().panels:
+        assert {c.label for c in panel.curves} & set(contestants)
 
 
 # -- figures of planted tables ---------------------------------------------------------------------
@@ -113,28 +140,25 @@ def test_words_stay_on_the_canvas_and_names_off_the_curves(real):
 
 def test_every_curve_is_there_and_every_name_once(real):
     figure, made = real
-    colors = {*FAMILIES.values(), *SHADES.values()}
     for panel, axes in zip(figure.panels, made.axes, strict=True):
-        drawn = [to_hex(line.get_color()) for line in axes.lines]
-        assert len(drawn) == len(panel.curves)
-        assert sum(color in colors for color in drawn) <= MOST + 1
-        assert drawn.count(MUTED) == sum(c.muted for c in panel.curves)
+        assert len(axes.lines) == len(panel.curves)
     written = [t.get_text() for axes in made.axes for t in axes.texts if t.get_gid() == "name"]
     written += [t.get_text() for legend in made.legends for t in legend.get_texts()]
-    wanted = {c.label for panel in figure.panels for c in panel.curves if c.label and not c.muted}
-    assert sorted(name for name in written if name != draw.OTHERS) == sorted(wanted)
+    wanted = {c.label for panel in figure.panels for c in panel.curves if c.label}
+    assert sorted(written) == sorted(wanted)
+    assert len({c.method for panel in figure.panels for c in panel.curves if c.line}) <= MOST + 1  # guides
 
 
-def test_the_convergence_plot_has_a_guide_of_every_order_in_colour():
+def test_the_convergence_plot_has_a_guide_of_every_order():
     (panel,) = FIGURES["convergence"]().panels
     guides = [c for c in panel.curves if c.role == "guide"]
     slopes = [np.diff(np.log(guide.y)) / np.diff(np.log(guide.x)) for guide in guides]
-    orders = sorted({ORDERS[c.method] for c in panel.curves if c.method and not c.muted})
+    orders = sorted({ORDERS[c.method] for c in panel.curves if c.method})
     assert [slope.mean() for slope in slopes] == pytest.approx(orders)
 
 
 @pytest.mark.parametrize("ratio", [0.2, 5.0])
-def test_a_title_names_first_who_is_cheaper_and_both_are_in_colour(ratio):
+def test_a_title_names_first_who_is_cheaper_and_both_are_named(ratio):
     rows = [
         row("particle", method, h, solution_error=h**4, engine="llvm", time_min_s=scale / h)
         for method, scale in (("contact-rkn4", ratio), ("rk4", 1.0))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pandas as pd
 
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, chart, view
-from contactbench.report.curves import best_of_each, by_method, floats, lowest
+from contactbench.report.curves import by_method, choose, floats, lowest, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import how_often
 from contactbench.report.views import Cell, Mark, matrix
@@ -70,9 +70,10 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     off = (first["order"] - first["order_nominal"]).abs().dropna()
     if not len(off):
         return None
-    curves = best_of_each(by_method(rows, "step", "solution_error"), lowest, by_order=True)
+    curves = by_method(rows, "step", "solution_error")
+    curves = only(curves, choose(curves, lowest, by_order=True))
     x = Axis("step size h (smaller to the right)", "log", inverted=True)
     y = Axis("error of the solution", "log")
-    slopes = guides(rows, [curve.method for curve in curves if not curve.muted])
+    slopes = guides(rows, [curve.method for curve in curves])
     panel = Panel("", x, y, (*slopes, *curves))
     return chart("convergence", [panel], scene=SCENE, count=len(off), off=off.max())

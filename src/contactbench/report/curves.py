@@ -1,4 +1,4 @@
-"""Curves of figures from frames: one per method; the best of each group in colour, the others thin and grey."""
+"""Curves of figures from frames: one per method; at most eight in a panel, all named."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import pandas as pd
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.report.drawing import Axis, Curve, Span
-from contactbench.report.look import look
+from contactbench.report.look import CONTESTANTS, look
+from contactbench.tables.contest import CONTACT
 
 #: errors below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17
 #: deviations that are round-off
 ROUND_OFF = Span(FLOOR, STRUCTURE, "round-off")
-#: curves in colour in one panel
+#: curves of methods in one panel
 MOST = 8
 #: errors at which costs are compared
 TARGETS = tuple(10.0**-k for k in range(1, 15))
@@ -48,21 +49,36 @@ def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[C
     return tuple(curves)
 
 
-def best_of_each(curves: Sequence[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
-    """Return the curves, muted ones first: all but the best of each family (and order), at most MOST of these."""
+def best(curves: Iterable[Curve], score: Score) -> list[str]:
+    """Return the method of the best of some curves, or nothing where no curve has a score."""
+    own = list(curves)
+    scores = [score(curve, own) for curve in own]
+    return [] if np.isnan(scores).all() else [own[int(np.nanargmax(scores))].method]
+
+
+def choose(
+    curves: Sequence[Curve], score: Score, by_order: bool = False, subjects: Sequence[str] = ()
+) -> list[str]:
+    """Return the methods that a figure shows, at most MOST.
+
+    First its subjects (by default the best of all and the best contact method), then the contestants of the mission,
+    and where there is room the best of every other family (and order).
+    """
     groups: dict[tuple[str, int | None], list[Curve]] = {}
     for curve in curves:
-        if curve.method:
-            own = look(curve.method, curve.family)
-            groups.setdefault((own.family, own.order if by_order else None), []).append(curve)
-    chosen = []
+        own = look(curve.method, curve.family)
+        groups.setdefault((own.family, own.order if by_order else None), []).append(curve)
+    contact = [curve for curve in curves if look(curve.method, curve.family).family == CONTACT]
+    chosen = [*(subjects or [*best(curves, score), *best(contact, score)])]
+    for names in CONTESTANTS:
+        chosen += best((curve for curve in curves if curve.method in names), score)
     for group in groups.values():
-        scores = [score(curve, group) for curve in group]
-        if not np.isnan(scores).all():
-            chosen.append(group[int(np.nanargmax(scores))].method)
-    names = {*chosen[:MOST], ""}
-    muted = [c if c.method in names else replace(c, muted=True) for c in curves]
-    return tuple(sorted(muted, key=lambda c: not c.muted))
+        chosen += best(group, score)
+    return list(dict.fromkeys(chosen))[:MOST]
+
+
+def only(curves: Iterable[Curve], methods: Sequence[str]) -> tuple[Curve, ...]:
+    return tuple(sorted((c for c in curves if c.method in methods), key=lambda c: methods.index(c.method)))
 
 
 def cheapest(curve: Curve, own: Sequence[Curve]) -> float:

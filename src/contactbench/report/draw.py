@@ -22,7 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.look import DASHES, LOOK, MUTED, ROLES, look
+from contactbench.report.look import DASHES, LOOK, ROLES, look
 from contactbench.report.numbers import SUPERSCRIPTS
 
 #: inches: a figure's width by its panels in a row, the height of a panel
@@ -31,7 +31,6 @@ WIDTHS, HEIGHT = {1: 8.0, 2: 9.6, 3: 11.0}, 4.2
 LETTER, APART, LINE = 0.1, 0.2, 0.24
 #: a curve of more points than this has markers at some of them; so many points without a line are drawn as a picture
 MARKED, MANY = 16, 150
-OTHERS = "other methods"
 #: the mark of a file that was made here
 MADE_HERE = '<style id="contactbench">'
 #: numbers with more digits than are seen: of points, hundredths are, of a path of straight lines tenths
@@ -47,8 +46,6 @@ RC = LOOK["rc"]
 
 # -- curves ----------------------------------------------------------------------------------------
 def properties(curve: Curve) -> dict[str, Any]:
-    if curve.muted:
-        return {"color": MUTED, "linewidth": 0.8, "zorder": 1.5}
     if curve.method:
         own = look(curve.method, curve.family)
         style: dict[str, Any] = {
@@ -69,9 +66,7 @@ def properties(curve: Curve) -> dict[str, Any]:
 
 
 def entries(curves: Iterable[Curve]) -> dict[str, Line2D]:
-    ordered = sorted(curves, key=lambda curve: curve.muted)
-    named = {OTHERS if curve.muted else curve.label: curve for curve in ordered}
-    return {label: Line2D([], [], **properties(curve)) for label, curve in named.items() if label}
+    return {curve.label: Line2D([], [], **properties(curve)) for curve in curves if curve.label}
 
 
 def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
@@ -80,7 +75,7 @@ def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
         points = np.column_stack([curve.x, curve.y])
         places = axes.transLimits.transform(axes.transScale.transform(points))
         inside = np.flatnonzero((places >= 0).all(axis=1) & (places <= 1).all(axis=1))
-        if curve.label and not curve.muted and len(inside):
+        if curve.label and len(inside):
             last = inside[np.argmax(places[inside, 0])]
             ends.append((places[last, 1], points[last], curve))
     ends.sort(key=lambda end: end[0])
@@ -89,8 +84,6 @@ def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
         line = {"arrowstyle": "-", "color": color, "linewidth": 0.7, "alpha": 0.6, "shrinkB": 4, "shrinkA": 1}
         place: dict[str, Any] = {"xytext": (1.03, height), "textcoords": "axes fraction", "va": "center"}
         axes.annotate(curve.label, point, **place, color=color, arrowprops=line, gid="name")
-    if any(curve.muted for curve in curves):
-        axes.text(1.03, -0.06, f"grey: {OTHERS}", transform=axes.transAxes, fontsize=9, color="#777777")
 
 
 def spread(heights: Sequence[float], gap: float) -> np.ndarray:

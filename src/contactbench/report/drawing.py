@@ -23,7 +23,6 @@ class Curve:
 
     label : its entry in the legend, equal ones are one; "" for none.  method : gives it that method's look.
     role : of `look.ROLES`, the look of what is no method.  family : what a method unknown to look.py declares itself.
-    muted : thin and grey, not the best of its family.
     """
 
     x: tuple[float, ...]
@@ -34,7 +33,6 @@ class Curve:
     line: bool = True
     markers: bool = True
     family: str = ""
-    muted: bool = False
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import pandas as pd
 from contactbench.measure.law import DECIDABLE, STRUCTURE, UNSURE
 from contactbench.measure.statistics import ALIKE, ties
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
-from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, floats
+from contactbench.report.curves import ROUND_OFF, above, by_method, choose, floats, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
 from contactbench.report.numbers import DASH, count, how_often, names, power, readable, scientific, times
@@ -203,18 +203,20 @@ def least_errors(errors: pd.Series) -> list[str]:
 
 def along_time(frame: pd.DataFrame, scene: str) -> Figure | None:
     rows = frame[frame["scene"] == scene]
+    drawn: list[str] = []
     panels = []
     for column, (title, label) in ALONG_TIME.items():
         if rows[column].notna().any():
-            curves = best_of_each(by_method(rows, "t", column), lambda curve, _: -max(curve.y))
-            panels.append(Panel(title, Axis("t"), Axis(label, "log"), curves, (ROUND_OFF,)))
+            curves = by_method(rows, "t", column)
+            drawn = drawn or choose(curves, lambda curve, _: -max(curve.y))
+            panels.append(Panel(title, Axis("t"), Axis(label, "log"), only(curves, drawn), (ROUND_OFF,)))
     worst = rows.groupby("method")["energy_deviation"].max()
-    first, drawn = least_errors(worst), {c.method for each in panels[:1] for c in each.curves if not c.muted}
-    first.sort(key=lambda method: method not in drawn)  # those in colour are named
+    first = least_errors(worst)
+    first.sort(key=lambda method: method not in drawn)
     deviation = worst[first].max()
     least = power(10.0 ** math.ceil(math.log10(deviation))) if deviation > 0 else "0"
     known: dict[str, Any] = {"scene": scene, "settings": ", ".join(dict.fromkeys(rows["setting"]))}
-    closest = names(first, len(drawn.intersection(first)))
+    closest = names(first, sum(method in drawn for method in first))
     return chart(
         "along_time", panels, f"laws_{scene}", alike=ALIKE, methods=closest, deviation=least, **known
     )

@@ -15,9 +15,9 @@ from typing import NamedTuple
 from contactbench.registry import Registry
 
 LOOK = tomllib.loads(files(__package__).joinpath("looks.toml").read_text(encoding="utf-8"))
-#: a curve that is not the best of its family
-MUTED = "#c4c8cc"
 FAMILIES: dict[str, str] = LOOK["families"]
+#: the methods of which the best is drawn in every figure
+CONTESTANTS: list[list[str]] = LOOK["contestants"]
 #: colours of contact methods, and dashes of all, by order
 SHADES: dict[int, str] = {int(order): color for order, color in LOOK["shades"].items()}
 DASHES = {int(order): tuple(lengths) for order, lengths in LOOK["dashes"].items()}

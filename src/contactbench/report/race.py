@@ -12,7 +12,7 @@ import pandas as pd
 
 from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
-from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
+from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import law_label
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
@@ -176,7 +176,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
 def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
     curves = by_method(front(rows), "error", "cost")
     cost = contest_end(Axis(name, "log"), curves)
-    return Panel(title, Axis("error", "log", True), cost, best_of_each(curves, cheapest))
+    return Panel(title, Axis("error", "log", True), cost, only(curves, choose(curves, cheapest)))
 
 
 def front(tried: pd.DataFrame) -> pd.DataFrame:

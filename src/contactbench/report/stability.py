@@ -11,7 +11,7 @@ import pandas as pd
 
 from contactbench.measure.statistics import ALIKE, COUNTED
 from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chart, view
-from contactbench.report.curves import best_of_each, by_method, highest
+from contactbench.report.curves import by_method, choose, highest, only
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import LEGEND, drift_cell, law_label, least_errors
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
@@ -116,13 +116,15 @@ def stability_map(frame: pd.DataFrame) -> Figure | None:
     rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
     rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
     rows = rows.assign(scaled=rows["per_evaluation"] * rows["omega"])
-    curves = best_of_each(by_method(rows, "ratio", "scaled"), highest, by_order=True)
+    curves = by_method(rows, "ratio", "scaled")
     last = rows[rows["ratio"] == rows["ratio"].max()].set_index("method")["scaled"]
-    title = "First loss of stability"
+    title, subjects = "First loss of stability", []
     if len(finite := last[np.isfinite(last)]):
-        first = f"{finite.idxmax()} is stable to {finite.max():.3g}/ω an evaluation"
+        subjects = [finite.idxmax()]
+        first = f"{subjects[0]} is stable to {finite.max():.3g}/ω an evaluation"
         title = f"At γ = {rows['ratio'].max():g} ω {first}, the median method to {last.median():.2g}/ω"
-    panel = Panel("", Axis("γ/ω", "log"), Axis("ω × first unstable step / evaluations", "log"), curves)
+    drawn = only(curves, choose(curves, highest, by_order=True, subjects=subjects))
+    panel = Panel("", Axis("γ/ω", "log"), Axis("ω × first unstable step / evaluations", "log"), drawn)
     return chart("stability_map", [panel], title=title)
 
 

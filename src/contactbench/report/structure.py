@@ -11,7 +11,7 @@ import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, costs_to_reach, ties
 from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
-from contactbench.report.curves import best_of_each, by_method, floats
+from contactbench.report.curves import by_method, choose, floats, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.numbers import duration, names, power, scientific, times
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
@@ -143,16 +143,17 @@ def figure(rows: pd.DataFrame) -> Figure | None:
     if not len(ours) or not len(theirs):
         return None
     own, other = ours.iloc[0], theirs.iloc[0]
+    drawn: list[str] = []
     panels, y = [], Axis("error of the energy left", "log")
     for end in spans:
         part = timed[timed["t_end"] == end]
-        curves = best_of_each(by_method(part.assign(ms=1e3 * part["run_s"]), "ms", "energy_error"), reaching)
+        curves = by_method(part.assign(ms=1e3 * part["run_s"]), "ms", "energy_error")
+        drawn = drawn or choose(curves, reaching, subjects=[own["method"], other["method"]])
         floor = Span(1e-6, float(part["floor"].max()), "chaos")
-        panels.append(Panel(f"T = {power(end)}", Axis("time, ms", "log"), y, curves, (floor,)))
-    coloured = {c.method for panel in panels for c in panel.curves if not c.muted}
-    grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in coloured])
-    curves = by_method(grown, "t_end", "energy_error")
-    panels.append(Panel("at the cheapest setting with 1 % at first", Axis("T", "log"), y, curves))
+        panels.append(Panel(f"T = {power(end)}", Axis("time, ms", "log"), y, only(curves, drawn), (floor,)))
+    grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in drawn])
+    curves = only(by_method(grown, "t_end", "energy_error"), drawn)
+    panels.append(Panel("one setting, with 1 % at first", Axis("T", "log"), y, curves))
     known = {"time": duration(own["run_s"]), "ratio": times(other["run_s"] / own["run_s"])}
     known |= {"method": own["method"], "other": other["method"], "end": power(spans[-1])}
     return chart("structure_buys", panels, across=3, sites=SITES, gamma=power(GAMMA), **known)

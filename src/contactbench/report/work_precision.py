@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
-from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
-from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
 from contactbench.report.views import Cell, Mark, View, grid, matrix
 from contactbench.tables.contest import (
@@ -158,16 +158,6 @@ ERROR = Axis("error of the solution (more accurate to the right)", "log", invert
 AXES = {COMPILED: ("time of a solve, ms", 1e3), EVALUATIONS: ("evaluations", 1.0)}
 
 
-def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str]) -> Panel:
-    label, size = AXES[kind]
-    curves = by_method(rows, "solution_error", kind.cost, size)
-
-    def score(curve: Curve, own: Sequence[Curve]) -> float:
-        return cheapest(curve, own) + len(TARGETS) * (curve.method in named)
-
-    return Panel(kind.title, ERROR, contest_end(Axis(label, "log"), curves), best_of_each(curves, score))
-
-
 def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
     rows = work[(work["scene"] == scene) & (work["status"] == "ok")]
     rows = rows[kind.compares(rows) & rows[kind.cost].notna()]
@@ -178,8 +168,14 @@ def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
 
 def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     title, named = message(work, scene)
-    found = {kind: compared(work, scene, kind) for kind in AXES}
-    panels = [panel(rows, kind, named) for kind, rows in found.items() if len(rows)]
+    drawn: list[str] = []
+    panels = []
+    for kind, (label, size) in AXES.items():
+        curves = by_method(compared(work, scene, kind), "solution_error", kind.cost, size)
+        if curves:
+            drawn = drawn or choose(curves, cheapest, subjects=named)
+            cost = contest_end(Axis(label, "log"), curves)
+            panels.append(Panel(kind.title, ERROR, cost, only(curves, drawn)))
     return chart("work_precision", panels, f"work_precision_{scene}", title=title)
 
 
