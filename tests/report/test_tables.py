@@ -8,8 +8,8 @@ import pytest
 
 import contactbench as cb
 from contactbench.report import markdown, race, structure, work_precision
-from contactbench.report.headline import at_equal_cost, cost_answers, most_met_cost
-from contactbench.report.laws import along_time, equal_cost_view, least_errors
+from contactbench.report.headline import at_equal_cost, cost_answers
+from contactbench.report.laws import along_time, equal_cost_view, least_errors, most_met_cost
 from contactbench.report.numbers import duration
 from contactbench.report.stability import ending, rates_view, started_runs
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
@@ -249,8 +249,15 @@ def test_a_curve_says_what_an_error_costs_and_never_turns_back():
     assert len(front) == 4
 
 
-def test_a_run_that_ended_well_shows_its_error_and_another_how_it_ended():
-    ended = (("ok", 1e-3), ("diverged", np.nan), ("budget", np.nan))
-    ok, *bad = (ending(pd.Series({"status": how, "solution_error": error})) for how, error in ended)
-    assert ok.value == 1e-3
-    assert [(cell.value, cell.text) for cell in bad] == [(None, "diverged"), (None, "budget")]
+@pytest.mark.parametrize(
+    ("runs", "value", "text", "mark"),
+    [
+        ([("ok", 1e-3, True), ("ok", 1e-5, True)], 1e-5, "1e-05", None),
+        ([("ok", 1e-3, True), ("diverged", np.nan, False)], 1e-3, "1e-03", Mark.exception),
+        ([("diverged", np.nan, True)], None, "diverged", None),
+        ([("failed", np.nan, False), ("budget", np.nan, False)], None, "failed and budget", Mark.exception),
+    ],
+)
+def test_a_method_shows_its_smallest_error_or_how_it_ended_and_where_that_is_wrong(runs, value, text, mark):
+    cell = ending(pd.DataFrame(runs, columns=["status", "solution_error", "right"]))
+    assert (cell.value, cell.text, cell.mark) == (value, text, mark)

@@ -25,7 +25,7 @@ from contactbench.report.chapters import (
 )
 from contactbench.report.curves import floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.laws import cost_cells, law_label
+from contactbench.report.laws import cost_cells, law_label, most_met_cost
 from contactbench.report.numbers import DASH, duration, how_often, names
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.tables.contest import OTHER
@@ -105,11 +105,6 @@ def paths(rows: pd.DataFrame, x: str, y: str, line: bool) -> Iterator[Curve]:
 
 
 # -- results/README.md -----------------------------------------------------------------------------
-def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
-    met = frame[frame["status"] == "ok"].groupby("cost").size()
-    return frame[frame["cost"] == met[met == met.max()].index.max()] if len(met) else frame.iloc[:0]
-
-
 def at_equal_cost(frames: Frames, name: str, timed: bool = False) -> View | None:
     """Return the laws of the mission's scenes at equal cost, of the methods of a table, with times if it has them."""
     methods: list[str] = SHOWN_METHODS[name]

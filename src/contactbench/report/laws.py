@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -16,12 +16,11 @@ from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, T
 from contactbench.report.curves import ROUND_OFF, above, by_method, choose, floats, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
-from contactbench.report.numbers import DASH, count, how_often, names, power, readable, scientific, times
+from contactbench.report.numbers import DASH, count, how_often, names, power, scientific, times
 from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.tables.contest import CONTACT
 from contactbench.tables.declared import LAWS_TABLE
-from contactbench.tables.judgement import law_rows, laws_at_equal_cost, laws_in, structural_laws
-from contactbench.tables.schema import Column
+from contactbench.tables.judgement import law_rows, laws_at_equal_cost, structural_laws
 
 DAGGER, DOUBLE_DAGGER = "†", "‡"
 LEGEND: str = PROSE["laws"]["legend"]
@@ -72,14 +71,6 @@ def drift_cell(row: pd.Series, law: str) -> Cell:
     return Cell(text, value, Mark.kept if number(f"{law}_kept") else None)
 
 
-def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
-    low, high, judged = rows["value"].min(), rows["value"].max(), rows[rows["judged"]]
-    kept = len(judged) > 0 and bool(judged["kept"].all())
-    text = show(high) if kept or low == high else f"{show(low)} … {show(high)}"
-    sign = DAGGER if (rows["clamped"] > 0).any() else ""
-    return Cell(text + sign, high, Mark.kept if kept else None)
-
-
 def cost_cells(frames: Frames, row: pd.Series, laws: Sequence[str]) -> list[Cell]:
     if row["status"] != "ok":
         return [Cell(str(row["status"])), *[Cell(DASH)] * (len(laws) + 1)]
@@ -118,6 +109,12 @@ def broken_view(rows: pd.DataFrame) -> View:
     return view("law_exceptions", frame_of(lines, labels), show)
 
 
+def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows at the cost that most methods have met, the largest of several."""
+    met = frame[frame["status"] == "ok"].groupby("cost").size()
+    return frame[frame["cost"] == met[met == met.max()].index.max()] if len(met) else frame.iloc[:0]
+
+
 def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
     scene, cost = str(part["scene"].iloc[0]), part["cost"].iloc[0]
     laws = [law for law in laws_at_equal_cost() if law in part and part[law].notna().any()]
@@ -131,27 +128,17 @@ def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
     return View(f"equal_cost_{scene}_{cost:g}", title, frame_of(rows, labels))
 
 
-def law_view(frames: Frames, law: str, column: Column) -> View:
-    rows = law_rows({"laws": frames["laws"]}, law)
-    show = readable if column.type == "whole" else scientific
-    frame = matrix(rows, "method", "scene", lambda own: range_cell(own, show))
-    return View(f"law_{law}", law_label(law), frame, f"{column.meaning}.")
-
-
 @chapter("laws", answers)
 def parts(frames: Frames) -> list[Part | None]:
     rows, time = structural_rows(frames), frames["laws_time"]
-    equal = frames["decay_laws"].groupby(["scene", "cost"], sort=False)
-    ranges = (law_view(frames, law, column) for law, column in laws_in(LAWS_TABLE).items())
+    equal = frames["decay_laws"].groupby("scene", sort=False)
     along = (Section(scene, (along_time(time, scene),)) for scene in dict.fromkeys(time["scene"]))
-    shown = [equal_cost_view(part, frames) for _, part in equal]
-    ranging = f"Smallest … largest over all settings. {LEGEND}"
+    shown = [equal_cost_view(at, frames) for _, part in equal if len(at := most_met_cost(part))]
     return [
         claims_view(rows),
         broken_view(rows),
         structure(frames["laws"]),
         Section("At equal cost", (Text(LEGEND), *shown)) if shown else None,
-        Section("One by one", (Text(ranging), *ranges)),
         Section("Along time", tuple(along)),
     ]
 

@@ -10,17 +10,14 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import ALIKE, COUNTED
-from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, chart, view
+from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import by_method, choose, highest, only
 from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.laws import LEGEND, drift_cell, law_label, least_errors
+from contactbench.report.laws import least_errors
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
 from contactbench.tables.contest import EVALUATIONS
-from contactbench.tables.declared import STABILITY
-from contactbench.tables.judgement import laws_in
-from contactbench.tables.schema import numbers
 
 #: with which the others are compared under strong damping: a composition without steps against time
 BASE = "contact-strang"
@@ -51,52 +48,18 @@ def answers(frames: Frames) -> Iterator[Answer]:
         yield Answer("Does a contact method need the fewest evaluations on hard scenes?", *tally(won))
 
 
-# -- views -----------------------------------------------------------------------------------------
-def rungs(rows: pd.DataFrame) -> list[str]:
-    heads = []
-    for _, part in rows.groupby(rows.groupby(["method", "engine"]).cumcount()):
-        steps, rtol = part[part["control"] == "step"], part[part["control"] == "rtol"]["value"].max()
-        each = (steps["end_time"] / steps["rhs_equivalents"]).max()
-        known = {f"h/n {each:.3g}": each, f"rtol {scientific(rtol, 0)}": rtol}
-        heads.append(", ".join(text for text, value in known.items() if pd.notna(value)))
-    return heads
+# -- how runs end ----------------------------------------------------------------------------------
+def ending(runs: pd.DataFrame) -> Cell:
+    """Return the smallest error of some runs, or how they ended; marked where one does not end as the motion does."""
+    ok = runs[runs["status"] == "ok"]
+    mark = None if runs["right"].all() else Mark.exception
+    if len(ok):
+        return as_cell(ok["solution_error"].min(), lambda error: scientific(error, 0), mark)
+    return Cell(names(list(dict.fromkeys(runs["status"]))), mark=mark)
 
 
-def ending(run: pd.Series) -> Cell:
-    if run["status"] == "ok":
-        return as_cell(run["solution_error"], lambda error: scientific(error, 0))
-    return Cell(str(run["status"]))
-
-
-def scene_view(here: pd.DataFrame, scene: str) -> View:
-    unsupported = here["status"] == "unsupported"
-    rows = here[~unsupported]
-    steps, ok = rungs(rows), rows[rows["status"] == "ok"]
-    laws = [n for n in laws_in(STABILITY, "stability") if n != "solution_error" and ok[n].notna().any()]
-    lines = []
-    for method, own in rows.groupby("method", sort=False):
-        ladder = [ending(run) for _, run in own.iterrows()]
-        ladder += [Cell(DASH)] * (len(steps) - len(own))
-        good = own[own["status"] == "ok"]
-        finest = as_cell(good["rhs_equivalents"].max(), count)
-        lines.append((method, *ladder, *(worst_cell(good, law) for law in laws), finest))
-    labels = [("", "method"), *(("solution error", step) for step in steps)]
-    labels += [*(("worst", law_label(law)) for law in laws), ("", "evaluations")]
-    condition, left = numbers(rows, "condition_number").max(), here[unsupported]["method"].unique()
-    notes = f"Out of reach of {names(list(left))}. " if len(left) else ""
-    if condition > WELL_CONDITIONED:
-        round_off = scientific(condition * np.finfo(float).eps)
-        notes += f"Condition number {scientific(condition)}: round-off comes to {round_off}."
-    return View(f"hard_{scene}", scene, frame_of(lines, labels), notes.strip())
-
-
-def worst_cell(runs: pd.DataFrame, law: str) -> Cell:
-    """Return the largest deviation of a method's runs; bold only where every one of them keeps the law."""
-    cells = [drift_cell(run, law) for _, run in runs.dropna(subset=law).iterrows()]
-    if not cells:
-        return Cell(DASH)
-    worst = max(cells, key=lambda cell: cell.value or 0.0)
-    return worst if all(cell.mark is Mark.kept for cell in cells) else replace(worst, mark=None)
+def endings_view(hard: pd.DataFrame) -> View:
+    return view("hard_endings", matrix(started_runs(hard), "method", "scene", ending))
 
 
 # -- limits of steps -------------------------------------------------------------------------------
@@ -181,7 +144,8 @@ def strong_view(frame: pd.DataFrame) -> View:
 
 @chapter("stability", answers)
 def parts(frames: Frames) -> Iterator[Part | None]:
-    hard, limits, own = frames["stability"], frames["stability_limits"], hard_contest(frames)
+    limits, own = frames["stability_limits"], hard_contest(frames)
+    yield endings_view(frames["stability"])
     if len(own.contests):
         yield winners_view(own, "hard_winners")
         yield losses_view({own.kind.title: own.contests}, "hard_losses")
@@ -189,5 +153,3 @@ def parts(frames: Frames) -> Iterator[Part | None]:
     yield stability_map(limits)
     yield rates_view(frames["damping_rates"])
     yield strong_view(frames["strong_damping"])
-    scenes = (scene_view(here, str(scene)) for scene, here in hard.groupby("scene", sort=False))
-    yield Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes))
