@@ -14,7 +14,7 @@ from contactbench.report import population as report
 from contactbench.study import population, trial
 from contactbench.study.experiment import PROFILES
 from contactbench.study.features import features, force_cost
-from contactbench.study.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, REPLICATE, SEED, draw
+from contactbench.study.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, SEED, draw
 from contactbench.study.search import Question
 from contactbench.tables.declared import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
 
@@ -25,7 +25,7 @@ WELLS = ["well-4", "well-6", "pendulum", "cosine-lattice", "morse", "henon-heile
 # -- drawing ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_family_is_one_structure_and_a_seed_always_draws_the_same(family):
-    one, other, again = draw(SEED, family, 0), draw(REPLICATE, family, 3), draw(SEED, family, 0)
+    one, other, again = draw(SEED, family, 0), draw(SEED + 1, family, 3), draw(SEED, family, 0)
     assert one.scene.identity == other.scene.identity is not None
     assert one.scene.numbers() == again.scene.numbers() != other.scene.numbers()
     assert (one.scene.t_end, one.scene.name) == (again.scene.t_end, f"{family}-0")
@@ -168,7 +168,7 @@ def test_cells_are_the_problems_of_the_seeds_or_of_one_given(monkeypatch):
     smoke, standard = (population.cells(PROFILES[name]) for name in ("smoke", "standard"))
     assert set(smoke) < set(standard)
     drawn = [(f, seed, k) for f, seed, low, high in standard for k in range(low, high)]
-    assert len(drawn) == len(set(drawn)) == len(FAMILIES) * (population.COUNT + population.REPLICATED) >= 200
+    assert len(drawn) == len(set(drawn)) == len(FAMILIES) * population.COUNT >= 200
     monkeypatch.setattr(population, "OWN_SEED", [11])
     assert {cell[1] for cell in population.cells(PROFILES["standard"])} == {11}
     assert {cell[1] for cell in population.hard_cells(PROFILES["standard"])} == {11}

@@ -47,7 +47,7 @@ DEVIATIONS = {"hamiltonian": "hamiltonian_law", "momentum": "momentum_law", "con
 
 def along_time(solution: Solution) -> Iterator[Row]:
     numerical, exact = energies(solution)
-    columns = {"t": solution.t, "energy": numerical}
+    columns = {"t": solution.t}
     columns["energy_deviation"] = relative_deviation(numerical, exact)
     for name, law in DEVIATIONS.items():
         found = LAWS[law].along(solution) if LAWS[law].applies(solution.scene) else np.nan

@@ -20,8 +20,6 @@ from contactbench.study.problems import (
     FAMILIES,
     HARD,
     HARD_COUNT,
-    REPLICATE,
-    REPLICATED,
     SEED,
     Problem,
     draw,
@@ -47,7 +45,7 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 VISITS, SLOWER = 3, 10.0
 #: of hard problems: the tolerance, what is wrong, and steps in a period of what takes no tolerance
 TOLERANCE, WRONG, HARD_STEPS = 1e-6, 1e3, 1000
-#: the seed that `--seed` gives; None: the two of the repository
+#: the seed that `--seed` gives; empty: that of the repository
 OWN_SEED: list[int] = []
 
 
@@ -142,12 +140,10 @@ SMOKE = ("pendulum", "toda-2")
 
 def cells(profile: Profile) -> list[Cell]:
     """Return family, seed, and the first and last of its problems, or kind of hard problem and seed."""
-    seeds = {seed: REPLICATED if seed == REPLICATE else COUNT for seed in OWN_SEED or (SEED, REPLICATE)}
-    found: list[Cell] = [(family, seed, 0, 1) for seed in seeds for family in SMOKE if seed != REPLICATE]
+    seeds = OWN_SEED or [SEED]
+    found: list[Cell] = [(family, seed, 0, 1) for seed in seeds for family in SMOKE]
     if not profile.brief:
-        for seed, count in seeds.items():
-            first = [int((family, seed, 0, 1) in found) for family in FAMILIES]
-            found += [(f, seed, k, count) for f, k in zip(FAMILIES, first, strict=True)]
+        found += [(family, seed, int(family in SMOKE), COUNT) for seed in seeds for family in FAMILIES]
     return found
 
 

@@ -22,9 +22,9 @@ from contactbench.registry import Registry
 from contactbench.scene import Driven, Mechanical, RigidBody, Scene, Spheres
 from contactbench.study.features import force_cost
 
-#: of the population and of its replicate, fixed before either was run; problems of each family in both
-SEED, REPLICATE = 20261125, 618033
-COUNT, REPLICATED = 12, 6
+#: of the population, fixed before it was run; problems of each family
+SEED = 20261125
+COUNT = 12
 #: hard problems of each kind
 HARD_COUNT = 10
 #: damping over frequency, span in periods, frequency: from and to, uniform in the logarithm
