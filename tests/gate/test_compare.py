@@ -6,8 +6,10 @@ import math
 import pytest
 
 from contactbench.gate.compare import compare_folders
+from contactbench.gate.removed import Removed
 from contactbench.tables.schema import TABLES, Rule
 from contactbench.tables.store import merge
+from frames import table
 from made_up import CLAIM, ROWS, RUN, folder, row, same, without
 
 
@@ -127,7 +129,7 @@ MOVES = {
     "no limit": ("stability_limits", [{**LIMIT, "limit": math.inf}], "limit", math.inf, 2.0),
     "a point of a curve": ("paper_figures", CURVE, "y", 9e-3, 2e-2),
     "round-off on a curve": ("paper_figures", [{**POINT, "x": 0.0, "y": 2e-16}], "y", 3e-13, 2e-12),
-    "energy along time": ("laws_time", [row(t=1.0, energy=0.5)], "energy", 0.504, 0.51),
+    "energy along time": ("motion", [row(t=1.0, energy=0.5)], "energy", 0.504, 0.51),
     "the time of the blow-up": ("stability", [BLOW_UP], "blow_up_time", 2.01, 2.03),
     "how far a run got": ("stability", [BLOW_UP], "end_time", 2.1, 2.3),
     "how far a run got that ended well": ("stability", [row(end_time=2.0)], "end_time", 2.0, 2.001),
@@ -208,3 +210,9 @@ def test_every_column_has_a_rule_or_says_why_none(table):
         assert (column.rule is None) == bool(column.ungated) or not judged, name
         assert (column.rule is Rule.time) <= column.timed <= (column.rule in (None, Rule.time)), name
     assert {name for name in table.columns if name.endswith("_s")} <= set(table.timed)
+
+
+def test_a_seed_named_as_removed_takes_its_problems_out():
+    problems = [{"seed": seed, "scene": "toda-2-0", "method": "rk4", "error": 1e-3} for seed in (7, 11)]
+    left = Removed(seeds=[7]).take_out(TABLES["population"], table("population", problems))
+    assert left["seed"].tolist() == [11]
