@@ -36,7 +36,7 @@ def example(tmp_path_factory):
     """The file the README tells to write."""
     first, *blocks = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)
     mine = (block for block in blocks if "SCENES.add" in block or "@cb.fixed_step" in block)
-    text = "\n".join([*first.splitlines()[:-1], *mine])  # the last line is the race
+    text = "\n".join([*first.splitlines()[:-2], *mine])  # the last two lines solve it and race
     assert len(text.splitlines()) <= 25
     path = tmp_path_factory.mktemp("plugin") / "my.py"
     path.write_text(text)

@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 from contactbench.report import markdown, race, structure, work_precision
-from contactbench.report.headline import at_equal_cost, cost_answers
+from contactbench.report.headline import at_equal_cost, cost_answers, overview
 from contactbench.report.laws import along_time, equal_cost_view, least_errors, most_met_cost
 from contactbench.report.numbers import duration
 from contactbench.report.stability import ending, rates_view, started_runs
@@ -41,6 +41,28 @@ def test_the_mission_has_order_and_laws_side_by_side_and_j_where_it_is_claimed()
     assert ("rigid_body", "J law") in heads
     assert texts(view)["rk4"][:3] == ["800", "4.00", "1.0e-04"]
     assert at_equal_cost(frames(), "mission") is None
+
+
+def test_the_mission_has_the_least_time_of_each_error_and_who_keeps_what():
+    tables = frames(
+        work_precision=raced("particle", **{"contact-strang": 2.0, "contact-rkn6": 1.0, "rk4": 0.5}),
+        laws=[
+            row("particle", m, 0.1, contact_drift=d, contact_drift_bound=1e-12, contact_drift_kept=d < 1e-12)
+            | {"contact_drift_claimed": m != "rk4", "contact_drift_undecided": False}
+            for m, d in (("contact-strang", 1e-15), ("contact-rkn6", 1e-15), ("rk4", 1e-8))
+        ],
+    )
+    cells = texts(overview(tables))
+    first, best = cells["the fastest of all"], cells["the fastest contact method"]
+    assert [line[0].split()[0] for line in (first, best)] == ["rk4", "contact-rkn6"]
+    assert [line[-1] for line in (first, best, cells["contact-strang"], cells["rk4"])] == [
+        "to its error",
+        "to round-off",
+        "to round-off",
+        "to its error",
+    ]
+    assert {line[-2] for line in cells.values()} == {"—"}  # nobody claims J there
+    assert overview(frames()) is None
 
 
 def test_the_cost_that_most_methods_meet_is_shown():

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
-import numpy as np
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, population, structure, work_precision
@@ -35,14 +33,15 @@ from contactbench.tables.judgement import law_rows
 NAME = "README"
 #: the scene whose work–precision picture stands here
 PICTURED = "particle"
-#: how many times as long as the longest run that was timed one may be whose time is taken from it
-FURTHER = 3.0
 #: a column of the result with the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 #: kinds of cost that a reader asks about, in order
 ASKED = ("compiled", "tolerance", "package", "evaluations", "tolerance_evaluations")
 #: the scenes of the mission, its laws (that of J where a method claims it), and the methods of each table
 SHOWN_SCENES, SHOWN_LAWS, SHOWN_METHODS = (PROSE[NAME][what] for what in ("scenes", "laws", "methods"))
+#: errors whose cost stands in the README of the project, and what is asked of each law there
+SHOWN_ERRORS = (1e-3, 1e-6)
+KEPT = {"momentum_law": "J decays as e^{−γt}", "contact_drift": "contact form"}
 
 
 # -- the answers -----------------------------------------------------------------------------------
@@ -81,6 +80,62 @@ def answers(frames: Frames) -> Iterator[Answer]:
     yield from islice(claims.answers(frames), 1)
 
 
+def findings(frames: Frames) -> Iterator[Answer]:
+    """Yield the answers that stand in the README of the project."""
+    yield from structure_answer(frames)
+    if len(frames["convergence"]):
+        yield from convergence.answers(frames)
+    if len(frames["work_precision"]):
+        yield from [a for kind, a in work_precision.answers_by_kind(frames).items() if kind == "compiled"]
+    yield from list(population.answers(frames))[-1:]
+    yield from islice(structure.answers(frames), 1)
+    yield from islice(claims.answers(frames), 1)
+
+
+# -- the mission: what an error costs its contestants, and what they keep -------------------------
+def overview(frames: Frames) -> View | None:
+    """Return the time of a solve on the mission's scenes, compiled, and the laws kept there, by method.
+
+    Above the methods of the table: the fastest of all, and the fastest contact method, of each scene and error.
+    """
+    ranked = work_precision.all_contests(frames)["compiled"].standings
+    ranked = ranked[ranked["scene"].isin(SHOWN_SCENES) & ranked["error"].isin(SHOWN_ERRORS)]
+    if not len(ranked):
+        return None
+    scenes = [scene for scene in SHOWN_SCENES if scene in set(ranked["scene"])]
+    pairs = [(scene, error) for scene in scenes for error in SHOWN_ERRORS]
+
+    def line(label: str, rows: pd.DataFrame, named: bool) -> tuple[object, ...]:
+        cells, methods = [], set()
+        for scene, error in pairs:
+            own = rows[(rows["scene"] == scene) & (rows["error"] == error)].dropna(subset="cost").head(1)
+            methods |= set(own["method"])
+            texts = [f"{one.method} " * named + duration(one.cost) for one in work_precision.cost_rows(own)]
+            cells.append(Cell(texts[0] if texts else DASH))
+        return (label, *cells, *(kept_word(frames, law, methods) for law in KEPT))
+
+    contact = ranked[ranked["family"] == work_precision.CONTACT]
+    lines = [line("the fastest of all", ranked, True), line("the fastest contact method", contact, True)]
+    shown = [method for method in SHOWN_METHODS["overview"] if method in set(ranked["method"])]
+    lines += [line(method, ranked[ranked["method"] == method], False) for method in shown]
+    heads = [(scene, f"to {work_precision.power(error)}") for scene, error in pairs]
+    return view(
+        "overview", frame_of(lines, [("", "method"), *heads, *(("", word) for word in KEPT.values())])
+    )
+
+
+def kept_word(frames: Frames, law: str, methods: set[str]) -> str:
+    """Return whether all runs of some methods on the mission's scenes keep a law to round-off."""
+    rows = law_rows(frames, law)
+    where = set(rows[rows["claimed"]]["scene"]).intersection(SHOWN_SCENES)
+    rows = rows[
+        rows["scene"].isin(where) & rows["method"].isin(methods) & rows["judged"] & ~rows["undecided"]
+    ]
+    if not len(rows):
+        return DASH
+    return "to round-off" if rows["kept"].all() else "to its error"
+
+
 # -- a motion: its orbit after many turns, and its energy, by two methods at equal cost beside the truth --
 def motion_figure(rows: pd.DataFrame) -> Figure | None:
     if not len(rows):
@@ -105,8 +160,8 @@ def paths(rows: pd.DataFrame, x: str, y: str, line: bool) -> Iterator[Curve]:
 
 
 # -- results/README.md -----------------------------------------------------------------------------
-def at_equal_cost(frames: Frames, name: str, timed: bool = False) -> View | None:
-    """Return the laws of the mission's scenes at equal cost, of the methods of a table, with times if it has them."""
+def at_equal_cost(frames: Frames, name: str) -> View | None:
+    """Return the laws of the mission's scenes at equal cost, of the methods of a table."""
     methods: list[str] = SHOWN_METHODS[name]
     rows = most_met_cost(frames["decay_laws"])
     rows = rows[rows["scene"].isin(SHOWN_SCENES) & rows["method"].isin(methods)]
@@ -123,27 +178,10 @@ def at_equal_cost(frames: Frames, name: str, timed: bool = False) -> View | None
         for scene, own in laws_of.items():
             row = by_pair.get((method, scene), pd.Series({"status": DASH}))
             cells += cost_cells(frames, row, own)
-            cells += [Cell(duration(time_at_cost(frames["work_precision"], row)))] * timed
         lines.append((method, *cells))
-    last = ["time"] * timed
-    heads = {scene: ("evaluations", "order", *map(law_label, own), *last) for scene, own in laws_of.items()}
+    heads = {scene: ("evaluations", "order", *map(law_label, own)) for scene, own in laws_of.items()}
     labels = [("", "method"), *((scene, label) for scene, own in heads.items() for label in own)]
     return view(name, frame_of(lines, labels))
-
-
-def time_at_cost(work: pd.DataFrame, row: pd.Series) -> float:
-    """Return the time of a run that costs what a row does, from those of its method; nan where it has none."""
-    if row["status"] != "ok":
-        return math.nan
-    keys, columns = ["scene", "method", "engine"], ["rhs_equivalents", "time_min_s"]
-    own = work[(work[keys] == row[keys]).all(axis=1) & (work["variant"] == "")].dropna(subset=columns)
-    own = own.drop_duplicates("rhs_equivalents").sort_values("rhs_equivalents")
-    costs, seconds = own[columns].to_numpy(dtype=float).T
-    cost: float = float(row["rhs_equivalents"])
-    if not len(own) or not costs[0] <= cost <= FURTHER * costs[-1]:
-        return math.nan
-    beyond = float(max(1.0, cost / costs[-1]))  # a long run costs in proportion
-    return beyond * float(np.exp(np.interp(np.log(cost), np.log(costs), np.log(seconds))))
 
 
 def cheapest_parts(frames: Frames) -> list[Part]:
@@ -156,7 +194,7 @@ def cheapest_parts(frames: Frames) -> list[Part]:
     return [Section("Who is cheapest where", (Text(PROSE[NAME]["legend"]), *tables)), lost]
 
 
-@chapter(NAME)  # its answers stand in the README of the project
+@chapter(NAME, answers)
 def parts(frames: Frames) -> list[Part | None]:
     found: list[Part | None] = [motion_figure(frames["motion"]), at_equal_cost(frames, "mission")]
     if len(frames["work_precision"]):

@@ -66,9 +66,9 @@ def with_answers(readme: Path, frames: Frames) -> str:
     if around is None:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    shown = headline.at_equal_cost(frames, "overview", timed=True)
+    shown = headline.overview(frames)
     tables = [markdown.table(shown)] if shown is not None else []
-    tables.append(markdown.answers(headline.answers(frames)))
+    tables.append(markdown.answers(headline.findings(frames)))
     return "\n".join([around[0], "\n\n".join(tables), "", around[1]])
 
 
