@@ -3,7 +3,8 @@
 One rule decides all verdicts.  A claim *holds* if what is printed does.  It *holds, corrected* if a number or formula
 that is printed is wrong, and the statement in words that the text draws from it survives the correction.  It is
 *refuted* if that statement fails.  Where a text can be read in two ways, both are measured and said, and the verdict is
-that of the reading which the paper's own definitions give.
+that of the reading which the paper's own definitions give.  A claim is judged in the paper's own setting; how it fares
+in others is measured beside it.
 
 A claim is a statement with the bounds of what is measured for it, in ``statements.toml``, and a function that returns
 the numbers.  The verdict follows from the numbers by `verdict`; whether a correction repairs or replaces a statement
