@@ -38,8 +38,8 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
     known = {"given": "not checked", "two solvers": "to which DOP853 and extrapolation agree"}
     checked = known.get(reference["source"], agreed if second is None else confirmed)
     yield (
-        f"Reference: {reference['source']}, {reference['digits']} digits, {checked}; errors below "
-        f"{reference['error']:.1e} are not claimed."
+        f"{'Undamped. ' * frame.attrs.get('undamped', False)}Reference: {reference['source']}, "
+        f"{reference['digits']} digits, {checked}; errors below {reference['error']:.1e} are not claimed."
     )
     yield (
         "Times are least rounds. Two within their margin tie: what the halves of their visits differ by here, and two "

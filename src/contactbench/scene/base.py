@@ -701,6 +701,11 @@ class Scene(System):
     def conformal_rate(self) -> Numeric:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
 
+    @property
+    def is_undamped(self) -> bool:
+        """Return whether there is no damping at all, as where `gamma` was left out; it is said with every run."""
+        return bool(self.conformal_rate == 0)
+
     def damping_at(self, x: OwnState) -> Arithmetic:
         """Return ∂H/∂s at a state, the constant one where it is."""
         rate: Arithmetic = self.conformal_rate
@@ -739,5 +744,8 @@ def scene_of(scene: object) -> Scene:
     if isinstance(scene, str):
         scene = SCENES[scene]
     if not isinstance(scene, Scene):
-        raise BadInput(f"scene = {excerpt(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
+        wanted = f"a scene or the name of one: {', '.join(SCENES)}"
+        if callable(scene):
+            wanted = "a scene; of a right-hand side f(t, y) it is cb.Equations(rhs=f, y0=…, t_end=…)"
+        raise BadInput(f"scene = {excerpt(scene)}: must be {wanted}")
     return scene.recorded()
