@@ -575,7 +575,7 @@ def reduction_miss(scene: Mechanical) -> float:
     """Return how far (r, p_r), reduced along the decaying level μ(t), is from that of the full motion of `central`."""
     t = np.linspace(0, scene.t_end, 201)
     radius, speed = radius_and_speed(reference(scene, t, ()).states())
-    mu = scene.momentum_at(scene.initial(()))[0]
+    mu = (scene.momentum_at(scene.initial(())) or ())[0]
 
     def reduced(t: float, y: np.ndarray) -> list[float]:
         """Return H_μ = ½ (p_r² + μ(t)²/r²) + V(r), with γ s: the contact equations of (r, p_r) alone."""
