@@ -127,7 +127,7 @@ def paper_8() -> Iterator[Point]:
 
 def paper_stability() -> Iterator[Point]:
     """Yield the growth rate at M* = e_i in ker D over two slices of D ≥ 0, and the border det = 0 of `criterion`."""
-    a, unit, zero = 1 / np.asarray(INERTIA), np.eye(3), 1e-12  # that of the eigenvalues
+    a, unit, zero = 1 / np.asarray(INERTIA), np.eye(3), 1e-12  # round-off of the eigenvalues
     for axis, reach in enumerate((3.0, 1.0, 1.0)):  # far enough for a full D to destabilise the outer two
         e = unit[axis]
         j, k = sorted({0, 1, 2} - {axis})

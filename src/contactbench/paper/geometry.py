@@ -232,7 +232,7 @@ def radial(q: Array) -> Array:
 
 
 def metric_equations(metric: Map, gamma: float) -> Field:
-    """Return X_H of H = ½ g^{ij}(q) p_i p_j + V + γ s, V that of `central`."""
+    """Return X_H of H = ½ g^{ij}(q) p_i p_j + V + γ s, with the potential V of `central`."""
     return contact_equations(
         lambda y: y[2:4] @ jnp.linalg.solve(metric(y[:2]), y[2:4]) / 2 + radial(y[:2]) + gamma * y[4]
     )
@@ -468,7 +468,7 @@ def commuting_derivatives(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     left = lie_derivative(X, lie_derivative(generator, form))
     right = lie_derivative(generator, lie_derivative(X, form))
     size = largest(left, at)
-    # without invariance d L_ξ L_X η = L_ξ L_X dη, of which eq. (51) says that it is −L_X L_ξ dη = 0
+    # without invariance d L_ξ L_X η = L_ξ L_X dη, and eq. (51) says that this is −L_X L_ξ dη = 0
     other = contact_equations(lambda y: invariant(y) + y[0] * y[6])
     yield largest(left + right, at) / size
     yield largest(exterior(lie_derivative(generator, lie_derivative(other, eta))), at)
@@ -572,7 +572,7 @@ def level_sets(gamma: float = 0.1) -> Evidence:
 
 
 def reduction_miss(scene: Mechanical) -> float:
-    """Return how far (r, p_r), reduced along the decaying level μ(t), is from that of the full motion of `central`."""
+    """Return how far (r, p_r), reduced along the decaying level μ(t), is from the full motion of `central`."""
     t = np.linspace(0, scene.t_end, 201)
     radius, speed = radius_and_speed(reference(scene, t, ()).states())
     mu = (scene.momentum_at(scene.initial(())) or ())[0]

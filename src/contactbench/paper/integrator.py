@@ -438,7 +438,7 @@ PUBLISHED = {"herglotz2": 2019, ABC: 2020}
 
 @claim("C51")
 def published_integrators(scene: str = "kepler_drag", order: int = 2) -> Evidence:
-    """order : that of `PUBLISHED`."""
+    """order : of the methods in `PUBLISHED`."""
     kepler, found = SCENES[scene], []
     for name in PUBLISHED:
         errors = {}

@@ -174,7 +174,7 @@ def relative_equilibria(gamma: float = 0.1, inertia: Sequence[float] = INERTIA) 
 
 
 def coupling(inertia: Sequence[float]) -> float:
-    """Return (1/I₂ − 1/I₃)(1/I₁ − 1/I₂): by its root what is near the middle axis grows at ‖M‖ = 1, undamped."""
+    """Return (1/I₂ − 1/I₃)(1/I₁ − 1/I₂), the square of the growth rate at the middle axis for ‖M‖ = 1, undamped."""
     a = 1 / np.asarray(inertia)
     return float((a[1] - a[2]) * (a[0] - a[1]))
 

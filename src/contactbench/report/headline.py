@@ -41,7 +41,7 @@ FURTHER = 3.0
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 #: kinds of cost that a reader asks about, in order
 ASKED = ("compiled", "tolerance", "package", "evaluations", "tolerance_evaluations")
-#: the scenes of the mission, its laws (that of J where a method claims it), and the methods of each table
+#: the scenes of the mission, its laws (J where a method claims it), and the methods of each table
 SHOWN_SCENES, SHOWN_LAWS, SHOWN_METHODS = (PROSE[NAME][what] for what in ("scenes", "laws", "methods"))
 
 

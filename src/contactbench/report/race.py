@@ -86,7 +86,7 @@ def has_laws(rows: pd.DataFrame) -> pd.Series:
 
 
 def symbols(laws: Iterable[str]) -> list[str]:
-    """Return what laws are about; those that follow from another are left out."""
+    """Return the symbols of laws, without the laws that follow from another."""
     found = [SYMBOLS.get(law, law_label(law)) for law in laws]
     implied = {each for symbol in found for each in IMPLIED.get(symbol, ())}
     return [symbol for symbol in found if symbol not in implied]

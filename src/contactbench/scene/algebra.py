@@ -35,7 +35,7 @@ class State(NamedTuple):
 
 
 class DrivenState(NamedTuple):
-    """State of a driven scene: that of a mechanical one, and the time t."""
+    """State of a driven scene: q, p and s as of a mechanical one, and the time t."""
 
     q: Vector
     p: Vector
@@ -66,7 +66,7 @@ def shifted[X: AnyState](x: X, h: Arithmetic, slope: X) -> X:
     Returns
     -------
     NamedTuple
-        A state of the same fields; those that are not carried are left alone.
+        A state of the same fields; a field that is not carried is left alone.
 
     Raises
     ------
