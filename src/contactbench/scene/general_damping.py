@@ -123,7 +123,7 @@ def by_quadrature(
 
 
 def at_rest(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    """Return −Γ'h with Γ' where s is on average, so that its derivative by s, returned too, is the one of −∫Γ'(s)."""
+    """Return −Γ'h with Γ' where s is on average: its derivative by s is then right, too, −∂∫Γ'(s)/∂s."""
     z = scene.dissipation_rate(s) * h
     still = z == 0
     moved = choose(still, 1, z + xp.expm1(-z), xp) / choose(still, 2, z, xp) / choose(still, 1, z, xp)
