@@ -204,7 +204,7 @@ class Mechanical(Canonical):
     q, p
         Initial coordinates and momenta, n numbers each.
     gamma, kappa
-        Damping; κ ≠ 0 makes s part of the dynamics.
+        Damping, none by default, and then every run says "undamped"; κ ≠ 0 makes s part of the dynamics.
     mass
         > 0; one number, or one for every component; or ``M(q, **parameters)``, a symmetric positive definite matrix,
         n rows of n numbers.  Then H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s², and the scene made is the `ContactSystem` of
