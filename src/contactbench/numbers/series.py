@@ -22,9 +22,8 @@ BITS = 1024
 
 
 def _without_comparison(*_: object) -> NoReturn:
-    raise CannotRecord(
-        "a Taylor series has no comparison, neither in `if` nor in cb.math.where: take another method"
-    )
+    asked = "a comparison, in `if` or cb.math.where, of a number that is known only when the program runs"
+    raise CannotRecord(f"{asked}: a Taylor series has none, take another method")
 
 
 class Series(Unknown):
