@@ -12,6 +12,7 @@ import pytest
 import contactbench as cb
 from cases import refusal
 from contactbench.cli import main
+from contactbench.errors import one_line
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import definition
 from contactbench.testing import check_method, check_scene
@@ -183,7 +184,9 @@ CALLS = [
     (changed(q=(1.0,)), "q has 1 components and p 2"),
     (changed(gama=0.1), "did you mean 'gamma'?"),
     (changed(BODY, inertia=(1.0, -2.0, 3.0)), "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
-    (changed(BODY, R=((1, 0, 0), (0, 1, 0), (0, 0, -1))), "rotation matrix"),
+    (changed(BODY, R=((1, 0, 0), (0, 1, 0), (0, 0, -1))), "it is a reflection; must be 1, a unit quaternion"),
+    (changed(BODY, R=((1, 1e-3, 0), (0, 1, 0), (0, 0, 1))), "RᵀR is off the identity by 0.001; must be"),
+    (changed(BODY, R=(1.1, 0, 0, 0)), "its length is 1.1; must be"),
     (changed(BODY, gamma=0.1, damping=(1.0, 1.0, 1.0)), "exactly one of gamma"),
     (changed(ANISOTROPIC, damping=((1, 2, 0), (0, 1, 0), (0, 0, 1))), "symmetric positive semi-definite"),
     (changed(ANISOTROPIC, damping=(1.0, 1.0, -0.1)), "damping = (1.0, 1.0, -0.1): must be"),
@@ -211,6 +214,14 @@ CALLS = [
     (changed(potential=1), "potential = 1: must be a function"),
     (wrong_user(potential=lambda q: q), "its potential is (0.7, -0.4)"),
     (wrong_user(gradient=lambda q: q[5]), "test_bad_input.py, line "),
+    (wrong_user(gradient=None, potential=lambda q: q[2]), "out of range; q has 2 components, from q[0] on"),
+    (
+        wrong_user(gradient=None, potential=lambda q: sum(q[i] for i in range(3))),
+        "; q has 2 components, from",
+    ),
+    (equations(lambda t, y: (y[2], y[0])), "; y has 2 components, from y[0] on"),
+    (lambda: cb.solve(lambda t, y: y, "rk4", step=0.1), "it is cb.Equations(rhs=f, y0=…, t_end=…)"),
+    (lambda: cb.compare(lambda t, y: y), "it is cb.Equations(rhs=f, y0=…, t_end=…)"),
     (wrong_user(gradient=lambda q: sys.exit(0)), "scene 'mine', <lambda> (test_bad_input.py, line "),
     (wrong_user(gradient=lambda q: {0: q[0]}), "gradient: must return 2 numbers, a tuple"),
     (made(cb.Driven, rate=lambda t: None), "rate: must return a real number; it returns None"),
@@ -312,6 +323,48 @@ def test_a_step_map_need_not_be_hashable(engine):
     np.testing.assert_array_equal(own.y, plain.y)
 
 
+# -- messages --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("off", [1e-15, 1e-9, -3e-8])
+def test_an_attitude_that_is_rounded_is_the_nearest_one(off):
+    angle = 0.3
+    turn = np.array(
+        [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
+    )
+    half = np.array([math.cos(angle / 2), 0, 0, math.sin(angle / 2)])
+    for given in (turn + off * np.arange(9).reshape(3, 3), half * (1 + off)):
+        R = np.array(cb.SCENES[BODY].with_(R=given.tolist()).R)
+        assert abs(np.linalg.norm(R) - 1) < 1e-14
+        assert np.abs(R - half).max() <= 10 * abs(off) + 1e-14
+
+
+def test_a_comparison_that_heyoka_does_not_know_is_said_to_be_one():
+    """Not by advice to write it as one."""
+    jump = lambda q, t: q[0] * q[0] / 2 - q[0] * cb.math.where(t < 1.0, 0.5, 1.0)  # noqa: E731
+    scene = cb.Driven(**GIVEN | {"t_end": 2.0}, potential=jump, breaks=(1.0,))
+    run = cb.solve(scene, "heyoka-taylor", rtol=1e-6)
+    assert run.status == "unsupported"
+    assert "in `if` or cb.math.where, of a number" in run.message
+    assert "a Taylor series has none, take another method" in run.message
+
+
+@pytest.mark.parametrize("length", [40, 90, 150, 300])
+def test_a_text_that_is_cut_is_cut_between_words(length):
+    words = [*cb.METHODS, *cb.SCENES]
+    cut = one_line(" ".join(words), length)
+    assert len(cut) <= length
+    assert set(cut.split()) <= {*words, "…"}
+    assert one_line("a" * 400, length).count("a") > length - 5  # a word alone
+
+
+def test_a_run_without_damping_says_so():
+    undamped = user().with_(gamma=0.0)
+    run = cb.solve(undamped, "rk4", step=0.1)
+    assert "mine, undamped, by rk4" in repr(run)
+    assert "damping" in run._repr_html_()
+    assert "undamped" not in repr(cb.solve(undamped.with_(gamma=0.1), "rk4", step=0.1))
+    assert "undamped" not in repr(cb.solve(undamped.with_(kappa=0.1, s=0.1), "rk4", step=0.1))
+
+
 # -- the command line ------------------------------------------------------------------------------
 LINES = [
     ("solve particle rk44 --step 0.1", "unknown method 'rk44': did you mean 'rk4'?"),
@@ -325,6 +378,9 @@ LINES = [
     ("compare particle rk4 --budget soon", "--budget soon: must be a time, as in 60s or 2m"),
     ("compare particle rk4 --budget 0", "budget = 0.0: must be > 0"),
     ("compare particle rk4 --plot out.txt", "--plot out.txt: must end in .svg, .png, .pdf"),
+    ("compare particle --error 1e-6 1e-9", "separate errors by commas, as in --error 1e-6,1e-9"),
+    ("compare pend", "large_step; those of your own file with --plugin FILE"),
+    ("compare my.py", "scene my.py: name one of those that the file registers, as in my.py:NAME"),
     ("check particel", "unknown method or scene 'particel': did you mean 'particle'?"),
     ("check central --engine numba", "--engine numba: central is a scene"),
     ("claim C99", "unknown claim 'C99'"),

@@ -92,10 +92,24 @@ def user_error(what: str, error: BaseException) -> UserError:
     if isinstance(error, Overrun):
         says = f"ended after {limit():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
     else:
-        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}"
+        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}{lengths(error)}"
     made = UserError(f"{what}{place(error)}: {says}")
     made.__cause__ = error
     return made
+
+
+def lengths(error: BaseException) -> str:
+    """Return how many numbers each argument of the function has in which an index is out of range, else nothing."""
+    frame, step, given = frame_of(error), error.__traceback__, dict[str, int]()
+    while step is not None and frame is not None and isinstance(error, IndexError):
+        code, values = step.tb_frame.f_code, step.tb_frame.f_locals
+        if (code.co_filename, step.tb_lineno) == (frame.filename, frame.lineno):
+            names = (*code.co_varnames[: code.co_argcount], *code.co_freevars)
+            given = {name: len(values[name]) for name in names if type(values.get(name)) is tuple}
+        step = step.tb_next
+    return "".join(
+        f"; {name} has {n} component{'s' * (n != 1)}, from {name}[0] on" for name, n in given.items()
+    )
 
 
 def place(error: BaseException) -> str:

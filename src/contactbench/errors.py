@@ -7,6 +7,8 @@ from collections.abc import Iterable
 
 #: characters at most of a message, and of a value that is shown in it
 LONGEST, SHOWN = 300, 80
+#: characters at most that are left out so as not to cut a word
+WORD = 30
 
 
 class BadInput(ValueError):
@@ -38,8 +40,13 @@ class UnknownName(BadInput, KeyError):
 def one_line(message: object, longest: int = LONGEST) -> str:
     """Return the text without line breaks or control characters, its middle left out where it is longer."""
     text = " ".join("".join(c if c.isprintable() else " " for c in str(message)).split())
+    if len(text) <= longest:
+        return text
     end = 2 * longest // 5  # what is allowed stands there
-    return text if len(text) <= longest else f"{text[: longest - end - 3]} … {text[-end:]}"
+    head, tail = text[: longest - end - 3], text[-end:]
+    cut, rest = head.rfind(" "), tail.find(" ")  # between words, unless they are long
+    head = head[:cut] if len(head) - cut <= WORD else head
+    return f"{head} … {tail[rest + 1 :] if 0 <= rest <= WORD else tail}"
 
 
 _SHORT = reprlib.Repr(maxlevel=3, maxtuple=8, maxlist=8, maxdict=4, maxset=4, maxstring=SHOWN, maxother=SHOWN)

@@ -210,14 +210,16 @@ class Solution:
             setting += f", {self.step:.6g} taken to meet the saved times"
         why = f": {self.message}" if self.message else ""
         cost = "" if n is None else f", {n} evaluations ({self.counts.kind})"
+        scene = f"{self.scene.name}{', undamped,' * self.scene.is_undamped}"
         return (
-            f"<Solution of {self.scene.name} by {self.method} ({self.engine}, {setting}): "
+            f"<Solution of {scene} by {self.method} ({self.engine}, {setting}): "
             f"{self.status}{why}, {len(self.t)} states to t = {self.end_time:g}{cost}>"
         )
 
     def _repr_html_(self) -> str:
         ended = f"{self.status}{f': {self.message}' if self.message else ''}"
         rows = {"method": f"{self.method} ({self.engine}, {self.setting})", "status": ended}
+        rows |= {"damping": "none"} if self.scene.is_undamped else {}
         rows["states"] = f"{len(self.t)}, to t = {self.end_time:g}"
         if self.counts.evaluations is not None:
             rows["evaluations"] = f"{self.counts.evaluations} ({self.counts.kind})"

@@ -19,6 +19,7 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.report import write
 from contactbench.testing import METHOD_RULES, SCENE_RULES
 
+RUN = "solve particle rk4 --step 0.1 --t-end 1"
 RACE = ["compare", "particle", "rk4", "contact-strang", "--error", "1e-2,1e-3", "--budget", "60s"]
 
 
@@ -129,6 +130,29 @@ def test_a_broken_rule_ends_it(line, rule, capsys):
     out, err = capsys.readouterr()
     assert rules(out) == list(range(1, rule))
     assert (err.startswith(f"contactbench: rule {rule}: {line[0]}"), err.count("\n")) == (True, 1)
+    remedies = METHOD_RULES if len(line) > 1 else SCENE_RULES
+    assert err.endswith(f". {remedies[rule].__doc__}\n")
+
+
+def test_every_rule_says_what_to_do():
+    for each in (*METHOD_RULES.values(), *SCENE_RULES.values()):
+        assert each.__doc__
+        assert each.__doc__.count("\n") == 0
+
+
+# -- The width of the terminal ---------------------------------------------------------------------
+@pytest.mark.parametrize("width", [72, 100])
+@pytest.mark.parametrize("line", ["list", "list claims", "claim C13", f"{RUN} --laws"])
+def test_lines_are_wrapped_at_the_width_of_the_terminal(line, width, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert main(line.split()) == 0
+    wrapped = capsys.readouterr().out
+    monkeypatch.delenv("COLUMNS")
+    monkeypatch.setattr("shutil.get_terminal_size", lambda fallback=(80, 24): os.terminal_size(fallback))
+    assert main(line.split()) == 0
+    whole = capsys.readouterr().out
+    assert wrapped.split() == whole.split()  # no word is cut
+    assert max(len(line) for line in whole.splitlines()) > width >= max(map(len, wrapped.splitlines()))
 
 
 # -- What cannot be written is refused before anything is computed ---------------------------------
@@ -231,6 +255,8 @@ def test_what_cannot_be_encoded_is_replaced(line):
     assert done.returncode == 0, done.stderr
     assert "?" in done.stdout
     assert done.stdout.isascii()
+    done = run(*MODULE, *line, LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0")
+    assert (done.returncode, done.stderr) == (0, "")
     if "claim" in line:  # JSON needs no other encoding
         done = run(*MODULE, *line, "--json", PYTHONIOENCODING="ascii")
         assert "§" in json.loads(done.stdout)["where"]

@@ -8,9 +8,15 @@ from contactbench.gate import compare, speed
 from contactbench.measure import clock, law, statistics
 from contactbench.study import timetable
 from contactbench.study.compare import BUDGET
+from contactbench.study.problems import FAMILIES
+from contactbench.truth import survey
 
+#: the shortest pulse that is seen, in parts of the span
+PULSE = f"about {({2: 'two'})[round(1e6 / survey.SAMPLES)]} millionths of the"
 DOCS = Path(__file__).parents[2] / "docs"
 QUOTED = {
+    "adding.md": [PULSE],
+    "references.md": [PULSE],
     "compare.md": [
         f"budget ({BUDGET:.0f} s by default)",
         f"{clock.VISITS} times or more",
@@ -40,3 +46,8 @@ QUOTED = {
 def test_quoted_limits_are_those_of_the_code(page):
     text = (DOCS / page).read_text().replace(" %", "%")
     assert [quote for quote in QUOTED[page] if quote not in text] == []
+
+
+def test_every_family_of_the_population_has_one_start():
+    starts = (DOCS / "population.md").read_text().split("| start | families |")[1].split("\n\n")[0]
+    assert sorted(starts.split("`")[1::2]) == sorted(FAMILIES)

@@ -112,6 +112,7 @@ def test_a_broken_rule_is_named(rule, method):
         list(case_findings(method, method.engines[-1 if rule == 9 else 0], CASES[0]))
     assert caught.value.rule == rule, caught.value
     assert "broken" in str(caught.value)
+    assert str(caught.value).endswith(f". {METHOD_RULES[rule].__doc__}")  # what to do
 
 
 def test_every_rule_has_a_method_that_breaks_it():

@@ -12,7 +12,7 @@ from importlib import metadata
 
 from contactbench.cli import runs, tables
 from contactbench.cli.parsing import HELP, PLUGIN, Parser, add_options
-from contactbench.errors import BadInput, one_line
+from contactbench.errors import BadInput, UnknownName, one_line
 from contactbench.limits import VARIABLE, limit
 
 #: seconds that a plug-in has where nobody says otherwise
@@ -50,6 +50,9 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+#: commands that take scenes and methods of a user's file, and how it is named
+OWN, OF_A_FILE = ("solve", "compare", "check"), "; those of your own file with --plugin FILE"
+
 #: what is raced, and what it is compiled by
 PEERS = ["scipy", "scikit-sundae", "diffrax", "jax", "heyoka", "cyrk", "numba", "numpy"]
 
@@ -68,7 +71,7 @@ def open_streams() -> None:
         stream = getattr(sys, name)
         if stream is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
-        elif getattr(stream, "errors", None) == "strict":
+        elif getattr(stream, "errors", None) in ("strict", "surrogateescape"):
             stream.reconfigure(errors="replace")
 
 
@@ -102,7 +105,8 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
         return 141
     except (BadInput, OSError) as error:
-        return fail(error, str(error), plugins.traceback)
+        yours = isinstance(error, UnknownName) and not plugins.plugin and arguments.command in OWN
+        return fail(error, str(error), plugins.traceback, OF_A_FILE * yours)
     except KeyboardInterrupt:
         print("contactbench: interrupted", file=sys.stderr)
         return 130
@@ -119,8 +123,8 @@ def main(argv: list[str] | None = None) -> int:
     return status
 
 
-def fail(error: BaseException, message: str, whole: bool) -> int:
+def fail(error: BaseException, message: str, whole: bool, remedy: str = "") -> int:
     if whole:
         traceback.print_exception(error)
-    print(f"contactbench: {one_line(message)}", file=sys.stderr)
+    print(f"contactbench: {one_line(message)}{remedy}", file=sys.stderr)
     return 2

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from contactbench.cli.parsing import assignments, print_json, writable
+from contactbench.cli.printing import print_item
 from contactbench.errors import BadInput, unknown_name
 from contactbench.files import replacing
 
@@ -58,8 +59,9 @@ def listing(arguments: argparse.Namespace) -> int:
     for kind in [arguments.kind] if arguments.kind else kinds:
         if not arguments.kind:
             print(kind)
+        indent = "" if arguments.kind else "  "
         for name, about in kinds[kind].items():
-            print(f"{'' if arguments.kind else '  '}{name:24} {about}")
+            print_item(f"{indent}{name:24} ", about, len(indent) + 25)
     return 0
 
 
@@ -69,6 +71,8 @@ def scene_of(arguments: argparse.Namespace) -> Scene:
     from contactbench.scenes import SCENES
 
     path, _, name = arguments.scene.rpartition(":")
+    if not path and name.endswith(".py"):
+        raise BadInput(f"scene {name}: name one of those that the file registers, as in {name}:NAME")
     if path:
         load_file(Path(path))
     scene: Scene = SCENES[name].with_(**assignments(arguments.set))
@@ -108,10 +112,13 @@ def solve(arguments: argparse.Namespace) -> int:
         if isinstance(state, dict) and len(state) > PRINTED:
             some = ", ".join(f"{name!r}: {value!r}" for name, value in list(state.items())[:SOME])
             run["state"] = f"{some}, … {len(state)} numbers; all of them with --json or --out"
-        print("\n".join(f"{key:8} {value}" for key, value in run.items() if value not in (None, "")))
+        run["scene"] = f"{scene.name}{', undamped' * scene.is_undamped}"
+        for key, value in run.items():
+            if value not in (None, ""):
+                print_item(f"{key:8} ", value, 9)
         for law in () if laws is None else laws.itertuples():
-            bound = "≤ " if law.upper_bound else ""
-            print(f"{law.Index:26} {bound}{law.deviation:.1e}  {law.note or law.definition}")
+            value = f"{'≤ ' if law.upper_bound else ''}{law.deviation:.1e}"
+            print_item(f"{law.Index:26} {value}  ", law.note or law.definition, 29 + len(value))
     return 0 if solution.ok else 1
 
 
@@ -159,6 +166,11 @@ def compare(arguments: argparse.Namespace) -> int:
     import contactbench as cb
     from contactbench.report import race
 
+    if errors := [word for word in arguments.method + arguments.more if is_number(word)]:
+        given = f"--error {' '.join([arguments.error, *errors])}"
+        raise BadInput(
+            f"{given}: separate errors by commas, as in --error {','.join([arguments.error, *errors])}"
+        )
     scene = scene_of(arguments)
     methods = arguments.method + arguments.more or ("all" if arguments.all else None)
     budget = None if arguments.budget is None else duration(arguments.budget)
@@ -179,6 +191,13 @@ def compare(arguments: argparse.Namespace) -> int:
         ]
         print(race.text(frame, arguments.all, " ".join([arguments.scene, *options])))
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
+
+
+def is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
 
 
 def numbers(text: str) -> list[float]:
@@ -203,7 +222,7 @@ def one_core() -> None:
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
-ROW = "{:>4}  {:9} {:24} {}"
+ROW = "{:>4}  {:9} {:24} "
 
 
 def check(arguments: argparse.Namespace) -> int:
@@ -219,10 +238,12 @@ def check(arguments: argparse.Namespace) -> int:
         findings = scene_findings(cb.SCENES[name])
     else:
         raise unknown_name("method or scene", name, [*cb.METHODS, *cb.SCENES])
-    print(ROW.format("rule", "engine", "scene", "result"))
+    print(ROW.format("rule", "engine", "scene") + "result")
     try:
         for *where, not_here in findings:
-            print(ROW.format(*where, f"does not apply: {not_here}" if not_here else "kept"), flush=True)
+            label = ROW.format(*where)
+            print_item(label, f"does not apply: {not_here}" if not_here else "kept", len(label))
+            sys.stdout.flush()
     except Violation as broken:
         print(f"contactbench: {broken}", file=sys.stderr)
         return 1

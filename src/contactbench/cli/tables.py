@@ -9,6 +9,7 @@ from pathlib import Path
 
 from contactbench.checks import positive
 from contactbench.cli.parsing import print_json, writable
+from contactbench.cli.printing import print_item
 from contactbench.errors import BadInput
 
 
@@ -22,7 +23,7 @@ def claim(arguments: argparse.Namespace) -> int:
     else:
         for name, label in LABELS.items():
             for item in filter(None, row.get(name, "").split(SEPARATOR)):
-                print(f"{label:11} {item}")
+                print_item(f"{label:11} ", item, 12)
     return 0 if row["status"] == "ok" else 1
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
 
@@ -19,6 +19,11 @@ NO_SERIES = "heyoka has no series of the root and other fractional powers of x, 
 
 #: bits of a number that divides, more than any run has
 BITS = 1024
+
+
+def _without_comparison(*_: object) -> NoReturn:
+    asked = "a comparison, in `if` or cb.math.where, of a number that is known only when the program runs"
+    raise CannotRecord(f"{asked}: a Taylor series has none, take another method")
 
 
 class Series(Unknown):
@@ -67,6 +72,9 @@ class Series(Unknown):
 
     def __abs__(self) -> Series:
         raise CannotRecord("heyoka has no |x|")
+
+    __bool__ = __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _without_comparison  # type: ignore[assignment]
+    __hash__ = None  # type: ignore[assignment]
 
 
 class LongSeries(Series):

@@ -1,9 +1,9 @@
 """The Lie algebra that T + γs and V generate for polynomial potentials, and a method that rests on its relations.
 
-How many conditions an order puts on a splitting of H into A = T + γs and B = V is the dimension of a part of the Lie
-algebra they generate: of what nested Jacobi brackets of so many A and B span.  Linear relations that hold for every V
-of a kind, such as {B, {B, {B, A}}} = 0 for all of them, save conditions.  Here they are counted without rounding, as
-ranks of polynomials in q, p and s with rational coefficients.
+An order puts as many conditions on a splitting of H into A = T + γs and B = V as a part of the Lie algebra that they
+generate has dimensions: the span of the nested Jacobi brackets of so many A and B.  Linear relations that hold for
+every V of a kind, such as {B, {B, {B, A}}} = 0 for all of them, save conditions.  Here they are counted without
+rounding, as ranks of polynomials in q, p and s with rational coefficients.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def jacobi(f: Polynomial, g: Polynomial, n: int) -> Polynomial:
 
 
 def independent(polynomials: list[Polynomial]) -> list[Polynomial]:
-    """Return those that are no linear combination of the ones before them, by elimination."""
+    """Return the polynomials that are no linear combination of those before them, by elimination."""
     pivots: list[tuple[tuple[int, ...], Polynomial]] = []
     found = []
     for f in polynomials:

@@ -14,7 +14,14 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from contactbench.paper.integrator import ENERGY_LADDER, NOMINAL, PAPER_STEP, energy_errors, numerical, slope
-from contactbench.paper.rigid_body import INERTIA, criterion, direction_growths, growths, momentum_rate
+from contactbench.paper.rigid_body import (
+    INERTIA,
+    beside_axis,
+    criterion,
+    direction_growths,
+    growths,
+    momentum_rate,
+)
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
 
@@ -59,9 +66,7 @@ def paper_3() -> Iterator[Point]:
 def paper_4() -> Iterator[Point]:
     """Yield trajectories of the damped body in momentum space, from near each principal axis."""
     for axis in range(3):
-        M = np.full(3, 0.08)
-        M[axis] = math.sqrt(1 - 2 * 0.08 * 0.08)
-        scene = SCENES["rigid_body"].with_(gamma=0.03, M=tuple(M), t_end=100.0)
+        scene = SCENES["rigid_body"].with_(gamma=0.03, M=tuple(beside_axis(axis)), t_end=100.0)
         path = numerical(scene, "contact-abc", 0.05, 200).y
         yield from curve("momentum", f"near axis {axis + 1}", "stable" if axis != 1 else "unstable", *path.T)
 
@@ -122,7 +127,7 @@ def paper_8() -> Iterator[Point]:
 
 def paper_stability() -> Iterator[Point]:
     """Yield the growth rate at M* = e_i in ker D over two slices of D ≥ 0, and the border det = 0 of `criterion`."""
-    a, unit, zero = 1 / np.asarray(INERTIA), np.eye(3), 1e-12  # that of the eigenvalues
+    a, unit, zero = 1 / np.asarray(INERTIA), np.eye(3), 1e-12  # round-off of the eigenvalues
     for axis, reach in enumerate((3.0, 1.0, 1.0)):  # far enough for a full D to destabilise the outer two
         e = unit[axis]
         j, k = sorted({0, 1, 2} - {axis})

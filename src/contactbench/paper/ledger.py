@@ -1,12 +1,12 @@
 """The ledger: what a claim is, what counts as evidence, and how a verdict follows from numbers.
 
-One rule decides all verdicts.  A claim *holds* if what is printed does.  It *holds, corrected* if a number or formula
-that is printed is wrong, and the statement in words that the text draws from it survives the correction.  It is
-*refuted* if that statement fails.  Where a text can be read in two ways, both are measured and said, and the verdict is
-that of the reading which the paper's own definitions give.
+One rule decides all verdicts.  A claim *holds* if it is true as printed.  It *holds, corrected* if a printed number or
+formula is wrong, and the statement in words that the text draws from it survives the correction.  It is *refuted* if
+that statement fails.  Where a text can be read in two ways, both are measured and said, and the paper's own definitions
+decide.  A claim is judged in the paper's own setting; how it fares in others is measured beside it.
 
-A claim is a statement with the bounds of what is measured for it, in ``statements.toml``, and a function that returns
-the numbers.  The verdict follows from the numbers by `verdict`; whether a correction repairs or replaces a statement
+A claim is a statement and the bounds of its measurements, in ``statements.toml``, and a function that returns the
+numbers.  The verdict follows from the numbers by `verdict`; whether a correction repairs or replaces a statement
 that fails is argued in its `correction`.
 """
 
@@ -44,7 +44,7 @@ class Correction(StrEnum):
 
     repairs : a number or formula is corrected, the statement in words survives; the claim *holds, corrected*.
     replaces : the statement in words fails, and the correction contradicts it; it is *refuted*.
-    sharpens : the claim holds, but says less than what is true.
+    sharpens : the claim holds, and more is true than it says.
     extends : the claim holds; the correction says how far it goes, or how another reading of it fares.
     """
 
@@ -115,7 +115,7 @@ class Claim:
     name : its id.  where : section and equation or figure of the paper, numbered as it is printed, or `BEYOND`.
     says : the claim in our words.  scene, method : what it is measured on.  measure : ``(**parameters) -> Evidence``,
     the numbers of `measured` and then of `corrected`; every parameter has a default, which is what the table shows.
-    measured, corrected : what is measured of the paper's statement and of the corrected one.  kind, correction : how
+    measured, corrected : the measurements of the paper's statement and of the corrected one.  kind, correction : how
     and in which words it is corrected.  figures : the paper's figures redrawn for it.
     """
 

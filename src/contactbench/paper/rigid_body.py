@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,8 @@ type Vector = np.ndarray | Sequence[float]
 
 BODY = SCENES["rigid_body"]
 INERTIA = (1.0, 2.0, 3.0)
+#: two moments alike: no axis has a smaller one than the first, and none lies between
+TIED = (1.0, 1.0, 3.0)
 
 
 def chart(y: Array) -> BodyState:
@@ -171,7 +174,7 @@ def relative_equilibria(gamma: float = 0.1, inertia: Sequence[float] = INERTIA) 
 
 
 def coupling(inertia: Sequence[float]) -> float:
-    """Return (1/I₂ − 1/I₃)(1/I₁ − 1/I₂): by its root what is near the middle axis grows at ‖M‖ = 1, undamped."""
+    """Return (1/I₂ − 1/I₃)(1/I₁ − 1/I₂), the square of the growth rate at the middle axis for ‖M‖ = 1, undamped."""
     a = 1 / np.asarray(inertia)
     return float((a[1] - a[2]) * (a[0] - a[1]))
 
@@ -197,6 +200,11 @@ def motions(D: np.ndarray, M: np.ndarray, inertia: Sequence[float]) -> tuple[np.
     return np.asarray(half), np.asarray(advance(D, half))
 
 
+def highest_power(M: np.ndarray, D: np.ndarray, inertia: Sequence[float]) -> float:
+    """Return the largest H0' = −Ω·DM of many bodies: D (k, 3, 3), M (k, 3)."""
+    return float((-np.einsum("ki,i,kij,kj->k", M, 1 / np.asarray(inertia), D, M)).max())
+
+
 def distance_to_equilibria(M: np.ndarray, D: np.ndarray) -> float:
     """Return the distance of M from 0 and from the principal axes in ker D."""
     lines = [np.linalg.norm(np.delete(M, i)) for i in range(3) if np.linalg.norm(D[:, i]) < ROUND_OFF]
@@ -205,7 +213,7 @@ def distance_to_equilibria(M: np.ndarray, D: np.ndarray) -> float:
 
 @claim("C50")
 def classical_stability(seed: int = SEED, cases: int = 300) -> Evidence:
-    """Measure the undamped body: eigenvalues of many, and motions of one from beside its outer axes."""
+    """Measure the undamped body: eigenvalues of many, motions from beside the outer axes, and one of equal moments."""
     rng = np.random.default_rng(seed)
     inertias = np.cumsum(rng.uniform(0.3, 1.0, (cases, 3)), axis=1)
     sizes = rng.choice([-1.0, 1.0], cases) * rng.uniform(0.2, 2.0, cases)
@@ -218,6 +226,9 @@ def classical_stability(seed: int = SEED, cases: int = 300) -> Evidence:
     yield growths([(none, tuple(I), m * unit[axis]) for I, m in drawn for axis in (0, 2)]).max()
     yield np.max([np.linalg.norm(M - axes, axis=1) / np.linalg.norm(starts - axes, axis=1) for M in later])
     yield np.abs(middle / euler - 1).max()
+    beside = np.array([1.0, 0.0, 1e-3])
+    half_turn = math.pi / (beside[2] * (1 / TIED[0] - 1 / TIED[2]))
+    yield np.linalg.norm(momentum_at(none, beside, half_turn, TIED) - beside)
 
 
 @claim("C41")
@@ -235,7 +246,7 @@ def motions_settle(seed: int = SEED, starts: int = 1200, inertia: Sequence[float
     growth = (1 / (end[slow] ** 2).sum(axis=1) - 1 / (half[slow] ** 2).sum(axis=1)).min()
     yield growth, 10 * abs(1 / free[1] - 1 / free[0]).max()
     yield -np.einsum("ki,kij,kj->k", M, D, M).min()
-    yield (-np.einsum("ki,i,kij,kj->k", M, 1 / np.asarray(inertia), D, M)).max()
+    yield highest_power(M, D, inertia)
 
 
 # -- stability of the steady rotations -------------------------------------------------------------
@@ -329,8 +340,8 @@ def count_misjudged(cases: Sequence[Case], slack: float = 1e-9) -> int:
 COUNTEREXAMPLE = ((0.5, -0.5, 0.0), (-0.5, 0.5, 0.0), (0.0, 0.0, 0.0))
 
 
-def momentum_at(D: Matrix, M: Vector, t: float) -> np.ndarray:
-    scene = body(D).with_(M=np.asarray(M).tolist(), t_end=t)
+def momentum_at(D: Matrix, M: Vector, t: float, inertia: Sequence[float] = INERTIA) -> np.ndarray:
+    scene = body(D, inertia).with_(M=np.asarray(M).tolist(), t_end=t)
     return np.asarray(solve(scene, "scipy-dop853", rtol=1e-12, save_at=[t], carry=()).y[-1])
 
 
@@ -342,6 +353,8 @@ def extreme_axes(seed: int = 4, cases: int = 300) -> Evidence:
     yield from (rate, count_misjudged(drawn), end[2], np.hypot(end[0], end[1]))
     yield growth(COUNTEREXAMPLE, [0.0, 0.0, end[2]])
     yield growths([(np.diag(np.diag(D)), inertia, M) for D, inertia, M in drawn if np.any(D)]).max()
+    tied = transverse([(np.diag([0.0, 0.0, 0.5]), TIED, np.eye(3)[0])])
+    yield np.abs(np.sort(tied.real) - [-0.5, 0.0]).max()
 
 
 @claim("C20")
@@ -361,6 +374,7 @@ def intermediate_axis(
     # full transverse blocks that the product d₁ d₃ alone would misjudge
     for d1, d3, d13 in ((0.5, 0.5, 0.5), (0.29, 0.2, -0.2)):
         yield growth([[d1, 0.0, d13], [0.0, 0.0, 0.0], [d13, 0.0, d3]], np.eye(3)[1])
+    yield abs(growth(np.zeros((3, 3)), np.eye(3)[1], TIED))
 
 
 def along_kernel(kernel: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -392,3 +406,50 @@ def modes(kernel: Sequence[float] = (1.0, 2.0, 0.0), rate: float = 0.5) -> Evide
     fell, slaved = along[1] / along[0], off[1] / off[0]
     yield growth(COUNTEREXAMPLE, np.eye(3)[2])
     yield from (abs(damped), abs(-damped / (rate / 2) - 1), fell, abs(slaved / fell**2 - 1))
+
+
+@claim("C56")
+def linearisation(seed: int = SEED, cases: int = 60) -> Evidence:
+    misses = []
+    rng = np.random.default_rng(seed)
+    for D, inertia, M in random_equilibria((0, 1, 2), cases, seed):
+        change, a = rng.normal(size=3), 1 / np.asarray(inertia)
+        derived = np.asarray(jacobian(momentum_rate(body(D, inertia)))(jnp.asarray(M))) @ change
+        misses.append(derived - (np.cross(change, a * M) + np.cross(M, a * change) - D @ change))
+    yield {"cases": cases}
+    yield np.abs(misses).max()
+
+
+def beside_axis(axis: int) -> np.ndarray:
+    """Return where the motions of Figure 4 start: a unit M, 0.08 off the axis in both directions across it."""
+    M = np.full(3, 0.08)
+    M[axis] = math.sqrt(1 - 2 * 0.08 * 0.08)
+    return M
+
+
+@claim("C57")
+def rotational_energy(seed: int = SEED, gamma: float = 0.1, inertia: Sequence[float] = INERTIA) -> Evidence:
+    scene = BODY.with_(gamma=gamma, inertia=tuple(inertia), t_end=3 / gamma)
+    energy = Field(lambda M: jnp.asarray(scene.energy(BodyState(tuple(M)))))
+    change, M = geometry.along(momentum_rate(scene), energy), points(3, seed=seed)
+    steps = []
+    for axis in range(3):
+        start = scene.with_(M=tuple(beside_axis(axis)))
+        along = scene.energy(reference(start, np.linspace(0, scene.t_end, 201), ()).states())
+        steps.append(np.diff(along) / along[0])
+    rng = np.random.default_rng(seed)
+    D = np.array([damping_of_kind(rng, KINDS - 1, inertia) for _ in M])
+    yield largest(lambda M: change(M) / (2 * gamma * energy(M)) + 1, M)
+    yield np.max(steps)
+    yield highest_power(M, D, inertia)
+
+
+@claim("C59")
+def published_classifications(seed: int = SEED, inertia: Sequence[float] = INERTIA) -> Evidence:
+    M, rng = points(3, seed=seed), np.random.default_rng(seed)
+    bracket = np.cross(M, np.cross(M, M / np.asarray(inertia)))
+    linear = np.array([damping_of_kind(rng, 0, inertia) @ m for m in M])
+    along = [np.einsum("ki,ki->k", M, damping) / (M**2).sum(axis=1) for damping in (bracket, linear)]
+    yield int(np.abs(along[0]).max() > ROUND_OFF)
+    yield np.abs((M * bracket).sum(axis=1)).max()
+    yield along[1].min()

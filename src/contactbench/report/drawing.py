@@ -22,7 +22,7 @@ class Curve:
     """Points of one curve, in drawing order; nan interrupts the line.
 
     label : its entry in the legend, equal ones are one; "" for none.  method : gives it that method's look.
-    role : of `look.ROLES`, the look of what is no method.  family : what a method unknown to look.py declares itself.
+    role : of `look.ROLES`, the look of a curve of no method.  family : as declared by a method unknown to look.py.
     """
 
     x: tuple[float, ...]
@@ -62,7 +62,7 @@ class Figure:
 
     Names of curves stand in the margin of a single panel, or below several.
 
-    title : its message.  caption : one or two sentences: what is compared, what is better.
+    title : its message.  caption : one or two sentences on the comparison, and which side is better.
     """
 
     name: str

@@ -37,7 +37,7 @@ PICTURED = "particle"
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 #: kinds of cost that a reader asks about, in order
 ASKED = ("compiled", "tolerance", "package", "evaluations", "tolerance_evaluations")
-#: the scenes of the mission, its laws (that of J where a method claims it), and the methods of each table
+#: the scenes of the mission, its laws (J where a method claims it), and the methods of each table
 SHOWN_SCENES, SHOWN_LAWS, SHOWN_METHODS = (PROSE[NAME][what] for what in ("scenes", "laws", "methods"))
 #: errors whose cost stands in the README of the project, and what is asked of each law there
 SHOWN_ERRORS = (1e-3, 1e-6)

@@ -21,7 +21,7 @@ CONTESTANTS: list[list[str]] = LOOK["contestants"]
 #: colours of contact methods, and dashes of all, by order
 SHADES: dict[int, str] = {int(order): color for order, color in LOOK["shades"].items()}
 DASHES = {int(order): tuple(lengths) for order, lengths in LOOK["dashes"].items()}
-#: what is no method, as matplotlib line properties
+#: looks of curves that belong to no method, as matplotlib line properties
 ROLES: dict[str, dict[str, object]] = LOOK["roles"]
 
 

@@ -38,8 +38,8 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
     known = {"given": "not checked", "two solvers": "to which DOP853 and extrapolation agree"}
     checked = known.get(reference["source"], agreed if second is None else confirmed)
     yield (
-        f"Reference: {reference['source']}, {reference['digits']} digits, {checked}; errors below "
-        f"{reference['error']:.1e} are not claimed."
+        f"{'Undamped. ' * frame.attrs.get('undamped', False)}Reference: {reference['source']}, "
+        f"{reference['digits']} digits, {checked}; errors below {reference['error']:.1e} are not claimed."
     )
     yield (
         "Times are least rounds. Two within their margin tie: what the halves of their visits differ by here, and two "
@@ -86,7 +86,7 @@ def has_laws(rows: pd.DataFrame) -> pd.Series:
 
 
 def symbols(laws: Iterable[str]) -> list[str]:
-    """Return what laws are about; those that follow from another are left out."""
+    """Return the symbols of laws, without the laws that follow from another."""
     found = [SYMBOLS.get(law, law_label(law)) for law in laws]
     implied = {each for symbol in found for each in IMPLIED.get(symbol, ())}
     return [symbol for symbol in found if symbol not in implied]

@@ -21,7 +21,7 @@ from contactbench.tables.contest import CONTACT
 ALLOWED = 0.01
 #: the scene, and the damping and number of sites that all methods are run at
 SCENE, GAMMA, SITES = "chaotic_ring", 1e-5, 16
-#: what is counted: what is asked about the least of it, its unit, and how it is written
+#: kinds of cost: the question about the least one, the unit, and how it is written
 COSTS = {
     "run_s": ("takes the least time", "", duration),
     "evaluations_per_time": ("needs the fewest evaluations", " per unit of time", "{:.2g}".format),

@@ -25,7 +25,7 @@ class Mark(StrEnum):
     best = "best"  #: the best of its column or row, alone
     tie = "tie"  #: no worse than the best by more than the noise
     kept = "kept"  #: a law kept to round-off
-    exception = "exception"  #: contradicts what is claimed
+    exception = "exception"  #: contradicts a claim
 
 
 @dataclass(frozen=True)

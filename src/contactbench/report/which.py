@@ -43,7 +43,7 @@ def groups(problems: pd.DataFrame) -> dict[str, pd.Series]:
 
 
 def best(table: pd.DataFrame) -> Cell:
-    """Return the method of the least mean logarithm of its regrets, of those that run on all problems, and these."""
+    """Return the method with the least mean logarithm of its regrets, of all that run on every problem, and these."""
     whole = table.dropna(axis=1)
     if not len(table) or not len(whole.columns):
         return Cell(DASH)

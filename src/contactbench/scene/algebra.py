@@ -11,6 +11,9 @@ from contactbench.checks import real_array
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.protocol import Arithmetic, Vector
 
+#: how far an attitude that is given may be off one
+ROUNDED = 1e-6
+
 
 class AnyState(Protocol):
     """A state of some kind of scene: a NamedTuple of vectors and numbers; a field that is not carried is None."""
@@ -32,7 +35,7 @@ class State(NamedTuple):
 
 
 class DrivenState(NamedTuple):
-    """State of a driven scene: that of a mechanical one, and the time t."""
+    """State of a driven scene: q, p and s as of a mechanical one, and the time t."""
 
     q: Vector
     p: Vector
@@ -63,7 +66,7 @@ def shifted[X: AnyState](x: X, h: Arithmetic, slope: X) -> X:
     Returns
     -------
     NamedTuple
-        A state of the same fields; those that are not carried are left alone.
+        A state of the same fields; a field that is not carried is left alone.
 
     Raises
     ------
@@ -148,16 +151,24 @@ def rotate(R: Vector, v: Vector) -> Vector:
 
 
 def quaternion_of(value: object) -> Vector:
-    """Return an attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion."""
-    wanted = "1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix"
-    matrix = real_array("R", value, wanted)
-    if matrix.ndim == 0 and matrix == 1:
+    """Return an attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion.
+
+    What is off by `ROUNDED` at most, as printed or single-precision numbers are, is taken for the nearest attitude.
+    """
+    wanted, off = "1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix", ""
+    given = real_array("R", value, wanted)
+    if given.ndim == 0 and given == 1:
         return (1.0, 0.0, 0.0, 0.0)
-    if matrix.shape == (4,) and abs(np.linalg.norm(matrix) - 1) < 1e-12:
-        return tuple(matrix.tolist())
-    if matrix.shape == (3, 3) and np.allclose(matrix.T @ matrix, np.eye(3), rtol=0, atol=1e-12):
+    if given.shape == (4,):
+        length = float(np.linalg.norm(given))
+        if abs(length - 1) <= ROUNDED:
+            return tuple((given if abs(length - 1) < 1e-12 else given / length).tolist())
+        off = f"its length is {length:.9g}; "
+    if given.shape == (3, 3):
         from scipy.spatial.transform import Rotation
 
-        if np.linalg.det(matrix) > 0:
-            return tuple(Rotation.from_matrix(matrix).as_quat(scalar_first=True).tolist())
-    raise BadInput(f"R = {excerpt(value)}: must be {wanted}")
+        far, turns = float(np.abs(given.T @ given - np.eye(3)).max()), np.linalg.det(given) > 0
+        if far <= ROUNDED and turns:
+            return tuple(Rotation.from_matrix(given).as_quat(scalar_first=True).tolist())
+        off = f"RᵀR is off the identity by {far:.2g}; " if far > ROUNDED else "it is a reflection; "
+    raise BadInput(f"R = {excerpt(value)}: {off}must be {wanted}, to {ROUNDED:g}")

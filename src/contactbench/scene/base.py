@@ -38,7 +38,7 @@ EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability
 ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time
 TRIED = 1e-3
-#: a state of the kind of scene at hand: `State`, `DrivenState`, `BodyState`, or that of a user's own kind
+#: a state of the kind of scene at hand: `State`, `DrivenState`, `BodyState`, or one of a user's own kind
 OwnState = Any
 #: a number, or an array of them where the state is one of arrays: the caller knows which
 Numeric = Any
@@ -124,7 +124,7 @@ class Cache[Made]:
 
 
 def key(identity: Hashable | None, *rest: Hashable) -> Hashable | None:
-    """Return the key of what depends on a scene or a method, and more; None where the first of them is."""
+    """Return the key of an item that depends on a scene or a method, and on more; None where the first is None."""
     return None if identity is None else (identity, *rest)
 
 
@@ -162,7 +162,7 @@ class System(metaclass=Kind):
     functions: ClassVar[dict[str, tuple[str, ...]]] = {}
     #: optional state fields, in packing order
     optional: ClassVar[tuple[str, ...]] = ("s",)
-    #: those that the dynamics cannot do without
+    #: optional fields that the dynamics cannot do without
     required: ClassVar[tuple[str, ...]] = ()
     #: whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise
     has_jacobian: ClassVar[bool] = True
@@ -373,7 +373,7 @@ class System(metaclass=Kind):
 class Scene(System):
     """Describe a system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
 
-    A kind of scene of one's own (most need none: `Mechanical` takes any potential) writes what is abstract here
+    A kind of scene of one's own (most need none: `Mechanical` takes any potential) writes the abstract methods here
     and in `System`, and keeps these rules, which `contactbench.testing.check_scene` tests:
 
      1. It declares itself: `name`, `t_end` > 0, `initial_fields` among its own fields, `optional` those of them
@@ -408,7 +408,7 @@ class Scene(System):
     hard
         Whether only the stability experiment runs it.
     experiments
-        The experiments that run it, where it is not all of them but that of stability.
+        The experiments that run it; by default all but the one of stability.
 
     Raises
     ------
@@ -443,7 +443,7 @@ class Scene(System):
         "t_end": positive,
         "s": finite,
     }
-    #: its exact subflows by name, and those that a composition of two parts is read as, in their order
+    #: its exact subflows by name, and the two that a composition of two parts takes, in their order
     flows: ClassVar[Mapping[str, Flow]] = {}
     parts: ClassVar[tuple[str, ...]] = ()
     #: its flows for the paper's A, B and C, where they are not `drift`, `kick` and `damp`
@@ -701,6 +701,11 @@ class Scene(System):
     def conformal_rate(self) -> Numeric:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
 
+    @property
+    def is_undamped(self) -> bool:
+        """Return whether there is no damping at all, as where `gamma` was left out; it is said with every run."""
+        return bool(self.conformal_rate == 0)
+
     def damping_at(self, x: OwnState) -> Arithmetic:
         """Return ∂H/∂s at a state, the constant one where it is."""
         rate: Arithmetic = self.conformal_rate
@@ -739,5 +744,8 @@ def scene_of(scene: object) -> Scene:
     if isinstance(scene, str):
         scene = SCENES[scene]
     if not isinstance(scene, Scene):
-        raise BadInput(f"scene = {excerpt(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
+        wanted = f"a scene or the name of one: {', '.join(SCENES)}"
+        if callable(scene):
+            wanted = "a scene; of a right-hand side f(t, y) it is cb.Equations(rhs=f, y0=…, t_end=…)"
+        raise BadInput(f"scene = {excerpt(scene)}: must be {wanted}")
     return scene.recorded()

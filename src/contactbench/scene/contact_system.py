@@ -292,7 +292,7 @@ class ContactSystem(Canonical):
 
 # -- a mass that depends on the configuration ----------------------------------------------------------
 def kinetic_energy(M: Sequence[Vector], p: Vector) -> Arithmetic:
-    """Return ½ pᵀM⁻¹p by M = L D Lᵀ, of which the part below the diagonal is read: ½ Σ y²/d, L y = p."""
+    """Return ½ pᵀM⁻¹p by M = L D Lᵀ, as ½ Σ y²/d with L y = p; M is read below its diagonal alone."""
     L: list[list[Arithmetic]] = []
     d: list[Arithmetic] = []
     y: list[Arithmetic] = []

@@ -35,14 +35,14 @@ SAFETY = 8.0
 #: where differences are worse than this nothing can be said: a kink, a singularity
 UNSURE = 1e-3
 
-#: below this part of its start s is not given to flows: what is left of it may be the round-off of other terms
+#: below this part of its start s is not given to flows: the rest may be the round-off of other terms
 DECAYED = 1e-3
 #: spans over which flows and integrals are tried, in parts of the scene's end time
 TRIED = (1e-3, 1e-1)
 
 #: evaluations and seconds that a motion is followed for, and places on every step of it
 FOLLOWED, FOLLOWED_SECONDS, BETWEEN = 3000, 2.0, 4
-#: states of a motion at which is compared what is called state by state
+#: states of a motion at which functions are compared that are called state by state
 SOME = 32
 
 _verified: Cache[bool] = Cache(1024)
@@ -87,7 +87,7 @@ def _once(scene: Scene, where: str, check: Callable[[Mechanical], None]) -> None
 
 @contextmanager
 def _within_the_domain() -> Iterator[None]:
-    """Leave out what is to be compared where a function is not defined."""
+    """End a comparison, without an error, where a function is not defined."""
     try:
         yield
     except BadInput:  # a ValueError too
@@ -97,7 +97,7 @@ def _within_the_domain() -> Iterator[None]:
 
 
 def _verify(scene: Mechanical) -> None:
-    """Compare near the start, the Hessian too; what is wrong with the scene's own data is reported."""
+    """Compare near the start, the Hessian too; report an error in the scene's own data."""
     carry, n, rng = scene.carry(("s",)), len(scene.q), np.random.default_rng(1)
     start = np.array(scene.pack(scene.initial(carry)))
     _potential(scene, start[:n], _time(scene, start))
@@ -128,9 +128,9 @@ def _motion(scene: Mechanical) -> np.ndarray:
 class Claim(NamedTuple):
     """That one function is the derivative of another.
 
-    f : of x, (n,), m numbers.  given : what is claimed to be its derivative at x, (m, n).  size : of each component
-    of x.  says, of, where : parts of the message, "{says} 1.0 at {where}, {of} there 1.1", of which the first is the
-    user's: what is given, or where `derived` the derivative of f.
+    f : of x, (n,), m numbers.  given : its claimed derivative at x, (m, n).  size : of each component of x.  says, of,
+    where : parts of the message, "{says} 1.0 at {where}, {of} there 1.1"; the first number is the user's: the given
+    derivative, or where `derived` the one of f.
     """
 
     f: Callable[[np.ndarray], object]
@@ -301,7 +301,7 @@ def difference(
         wide, narrow = ((a - b) / (2 * h) for (a, b), h in zip(ends, (step, step / 2), strict=True))
         rounding = 2 * np.finfo(float).eps * max(float(np.abs(x).max()) for pair in ends for x in pair)
         gap = float(np.abs(wide - narrow).max()) + rounding / step
-        if gap > error:  # round-off inside f, of which two estimates may be the same by chance
+        if gap > error:  # round-off inside f: two estimates of it may agree by chance
             break
         if gap < error:
             best, error = narrow + (narrow - wide) / 3, gap

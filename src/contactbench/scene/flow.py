@@ -1,4 +1,4 @@
-"""Exact subflows, of which every contact integrator is composed: each an exact (conformal) contact map.
+"""Exact subflows, the parts of every contact integrator: each an exact (conformal) contact map.
 
 Each is the time-h flow of one part of the Hamiltonian; for T, V and Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.
 T + Γ has a flow of its own (`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.  On

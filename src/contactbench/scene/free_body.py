@@ -13,7 +13,7 @@ difference in N.  Landau, Lifshitz, Mechanics, §37.
 The attitude turns M(t) into the constant R M.  Let C(z) take the direction z of M to an axis e, first about e and
 then across it; then R(t) = R(0) C(z₀)⁻¹ Rot_e(ψ) C(z), ψ' = L (2E − a_e M_e²)/(L² − M_e²).  e = k where W ≥ V and e =
 i elsewhere keeps z more than 45° away from e all the time, and the characteristic −ν of the integral in [−1, 0]: ν =
-V/W or a_2k/a_i2, and ψ' = L (a_i or a_k) ± L a₁₃ ν sn²/(1 + ν sn²), of which the second term is never more than half
+V/W or a_2k/a_i2, and ψ' = L (a_i or a_k) ± L a₁₃ ν sn²/(1 + ν sn²), where the second term is never more than half
 of the first.  Celledoni, Fassò, Säfström, Zanna, SIAM J. Sci. Comput. 30, 2084 (2008), doi:10.1137/070704393; van
 Zon, Schofield, J. Comput. Phys. 225, 145 (2007), doi:10.1016/j.jcp.2006.11.019.
 
@@ -218,7 +218,7 @@ def attitude(
     w, *v = quaternion_product((w, *(-c for c in v)), spun)
     body = [choose(on_smallest, v[(j - smallest) % 3], v[(j - largest) % 3], xp) for j in range(3)]
     turn = (w, *body)
-    # 1/‖turn‖ to first order: what is off has one sign and adds up over many steps, on average 4·10⁻¹⁷ a turn
+    # 1/‖turn‖ to first order: its error has one sign and adds up over many steps, on average 4·10⁻¹⁷ a turn
     # without this factor and 1.5·10⁻¹⁷ with it
     unit = (3 - dot(turn, turn)) / 2
     return tuple(unit * c for c in turn)
@@ -302,7 +302,7 @@ def carlson(
         return ((x, y, z, p, mean), roots, fourth / 4, excess / 64, total), None
 
     def left_out(carried: Terms) -> Arithmetic:
-        """Return the size of the first term beyond the series; that of p is at most 3/2 of the largest here."""
+        """Return the size of the first term beyond the series; the one of p is at most 3/2 of the largest here."""
         (*_, mean), _, fourth, _, _ = carried
         share: Arithmetic = 2 * fourth * max(map(abs, away)) / mean
         return share**8

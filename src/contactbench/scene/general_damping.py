@@ -56,7 +56,7 @@ def rule() -> tuple[list[float], list[float], list[list[float]]]:
 def decayed(
     scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace
 ) -> tuple[Arithmetic, Arithmetic]:
-    """Return s(h) from s at 0, and log ∂s(h)/∂s, that of the factor on p and on η; not finite beyond s = ∞.
+    """Return s(h) from s at 0, and log ∂s(h)/∂s, the logarithm of the factor on p and η; not finite beyond s = ∞.
 
     The factor is Γ(s(h))/Γ(s), too, which is lost in round-off near the zeros of Γ.
     """
@@ -123,7 +123,7 @@ def by_quadrature(
 
 
 def at_rest(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    """Return −Γ'h, and its derivative by s: Γ' is taken where s is on average, whose derivative is that of ∫Γ'(s)."""
+    """Return −Γ'h with Γ' where s is on average: its derivative by s is then right, too, −∂∫Γ'(s)/∂s."""
     z = scene.dissipation_rate(s) * h
     still = z == 0
     moved = choose(still, 1, z + xp.expm1(-z), xp) / choose(still, 2, z, xp) / choose(still, 1, z, xp)

@@ -113,7 +113,7 @@ def drift_damp(scene: Mechanical, x: OwnState, constants: Constants, xp: Namespa
         p → e^{−γh} p/y,   s → e^{−γh} (as + φT(p))/y,   q += (φ/m) p·atan2(b, a)/b,   y = a² + b².
 
     (In the time φ, s = w'/(kw) up to a constant turns the Riccati equation s' = T − ½κs² into Pinney's
-    w'' = const/w³; y = w².)  κ < 0 makes b imaginary.  The conformal factor is that of p, e^{−γh}/y.
+    w'' = const/w³; y = w².)  κ < 0 makes b imaginary.  The conformal factor is the factor of p, e^{−γh}/y.
     """
     if not scene.nonlinear_damping:
         phi_over_m, phi, keep, lose = constants
@@ -187,8 +187,8 @@ def _pinney_of_any_sign(
 class Mechanical(Canonical):
     """Describe a point mass in a potential: H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
 
-    The functions may read globals or attributes: every solve, run and reference is of what they compute when it
-    is prepared.
+    The functions may read globals or attributes: every solve, run and reference takes the values that they have when
+    it is prepared.
 
     Parameters
     ----------
@@ -204,10 +204,10 @@ class Mechanical(Canonical):
     q, p
         Initial coordinates and momenta, n numbers each.
     gamma, kappa
-        Damping; κ ≠ 0 makes s part of the dynamics.
+        Damping, none by default, and then every run says "undamped"; κ ≠ 0 makes s part of the dynamics.
     mass
         > 0; one number, or one for every component; or ``M(q, **parameters)``, a symmetric positive definite matrix,
-        n rows of n numbers.  Then H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s², and what is made is the `ContactSystem` of
+        n rows of n numbers.  Then H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s², and the scene made is the `ContactSystem` of
         this H, γ and κ among its parameters; gradient and hessian are derived.  In p = M(q) q' the damping is still
         −γ p: the friction −γ M(q) q' is proportional to the mass.
     parameters

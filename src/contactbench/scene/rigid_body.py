@@ -197,7 +197,8 @@ class RigidBody(Scene):
     M
         Angular momentum in the body at the start.
     R
-        Attitude at the start (see `quaternion_of`).
+        Attitude at the start: 1, a quaternion (w, x, y, z) or a rotation matrix; the nearest one where it is off by
+        10⁻⁶ at most.
     gamma
         Isotropic damping, D = γ 1: a contact system with H = ½ M·I⁻¹M + γ s.
     damping

@@ -48,7 +48,7 @@ def flat(name: str, value: Any) -> tuple[Vector, int]:
 
 
 def of(value: Each, i: int) -> Any:
-    """Return what is one for all points, or one for each, of point i."""
+    """Return the value of point i, where there is one for all points or one for each."""
     return value[i] if isinstance(value, tuple) else value
 
 
@@ -154,7 +154,7 @@ def sphere_drift(scene: Spheres, x: State, h: Arithmetic, xp: Namespace) -> Stat
 def sphere_drift_damp(scene: Spheres, x: State, constants: Constants, xp: Namespace) -> State:
     """AC: the same great circles for the time φ = (1 − e^{−γh})/γ, then p → e^{−γh} p, s → e^{−γh} (s + φ T).
 
-    Along a geodesic |p| only decays, whatever the metric, so that the merged flow of T + γs + ½κs² is that of flat
+    Along a geodesic |p| only decays, whatever the metric, so that the merged flow of T + γs + ½κs² is the flow of flat
     space (`mechanical.drift_damp`) with the geodesic in the place of the straight line.
     """
     time, phi, keep, lose, *nonlinear = constants
@@ -296,7 +296,7 @@ class Spheres(Mechanical):
         return ["" if name == "radius" else name for name in super().number_names()]
 
     def of_numbers(self, function: Any) -> Any:
-        """Return a function of points as one of their numbers; what is recorded is one."""
+        """Return a function of points as one of their numbers; a recorded one is that already."""
         grouped = isinstance(function, Formula) or getattr(function, "func", None) is call_grouped
         if self.bodies == 1 or grouped:
             return function

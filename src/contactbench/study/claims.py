@@ -9,7 +9,7 @@ from contactbench.study.experiment import Cell, Profile, Recorded, experiment
 from contactbench.tables.declared import CLAIMS_TABLE, PAPER_FIGURES
 
 #: claims that take longer than a second, which the smoke profile leaves out
-NUMBERS = (1, 3, 4, 5, 12, 15, 18, 20, 22, 24, 26, 33, 34, 37, 39, 41, 44, 45, 47, 48)
+NUMBERS = (1, 3, 4, 5, 12, 15, 18, 20, 22, 24, 26, 33, 34, 37, 39, 41, 44, 45, 47, 48, 54, 55, 56, 57, 58)
 LONG = {f"C{n:02d}" for n in NUMBERS} | {"X02", "X03"}
 
 

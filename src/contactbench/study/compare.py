@@ -162,6 +162,7 @@ def frame_of(race: Schedule) -> pd.DataFrame:
     frame.attrs = {
         "runs": Runs(run for each in race.searches for run in runs_of(each)),
         "reference": known | {"error": race.floor},
+        "undamped": scene.is_undamped,
         "of_floats": scene.functions_of_floats,
         "unbegun": race.unbegun,
         "unrefined": race.unrefined,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,7 @@ def gap(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def declares(case: MethodCase) -> None:
+    """Give it an `about` of one line, and family, engines, order and tolerance that are allowed."""
     method = case.method
     require(method.about and "\n" not in method.about, f"about = {method.about!r}")
     require(method.family in FAMILIES, f"family = {method.family!r}: must be one of {', '.join(FAMILIES)}")
@@ -76,6 +78,7 @@ def declares(case: MethodCase) -> None:
 
 
 def refuses(case: MethodCase) -> None:
+    """Return from `refuses` one sentence for a scene out of reach, None for any other."""
     why = case.method.refuses(case.scene)
     require(why is None or (isinstance(why, str) and why.strip()), f"refuses = {why!r}")
     if why is not None:
@@ -85,6 +88,7 @@ def refuses(case: MethodCase) -> None:
 
 
 def leaves_no_trace(case: MethodCase) -> None:
+    """Let a call depend on its request and its initial data alone: keep nothing between calls."""
     save_at = [case.scene.t_end / 4]
     run = case.run(save_at=save_at)
     require(not isinstance(run, Refused), getattr(run, "why", ""))
@@ -98,6 +102,7 @@ def leaves_no_trace(case: MethodCase) -> None:
 
 
 def saves(case: MethodCase) -> None:
+    """Return the states at exactly the saved times, the initial one itself where 0 is among them."""
     scene, times = case.scene, case.scene.t_end * np.array([0.0, 0.13, 0.5, 1.0])
     solution, start = case.run(save_at=times)(), scene.pack(scene.initial(scene.carry()))
     require(solution.ok, f"ends {solution.status}: {solution.message}")
@@ -108,6 +113,7 @@ def saves(case: MethodCase) -> None:
 
 
 def is_timed_by_its_own_call(case: MethodCase) -> None:
+    """Let `bare` return the last state of the run."""
     run = case.run()
     bare, whole = run.bare(run.start), run().y[-1]
     require(bare.shape == whole.shape, f"bare gives shape {bare.shape}")
@@ -115,6 +121,7 @@ def is_timed_by_its_own_call(case: MethodCase) -> None:
 
 
 def is_controlled_by_its_setting(case: MethodCase) -> None:
+    """Declare the order that the steps have, or mend them; let errors fall with rtol."""
     method: Any = case.method
     if method.exact:
         require_below(ROUND_OFF, case.error(), "error")
@@ -131,6 +138,7 @@ def is_controlled_by_its_setting(case: MethodCase) -> None:
 
 
 def ends_as_it_says(case: MethodCase) -> None:
+    """Count steps against `max_steps`; end as `budget`, or `diverged` with the time, and with nan from there on."""
     solution = case.run(fine=True, save_at=case.scene.t_end * np.arange(1, 11) / 10, max_steps=2)()
     says = f"max_steps = 2: ends {solution.status}, {solution.message!r}"
     require(solution.status is Status.budget and "2" in solution.message, says)
@@ -159,6 +167,7 @@ def with_counter(scene: Scene, kind: str) -> tuple[Scene, list[int]]:
 
 
 def counts(case: MethodCase) -> None:
+    """Declare `evaluations=` and `kind=` as they are, or count in `counts` all that is evaluated."""
     method: Any = case.method
     found = case.run()().counts
     require(found.evaluations is None or found.evaluations > 0, f"evaluations = {found.evaluations!r}")
@@ -175,10 +184,11 @@ def counts(case: MethodCase) -> None:
         calls[0] = 0
         reported = run().counts.evaluations
         says = f"{reported} evaluations reported, {calls[0]} calls of the {COUNTED[found.kind]}"
-        require(reported == calls[0], f"{says}: declare evaluations= and kind= as it is")
+        require(reported == calls[0], says)
 
 
 def engines_agree(case: MethodCase) -> None:
+    """Compute by plain arithmetic and functions of `xp`, so that every engine does the same."""
     times, method, scene = case.scene.t_end * np.array([0.5, 1.0]), case.method, case.scene
     history = 1 if method.one_step else MULTISTEP
     bound = history * (10 * RTOLS[True] if method.adaptive else COMPILED)
@@ -197,6 +207,7 @@ def engines_agree(case: MethodCase) -> None:
 
 
 def claims(case: MethodCase) -> None:
+    """Declare `contact` and `symmetric` as they are."""
     method, scene = case.method, case.scene
     if scene.conformal_rate is not None and (method.contact or isinstance(method, FixedStep)):
         steps = 10 if (method.order or 1) < 10 else 3  # an error far above round-off
@@ -215,6 +226,7 @@ def claims(case: MethodCase) -> None:
 
 
 def differentiates(case: MethodCase) -> str | None:
+    """Let `sensitivity` be the derivative of the saved states, the steps held fixed."""
     run = case.run(fine=True)
     if not run.sensitivity_source:
         return "no derivative"
@@ -229,6 +241,7 @@ def differentiates(case: MethodCase) -> str | None:
 
 
 def costs(case: MethodCase) -> None:
+    """Return from `step_cost` the right-hand sides of a step where Python is called back, else None."""
     if case.method.refuses(case.scene) is None:
         cost = case.method.step_cost(case.scene, case.engine)
         known = case.engine not in CALLBACKS if cost is None else cost > 0
@@ -239,7 +252,11 @@ Rule = Callable[[MethodCase], str | None]
 
 
 def of_a_run(rule: Rule) -> Rule:
-    return lambda case: rule(case) if case.method.refuses(case.scene) is None else "the scene is refused"
+    @wraps(rule)
+    def of_what_runs(case: MethodCase) -> str | None:
+        return rule(case) if case.method.refuses(case.scene) is None else "the scene is refused"
+
+    return of_what_runs
 
 
 RUN: tuple[Rule, ...] = (leaves_no_trace, saves, is_timed_by_its_own_call, is_controlled_by_its_setting)

@@ -48,11 +48,12 @@ def require(condition: object, message: str) -> None:
 def follow(
     rules: Mapping[int, Callable[[Any], str | None]], case: Any, what: str, engine: str = ""
 ) -> Iterator[Finding]:
-    """Follow rules one after the other, up to the first that is broken."""
+    """Follow rules one after the other, up to the first that is broken; what a rule asks for is in its docstring."""
     for number, rule in rules.items():
         try:
             not_here = rule(case) or ""
         except Exception as error:
             reason = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
-            raise Violation(number, f"{what}: {reason}") from error
+            remedy = " ".join((rule.__doc__ or "").split())
+            raise Violation(number, f"{what}: {reason}. {remedy}".rstrip()) from error
         yield Finding(number, engine, case.scene.name, not_here)

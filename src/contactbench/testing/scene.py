@@ -76,12 +76,14 @@ def require_near(a: Iterable[Arithmetic], b: Iterable[Arithmetic], what: str) ->
 
 
 def declares(case: SceneCase) -> None:
+    """Give it a name of letters, digits, "_", ".", "+", "-", and `initial_fields` that it has."""
     scene = case.scene
     require(isinstance(scene.name, str) and NAME.fullmatch(scene.name), f"name = {scene.name!r}")
     require(all(hasattr(scene, field) for field in scene.initial_fields), f"fields {scene.initial_fields}")
 
 
 def packs(case: SceneCase) -> None:
+    """Make `pack` and `unpack` each other's inverse, in the order of `labels`."""
     scene = case.scene
     subsets = [names for n in range(len(scene.optional) + 1) for names in combinations(scene.optional, n)]
     for carry in {scene.carry(names) for names in subsets}:
@@ -92,6 +94,7 @@ def packs(case: SceneCase) -> None:
 
 
 def replaces_numbers(case: SceneCase) -> None:
+    """Let `with_numbers` and `with_` replace every number of the scene, and nothing else."""
     scene, x = case.scene, case.states[0][0]
     same = scene.with_numbers(scene.numbers())
     require_near(same.pack(same.rhs(x)), scene.pack(scene.rhs(x)), "with_numbers(numbers())")
@@ -101,6 +104,7 @@ def replaces_numbers(case: SceneCase) -> None:
 
 
 def is_one_definition(case: SceneCase) -> None:
+    """Write functions as plain arithmetic on components, with those of cb.math, without `if` and float()."""
     functions: dict[str, Callable[[Any, AnyState], Sequence[Arithmetic]]] = {
         "rhs": lambda scene, x: scene.pack(scene.rhs(x)),
         "energy": lambda scene, x: [scene.energy(x)] if scene.has_energy else [0],
@@ -116,6 +120,7 @@ def is_one_definition(case: SceneCase) -> None:
 
 
 def derives(case: SceneCase) -> None:
+    """Correct the derivative, or leave it out: it is derived from the operations of the function."""
     scene, twin = case.scene, case.twin
     verify(scene)
     verify_along(scene)
@@ -132,7 +137,7 @@ def derives(case: SceneCase) -> None:
 
 
 def is_a_contact_system(case: SceneCase) -> str | None:
-    """η(X) = −H and L_X η = −Γ' η, which is X = X_H and no other; (L_X η)(v) = X(η(v)) + η(DX v)."""
+    """Make `rhs` the contact field of `hamiltonian`: η(X) = −H and L_X η = −Γ' η, Γ' = ∂H/∂s."""
     twin, eta = case.twin, case.twin.contact_form
     if not case.scene.is_contact:
         return "no contact system"
@@ -145,7 +150,7 @@ def is_a_contact_system(case: SceneCase) -> str | None:
         require_near([eta(x, field)], [-twin.hamiltonian_at(x)], "η(X) is not −H")
         for v in twin.tangents(x):
             pushed = case.slope(lambda x: twin.pack(twin.rhs(x)), x, twin.pack(v))
-            (moved,) = case.slope(eta_of(v), x, twin.pack(field))
+            (moved,) = case.slope(eta_of(v), x, twin.pack(field))  # (L_X η)(v) = X(η(v)) + η(DX v)
             require_near([moved + eta(x, case.read(pushed))], [-rate * eta(x, v)], "L_X η is not −Γ' η")
         if not twin.rate_changes:
             require_near([rate], [twin.conformal_rate], "conformal_rate is not ∂H/∂s")
@@ -153,6 +158,7 @@ def is_a_contact_system(case: SceneCase) -> str | None:
 
 
 def has_its_laws(case: SceneCase) -> None:
+    """Take back the symmetry (rotation_invariant, momentum), or say by `may_gain_energy` that energy may grow."""
     scene, twin = case.scene, case.twin
     for _, x in case.states:
         field = twin.pack(twin.rhs(x))
@@ -165,6 +171,7 @@ def has_its_laws(case: SceneCase) -> None:
 
 
 def has_tangents(case: SceneCase) -> None:
+    """Let `tangents` be a basis in which the right-hand side lies, and `displaced` leave along them."""
     scene, twin = case.scene, case.twin
 
     def curve(x: AnyState, v: AnyState) -> Callable[[Any], list[Arithmetic]]:
@@ -184,7 +191,7 @@ def has_tangents(case: SceneCase) -> None:
 
 
 def solves_its_equations(case: SceneCase) -> str | None:
-    """Compare the closed form, where there is one, with the initial state and the slope of the equations."""
+    """Correct `exact`, whose t is the time since the start, or leave it out."""
     twin, exact = case.twin, case.scene.exact
     if exact is None:
         return "no closed form"
