@@ -38,9 +38,7 @@ HOUR = """
 import signal, sys, threading
 import contactbench as cb
 
-scene = cb.Mechanical(
-    name="orbit", potential=lambda q: -1 / (q[0] ** 2 + q[1] ** 2) ** 0.5, gamma=0.0, q=(1.0, 0.0), p=(0.0, 0.8), t_end=1e9
-)
+scene = cb.SCENES["kepler"].with_(gamma=0.0, t_end=1e9)
 way, times, *methods = sys.argv[1:]
 for name in methods:
     setting = {"step": 0.05} if name == "contact-log8" else {"rtol": 1e-9}

@@ -280,7 +280,9 @@ def compare_fresh(before: Frames, now: Frames, runs: Runs, name: str) -> Finding
         raise BadInput(f"{name}: no row that a run of profile {runs.profile!r} makes")
     moved = (compare(table, expected[n], now[n], runs.alike) for n, table in TABLES.items())
     new = sum(int((~keys(t, now[n]).isin(keys(t, before[n]))).sum()) for n, t in TABLES.items())
-    counts = "exactly" if runs.alike else "within a tenth, of iterations a twentieth: other processor or libraries"
+    counts = (
+        "exactly" if runs.alike else "within a tenth, of iterations a twentieth: other processor or libraries"
+    )
     texts = (
         f"accuracy: {count} rows of a {runs.profile} run compared with {name}, {new} have no baseline yet",
         f"counts of adaptive methods compared {counts}",

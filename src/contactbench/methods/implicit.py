@@ -79,7 +79,7 @@ def implicit[K](
     k: K,
     xp: Namespace,
 ) -> tuple[K, Condition, Arithmetic]:
-    """Return solve(k), as `fixed_point` does; where JAX traces it, with the derivative of k = update(k) by its Jacobian.
+    """Return solve(k), as `fixed_point` does; under JAX with the derivative of k = update(k) by its Jacobian.
 
     JAX cannot take gradients through the loops of an iteration.
     """
