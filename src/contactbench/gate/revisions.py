@@ -104,7 +104,7 @@ def pinned(root: Path, base: str) -> str:
 
 @contextmanager
 def checkout(root: Path, commit: str, path: Path | None = None) -> Iterator[Path]:
-    """Give the project as a commit has it, whatever of it git exports; path : of the files that are needed, if not all."""
+    """Give the project as a commit has it, whatever of it git exports; path : of what is needed, if not all."""
     with tempfile.TemporaryDirectory(prefix="contactbench-base-") as scratch:
         top, tree = repository(root).resolve(), Path(scratch).resolve() / "base"
         where = Path() if path is None else path.relative_to(top)
