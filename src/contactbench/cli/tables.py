@@ -66,7 +66,7 @@ def bench(arguments: argparse.Namespace) -> int:
     from contactbench.study.experiment import PROFILES
 
     own = bool(brought()) and not arguments.all
-    selection = " ".join(["--own"] * own + [arguments.k] * bool(arguments.k))
+    selection = " ".join([runner.OWN_ALONE] * own + [arguments.k] * bool(arguments.k))
     profile, results = PROFILES[arguments.profile], arguments.results.resolve()
     run = runner.Run(results, profile, selection, not arguments.untimed, own)
     failed = runner.work(run, arguments.k or "", arguments.resume)
