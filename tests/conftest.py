@@ -1,5 +1,6 @@
 """Fixtures of the tests, and which cases of a long parametrisation the quick run takes."""
 
+import os
 import signal
 import sys
 from typing import Any
@@ -13,6 +14,10 @@ from contactbench.plugins import GROUPS, LOADED, OWN, VARIABLE
 from contactbench.scene import Cache
 from contactbench.scenes import SCENES
 from contactbench.tables.schema import TABLES
+
+os.environ.setdefault(
+    "JAX_ENABLE_X64", "1"
+)  # read when JAX is imported: what the tests compute with it is in doubles
 
 
 def pytest_configure():

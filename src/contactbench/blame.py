@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FunctionType
 
 from contactbench.errors import BadInput, one_line
-from contactbench.limits import VARIABLE, Overrun, limit, within
+from contactbench.limits import VARIABLE, Overrun, allowed, within
 
 #: characters of another's message that are repeated
 REPEATED = 120
@@ -90,7 +90,7 @@ def plain_function(error: BaseException) -> str | None:
 def user_error(what: str, error: BaseException) -> UserError:
     """Return the error as a line: whose it is, where it happened, what it says."""
     if isinstance(error, Overrun):
-        says = f"ended after {limit():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
+        says = f"ended after {allowed():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
     else:
         says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}{lengths(error)}"
     made = UserError(f"{what}{place(error)}: {says}")
@@ -130,7 +130,7 @@ def blame(what: str, error: BaseException) -> BaseException:
 def their_code(what: str) -> Iterator[None]:
     """Raise a `UserError` that names `what` for an error, an exit or an endless loop inside."""
     try:
-        with within(limit()):
+        with within(allowed()):
             yield
     except (BadInput, KeyboardInterrupt, GeneratorExit):
         raise

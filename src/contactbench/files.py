@@ -27,11 +27,11 @@ def replacing(path: Path, sync: bool = True, mode: str = "w") -> Iterator[Any]:
     What is no file, as a pipe or /dev/stdout, is written to as it is.
     """
     text: Any = {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
-    path = Path(os.path.realpath(path))
     if path.exists() and not path.is_file():
         with naming(path), open(path, mode, **text) as file:
             yield file
         return
+    path = Path(os.path.realpath(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from importlib import metadata
@@ -301,3 +302,43 @@ def test_where_numba_does_not_compile_python_computes():
     by_python |= {"cvode-adams": "c+python"}
     assert {name: engine for name, (engine, status, _) in runs.items() if status == "ok"} == by_python
     assert {name: engine for name, (engine, _, why) in runs.items() if why} == compiled
+
+
+# -- how a process ends ------------------------------------------------------------------------------
+COMMAND = (sys.executable, "-m", "contactbench")
+
+
+def test_what_reads_a_pipe_may_leave():
+    line = [*COMMAND, *["solve", "particle", "rk4", "--step", "1e-3", "--out", "/dev/stdout"]]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "t,q1,q2,p1,p2,s\n"
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == ("", 141)
+
+
+def test_a_limit_of_time_that_is_none_is_one_line():
+    done = run(*COMMAND, "list", "laws", CONTACTBENCH_PLUGIN_TIMEOUT="abc")
+    message = "contactbench: CONTACTBENCH_PLUGIN_TIMEOUT = abc: must be seconds ≥ 0\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", message)
+
+
+def test_an_interrupt_while_it_is_imported_is_one_line(tmp_path):
+    """Raised by the first module that contactbench imports after its own first."""
+    (tmp_path / "numpy.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\n")
+    done = run(*COMMAND, "list", PYTHONPATH=os.pathsep.join([str(tmp_path), *sys.path]))
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "contactbench: interrupted\n")
+
+
+def test_a_thread_of_a_plug_in_does_not_keep_the_process(tmp_path):
+    step = "import contactbench as cb\ncb.SCENES.add(cb.SCENES['particle'].with_(name='mine'))\n"
+    thread = "import threading\nthreading.Thread(target=threading.Event().wait).start()\n"
+    (tmp_path / "my.py").write_text(step + thread)
+    done = run(*COMMAND, *["solve", "mine", "rk4", "--step", "0.1", "--plugin"], tmp_path / "my.py")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "status   ok" in done.stdout
+
+
+def test_a_gate_leaves_the_handlers_of_signals(tmp_path, capsys):
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["gate", "--baseline", str(tmp_path)]) == 2
+    assert signal.getsignal(signal.SIGTERM) is before

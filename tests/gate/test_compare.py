@@ -181,6 +181,24 @@ def test_counts_of_adaptive_solvers_may_move_elsewhere(method, steps, run, is_re
     assert bool(found.red) is is_red
 
 
+@pytest.mark.parametrize(
+    ("evaluations", "is_red"), [(2166, False), (2290, False), (2292, True), (2070, True)]
+)
+def test_counts_of_iterations_may_move_elsewhere(evaluations, is_red, tmp_path, only_tables):
+    """By a twentieth on another machine, where rounding decides how often a step iterates; not at all on the same."""
+    only_tables(*ROWS)
+
+    def iterates(evaluations):
+        own = {"method": "contact-gauss4", "evaluations": evaluations}
+        return lambda which, row: row | own if (which, row["method"]) == (WORK, "rk4") else row
+
+    before, now = folder(tmp_path / "before", iterates(2182)), iterates(evaluations)
+    assert bool(judge(before, now, tmp_path, run={**RUN, "isa": "y"}).red) is is_red
+    assert red(judge(before, now, tmp_path / "here")) == {
+        (WORK, "contact-gauss4", "evaluations")
+    }  # exact here
+
+
 @pytest.mark.parametrize(("spread", "is_red"), [(0.0, True), (0.04, True), (0.6, False)])
 def test_counts_may_move_by_what_roundings_were_measured_to_do_to_them(spread, is_red, tmp_path, only_tables):
     only_tables(*ROWS)

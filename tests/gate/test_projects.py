@@ -14,6 +14,8 @@ from cases import REPOSITORY, environment
 from contactbench.cli import main
 from contactbench.gate import revisions
 from contactbench.plugins import VARIABLE
+from contactbench.tables.schema import TABLES
+from contactbench.tables.store import keys, merge, read
 
 TEMPLATE = REPOSITORY / "docs" / "template"
 MY = (TEMPLATE / "my.py").read_text()
@@ -27,7 +29,7 @@ SLOW = HALF + "    for _ in range(40):\n        half = cb.shifted(half, 0 * h, h
 
 def commit(repository, text=MY):
     (repository / "my.py").write_text(text)
-    made_up.commit(repository, "my work")
+    return made_up.commit(repository, "my work")
 
 
 @pytest.fixture
@@ -71,12 +73,32 @@ def test_the_template_has_what_the_document_shows():
     )
 
 
+def keys_of(results):
+    frames = {name: read(table, results) for name, table in TABLES.items()}
+    return {name: {*keys(TABLES[name], frame.to_dict("records"))} for name, frame in frames.items()}
+
+
 @pytest.mark.slow
-def test_the_template_is_green(tmp_path):
+def test_the_template_is_what_its_commands_make_and_green(tmp_path):
+    """To make it anew: its bench command, in docs/template."""
     made_up.git(tmp_path, "init", "-q", "-b", "main")
     shutil.copytree(TEMPLATE, tmp_path, dirs_exist_ok=True)
+    stale = {
+        "scene": "double-well",
+        "method": "gone",
+        "engine": "llvm",
+        "setting": "step=0.1",
+        "profile": "smoke",
+    }
+    merge(TABLES["laws"], [stale], tmp_path / "results")
     commit(tmp_path)
-    commit(tmp_path)
+    made = call(tmp_path, "bench", "--profile", "smoke")
+    assert made.returncode == 0, made.stdout + made.stderr
+    assert "laws: dropped 1 rows that no profile makes any more: double-well gone" in made.stderr
+    assert "1 measure moved" in made.stdout
+    assert keys_of(tmp_path / "results") == keys_of(TEMPLATE / "results")
+    shutil.copytree(TEMPLATE, tmp_path, dirs_exist_ok=True)
+    commit(commit(tmp_path))
     gated = call(tmp_path, "gate", "--only", "accuracy")
     assert gated.returncode == 0, gated.stdout + gated.stderr
 

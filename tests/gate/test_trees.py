@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +13,7 @@ import made_up
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import revisions, trees
+from contactbench.study import ending
 from contactbench.tables.schema import TABLES
 from contactbench.tables.store import merge
 from made_up import ROWS, commit, folder, fresh, git, project, repository, same, without
@@ -398,6 +400,61 @@ def test_rules_made_laxer_in_the_tree_that_is_judged_turn_nothing_green(tmp_path
     lines = [line for line in json.loads(done.stdout)["lines"] if line["red"]]
     found = {line["between"] for line in lines if line["measure"] == "solution_error"}
     assert {"base → tree", "base → fresh"} <= found
+
+
+# -- where a project lies ---------------------------------------------------------------------------
+#: the folder of a project in its repository, where its tables are from there, and .gitattributes
+PLACES = {
+    "a subfolder": ("deep/er", "results", ""),
+    "tables that are not exported": ("", "results", "results export-ignore\n"),
+    "a subfolder that is not exported": ("deep", "results", "* export-ignore\n"),
+    "any letters": ('a b/Größe *[x]\\"é\n', ":(top) rés*", ""),
+    "tables beside it": ("deep", "../tables", ""),
+    "tables at the top": ("deep", "..", ""),
+}
+
+
+@pytest.mark.quick(worktree=False, place=("a subfolder", "tables that are not exported"))
+@pytest.mark.quick(worktree=True, place="any letters")
+@pytest.mark.parametrize("worktree", [False, True], ids=["clone", "worktree"])
+@pytest.mark.parametrize("place", PLACES)
+def test_a_project_lies_anywhere_in_its_repository(place, worktree, tmp_path, monkeypatch):
+    folder, results, attributes = PLACES[place]
+    top = tmp_path / "repository"
+    tables = top / folder / results
+    (top / folder).mkdir(parents=True)
+    git(top, "init", "-q", "-b", "main")
+    (top / folder / ".gitattributes").write_text(attributes)
+    made_up.folder(tables)
+    commit(commit(top, "tables"), "nothing more")
+    if worktree:
+        git(top, "worktree", "add", "-q", "--detach", str(tmp_path / "wörk tree"))
+        top = tmp_path / "wörk tree"
+        tables = top / folder / results
+    monkeypatch.setattr(trees, "brought", lambda: {"a method"})
+    monkeypatch.chdir(top / folder)
+
+    def judged(change):
+        run = made_up.fresh(top, tmp_path / change.__name__, change)
+        return red(trees.gate(Path.cwd(), Path(results), fresh=run, parts=("accuracy",)))
+
+    assert judged(same) == set()
+    assert "base → fresh: solution_error" in judged(broken)
+    assert "clocks aside: nothing moved." in "\n".join(ending.moved(tables))
+
+
+def test_tables_of_another_repository_are_refused(root, tmp_path):
+    with pytest.raises(BadInput, match="must be in the repository"):
+        trees.gate(root, tmp_path / "elsewhere", parts=("accuracy",))
+
+
+def test_contactbench_itself_may_lie_in_a_subfolder(tmp_path, monkeypatch):
+    inner = tmp_path / "mono" / "inner"
+    (inner / "src" / "contactbench").mkdir(parents=True)
+    (inner / "results").mkdir()
+    git(tmp_path / "mono", "init", "-q")
+    assert revisions.project(inner / "results") == inner
+    assert revisions.project(tmp_path / "mono") == tmp_path / "mono"
 
 
 # -- the command line ------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, FIXED, REPOSITORY, few_slow, pairs, random_state, run
+from contactbench.measure import isolation
 from contactbench.methods.loops import loop_of
 from contactbench.numbers.control import repeat
 from contactbench.numbers.protocol import CannotRecord
@@ -21,7 +22,7 @@ from contactbench.peers.base import record_function
 from contactbench.solution import Status
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import FUNCTIONS, execute
-from contactbench.trace.kept import read_kept, write_kept
+from contactbench.trace.kept import folder, read_kept, write_kept
 from contactbench.trace.program import record
 from contactbench.trace.recording import ALIASES
 
@@ -250,9 +251,21 @@ def test_a_program_that_can_neither_be_read_nor_replaced_is_compiled(kept):
     assert [*(folder / "programs").iterdir()] == [path]
 
 
-def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
+def test_a_folder_that_cannot_be_written_to_is_no_obstacle_and_none_is_left_elsewhere(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     assert run_elsewhere(tmp_path / "file")[0] == "1"
+    assert not [*(tmp_path / "temporary").iterdir()]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are none here")
+def test_a_pipe_in_the_place_of_a_program_is_left_alone(kept):
+    folder, path, states = kept
+    path.unlink()
+    os.mkfifo(path)
+    assert run_elsewhere(folder) == ["1", states]
+    assert path.is_fifo()
 
 
 # -- whose it is: compiled code is run, so that nobody else may have put it there --------------------
@@ -262,6 +275,25 @@ OTHERS = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files belong to n
 @OTHERS
 def test_the_folder_of_programs_is_the_users_alone(first):
     assert stat.S_IMODE((first[0] / "programs").stat().st_mode) == 0o700
+
+
+@OTHERS
+@pytest.mark.parametrize("mode", [0o777, 0o1777])
+def test_nothing_is_kept_in_a_folder_of_everybody(mode, tmp_path, monkeypatch):
+    """Neither of ours nor of XLA."""
+    tmp_path.chmod(mode)
+    monkeypatch.setenv("CONTACTBENCH_CACHE", str(tmp_path))
+    for kind in ("programs", "xla"):
+        assert folder.__wrapped__(kind) is None
+    monkeypatch.setenv("CONTACTBENCH_CACHE", str(tmp_path / "mine"))
+    for kind in ("programs", "xla"):
+        assert stat.S_IMODE(folder.__wrapped__(kind).stat().st_mode) == 0o700
+    assert stat.S_IMODE((tmp_path / "mine").stat().st_mode) == 0o700
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    monkeypatch.setattr(isolation, "folder", lambda kind: None)
+    monkeypatch.setattr(os, "environ", dict(os.environ))
+    isolation.settle()
+    assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
 
 
 @OTHERS

@@ -1,15 +1,16 @@
 """Ctrl-C ends long runs of compiled solvers, and the pieces they are cut into change no result."""
 
-import signal
-import threading
-import time
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import few_slow
+from cases import environment
+from contactbench.methods import by_tolerance, loops
 from contactbench.peers import cyrk, heyoka, sundials
+from contactbench.scene import Cache
 
 PEERS = {"cvode-adams": sundials, "cvode-bdf": sundials, "heyoka-taylor": heyoka, "cyrk-dop853": cyrk}
 TIMES = {"end": np.array([100.0]), "grid": np.linspace(1.0, 100.0, 37)}
@@ -32,17 +33,50 @@ def test_pieces_change_nothing(method, save_at, monkeypatch):
             monkeypatch.undo()
 
 
-@pytest.mark.parametrize("save_at", few_slow(["end", "grid"], "grid"))
-@pytest.mark.parametrize("method", PEERS)
-def test_an_interrupt_ends_a_long_run(method, save_at):
-    scene = cb.SCENES["particle"].with_(gamma=0.0, t_end=1e9)
-    options = {"save_at": 1e7 * TIMES[save_at], "max_steps": 5 * 10**7}  # for some ten seconds
-    run = cb.prepare(scene, method, rtol=1e-9, **options)
-    begun, timer = time.monotonic(), threading.Timer(0.3, signal.raise_signal, [signal.SIGINT])
-    timer.start()
+#: runs that would take an hour, each interrupted after it has begun
+HOUR = """
+import signal, sys, threading
+import contactbench as cb
+
+scene = cb.SCENES["kepler"].with_(gamma=0.0, t_end=1e9)
+way, times, *methods = sys.argv[1:]
+for name in methods:
+    setting = {"step": 0.05} if name == "contact-log8" else {"rtol": 1e-9}
+    run = cb.prepare(scene, name, save_at=eval(times), max_steps=10**14, **setting)
+    threading.Timer(0.3, signal.raise_signal, [signal.SIGINT]).start()
     try:
-        with pytest.raises(KeyboardInterrupt):
-            run()
-    finally:
-        timer.cancel()
-    assert time.monotonic() - begun < 6
+        run.bare(run.start) if way == "bare" else run()
+    except KeyboardInterrupt:
+        print(name)
+"""
+OWN = ("rk8-7", "rkn8-6", "rkn12-10", "contact-log8")
+
+
+@pytest.mark.parametrize(
+    ("way", "times", "methods"),
+    [
+        ("whole", "[1e9]", (*OWN, *PEERS)),
+        ("bare", "[1e9]", OWN),
+        pytest.param("whole", "[5e8, 1e9]", (*OWN, *PEERS), marks=pytest.mark.slow),
+    ],
+)
+def test_an_interrupt_ends_a_long_run(way, times, methods):
+    line = [sys.executable, "-c", HOUR, way, times, *methods]
+    run = subprocess.run(line, capture_output=True, text=True, env=environment(), timeout=500)
+    assert run.stdout.split() == list(methods), run.stderr
+
+
+@pytest.mark.parametrize("method", OWN)
+def test_a_run_of_many_steps_is_the_one_of_few(method, monkeypatch):
+    """Attempts beyond those of a short run are made in a thread, and nothing else changes."""
+    scene = cb.SCENES["kepler"]
+    setting = {"step": 0.05} if method == "contact-log8" else {"rtol": 1e-9}
+    options = {"save_at": np.linspace(1.0, scene.t_end, 5), **setting}
+    once = cb.prepare(scene, method, **options)()
+    monkeypatch.setattr(loops, "LONG", 1e4)
+    monkeypatch.setattr(by_tolerance, "_loops", Cache(8))
+    run = cb.prepare(scene, method, **options)
+    again = run()
+    np.testing.assert_array_equal(again.y, once.y)
+    assert again.counts == once.counts
+    np.testing.assert_array_equal(run.bare(run.start), once.y[-1])

@@ -1,12 +1,13 @@
 """Every registered method: its order, its claims, its ends, its counts, and the traps of its solver."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import few_slow, mine
+from cases import few_slow, mine, run
 from contactbench.methods.base import tolerance
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_in
@@ -198,3 +199,23 @@ def test_singular_right_hand_side_is_a_row_and_not_a_crash(method):
     refused = {Status.unsupported} if method.refuses(scene) else set()
     assert solution.status in {Status.failed, Status.diverged, Status.budget} | refused
     assert np.isnan(solution.y).all()
+
+
+JAX = """
+import jax
+import jax.numpy as jnp
+import contactbench as cb
+
+for method in ("diffrax-tsit5", "diffrax-kvaerno5"):
+    run = cb.prepare("oscillator", method, rtol=1e-9)
+    print(run().ok, run(q=(0.5,)).ok, cb.LAWS["solution_error"](run()) < 1e-6, end=" ")
+print(jnp.ones(1).dtype, jax.config.jax_enable_x64)
+"""
+
+
+@pytest.mark.parametrize("disabled", [0, 1])
+def test_diffrax_computes_in_doubles_and_leaves_jax_as_it_is(disabled):
+    """Compiled, whatever is set for the user's own functions."""
+    done = run(sys.executable, "-c", JAX, JAX_ENABLE_X64=0, JAX_DISABLE_JIT=disabled)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.split() == [*["True"] * 6, "float32", "False"]

@@ -3,11 +3,13 @@
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
+from time import sleep
 
 import numpy as np
 import pytest
 
 import contactbench as cb
+from contactbench.scene import Cache
 
 THREADS = 4
 #: the runs with a state of their own, which takes a lock; the last one divides its intervals anew at every call
@@ -52,3 +54,35 @@ def test_threads_do_not_disturb_each_other(method, engine, shared, times):
             assert sum(pool.map(calling, range(THREADS))) == 0
     finally:
         sys.setswitchinterval(interval)
+
+
+def test_a_cache_gives_all_threads_what_was_made_first():
+    both, cache = Barrier(2), Cache(2)
+
+    def make():
+        both.wait()
+        return object()
+
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(lambda _: cache.get("key", make), range(2))
+    assert first is second is cache.get("key", make)
+
+
+class Key(str):
+    """One at whose hash another thread may go on."""
+
+    def __hash__(self):
+        sleep(0)
+        return super().__hash__()
+
+
+def test_a_full_cache_forgets_in_one_thread_at_a_time():
+    cache = Cache(1)
+
+    def calling(thread):
+        return [cache.get(Key(f"{thread} {k}"), lambda k=k: (thread, k)) for k in range(500)]
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        for thread, found in enumerate(pool.map(calling, range(THREADS))):
+            assert found == [(thread, k) for k in range(500)]
+    assert len(cache.items) == 1

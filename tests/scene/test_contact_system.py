@@ -134,6 +134,27 @@ def test_it_is_pickled_and_changed_and_stepped():
     np.testing.assert_allclose(run.y[:, -1], own.y[-1], rtol=1e-12)
 
 
+@pytest.mark.parametrize("scene", [ROUGH, GENERAL], ids=["rough", "general"])
+def test_jax_takes_gradients_of_a_step_that_iterates(scene):
+    """Of the equations, not of the iteration: also for arrays, and for the scene's numbers."""
+    step, h = cb.step_map(scene, "contact-gauss2"), 0.1
+    y, d = np.array(step.start), len(step.start)
+
+    def after(y, numbers):
+        return jnp.stack(step(tuple(y), h, tuple(numbers)))
+
+    numbers = np.array(scene.numbers())
+    J, K = jax.jit(jax.jacrev(after, argnums=(0, 1)))(y, numbers)
+    forward = jax.jit(jax.jacfwd(after))(y, numbers)
+    np.testing.assert_allclose(J, forward, rtol=1e-13, atol=1e-15)
+    delta, points = 1e-5, np.concatenate([y, numbers])
+    for column, moved in zip(np.hstack([J, K]).T, delta * np.eye(len(points)), strict=True):
+        ends = [np.array(step(p[:d], h, p[d:])) for p in (points + moved, points - moved)]
+        np.testing.assert_allclose(column, (ends[0] - ends[1]) / (2 * delta), atol=1e-8)
+    several = jax.jit(jax.vmap(jax.jacrev(after), in_axes=(0, None)))(jnp.stack([y, y]), numbers)
+    np.testing.assert_allclose(several, [J, J], rtol=1e-13, atol=1e-15)
+
+
 # -- contact maps ----------------------------------------------------------------------------------
 @pytest.mark.quick(scene="rough")
 @by_name([ROUGH, GENERAL, PENDULUM])

@@ -124,6 +124,19 @@ def test_a_table_made_as_a_whole_drops_what_its_profiles_no_longer_make(tmp_path
     assert set(kept["method"]) == set(read(CONVERGENCE, tmp_path)["method"]) == {"rk4", "contact-strang"}
 
 
+def test_rows_that_are_dropped_are_named_and_those_of_others_stay(tmp_path, caplog):
+    rows = [row(method, profile="smoke") for method in ("rk4", "contact-strang", "gone", "mine")]
+    merge(CONVERGENCE, rows, tmp_path)
+    made = keys(CONVERGENCE, rows[-1:])
+    others = {"rk4", "contact-strang", rows[0]["scene"]}
+    kept = merge(CONVERGENCE, rows[-1:], tmp_path, made, ["smoke"], others)
+    assert set(kept["method"]) == {"rk4", "contact-strang", "mine"}
+    (told,) = caplog.messages
+    assert told.startswith("convergence: dropped 1 rows that no profile makes any more: ")
+    assert " gone " in told
+    assert set(merge(CONVERGENCE, rows[-1:], tmp_path, made, ["smoke"])["method"]) == {"mine"}
+
+
 @pytest.mark.parametrize("content", ["a,b\n1,2\n", "", "\x00\x01", '"unclosed'])
 def test_a_foreign_or_corrupted_file_is_refused_and_kept(tmp_path, content):
     path = CONVERGENCE.path(tmp_path)

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import atexit
 import os
 import platform
 import sys
+import threading
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import metadata
+from typing import NoReturn
 
+from contactbench import early
 from contactbench.cli import runs, tables
 from contactbench.cli.parsing import HELP, PLUGIN, Parser, add_options
 from contactbench.errors import BadInput, UnknownName, one_line
@@ -77,6 +82,24 @@ def open_streams() -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point; whatever goes wrong is one line on stderr and exit status 2."""
+    status = command(argv)
+    if argv is None and any(
+        not each.daemon for each in threading.enumerate() if each is not threading.main_thread()
+    ):
+        leave(status)  # a plug-in's thread, which the interpreter would wait for
+    return status
+
+
+def leave(status: int) -> NoReturn:
+    """End the process as the interpreter does, without waiting for threads."""
+    with suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    atexit._run_exitfuncs()
+    os._exit(status)
+
+
+def command(argv: list[str] | None) -> int:
     open_streams()
     plugins, _ = PLUGIN.parse_known_args(argv)
     top = parser()
@@ -86,13 +109,14 @@ def main(argv: list[str] | None = None) -> int:
     arguments.more = more  # methods that follow an option
     arguments.stdout = stdout = sys.stdout
     try:
+        early.end()
         if getattr(arguments, "json", False):  # stdout has that alone, whatever a plug-in prints
             sys.stdout = sys.stderr
         if plugins.plugin_timeout is not None:
             os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too
-            limit()
         elif argv is None:  # a process of its own
             os.environ.setdefault(VARIABLE, SECONDS)
+        limit()
         if plugins.plugin:
             from contactbench.plugins import load_file
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from contactbench.checks import positive
@@ -64,7 +67,7 @@ def bench(arguments: argparse.Namespace) -> int:
     from contactbench.study.experiment import PROFILES
 
     own = bool(brought()) and not arguments.all
-    selection = " ".join(["--own"] * own + [arguments.k] * bool(arguments.k))
+    selection = " ".join([runner.OWN_ALONE] * own + [arguments.k] * bool(arguments.k))
     profile, results = PROFILES[arguments.profile], arguments.results.resolve()
     run = runner.Run(results, profile, selection, not arguments.untimed, own)
     failed = runner.work(run, arguments.k or "", arguments.resume)
@@ -76,13 +79,29 @@ def bench(arguments: argparse.Namespace) -> int:
 
 
 def gate(arguments: argparse.Namespace) -> int:
+    if arguments.budget is not None:
+        positive("--budget", arguments.budget)
+    with ending_by_sigterm():
+        return judge(arguments)
+
+
+@contextmanager
+def ending_by_sigterm() -> Iterator[None]:
+    """Have SIGTERM end what is inside by an exception: a cancelled job removes its folders on the way out."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def judge(arguments: argparse.Namespace) -> int:
     from contactbench.gate import trees
     from contactbench.gate.compare import compare_folders
 
-    # a cancelled job removes its folders on the way out
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    if arguments.budget is not None:
-        positive("--budget", arguments.budget)
     if arguments.baseline is not None:
         if arguments.fresh is None or arguments.only == "speed":
             raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")

@@ -15,6 +15,7 @@ import pandas as pd
 from contactbench.errors import BadInput
 from contactbench.gate.removed import Removed
 from contactbench.measure.law import STRUCTURE
+from contactbench.methods import METHODS
 from contactbench.report.markdown import escaped
 from contactbench.tables import provenance
 from contactbench.tables.schema import PROFILES, SPREAD, TABLES, Rule, Table, floor
@@ -81,8 +82,9 @@ class Findings:
 FACTOR = 2.0
 #: how far a slope or an order may move, and a quantity that is no error, relatively
 SLOPE, VALUE = 0.05, 0.01
-#: how far a count may move where a solver chooses its steps, or a run that did not end well, as a share
-SHARE = 0.1
+#: how far a count may move where a solver chooses its steps, or a run that did not end well, as a share; and where a
+#: method iterates until nothing changes, which rounding decides
+SHARE, ITERATIONS = 0.1, 0.05
 #: what a claim measures is round-off up to this share of its bound
 OF_BOUND = 1e-3
 #: by what factor the times of a method may move against those of its table: the median of so many rows, and of fewer;
@@ -103,10 +105,15 @@ def amount(before: np.ndarray, after: np.ndarray, allowed: np.ndarray | float) -
 
 
 def count(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
-    """Return |after − before|, where a solver chooses its steps in parts of a share or of twice their spread."""
+    """Return |after − before|, in parts of a share where a solver chooses its steps, or how often it iterates.
+
+    The share of chosen steps is at least twice their spread.
+    """
     spread = rows[SPREAD].fillna(0.0).to_numpy(dtype=float) if SPREAD in rows else 0.0
     share = np.maximum(SHARE, 2 * spread) * before
-    return amount(before, after, np.where(rows["control"] == "rtol", np.maximum(1.0, share), 0.0))
+    iterates = rows["method"].map(lambda name: name in METHODS and METHODS[name].iterates)
+    allowed = np.where(iterates, np.maximum(1.0, ITERATIONS * before), 0.0)
+    return amount(before, after, np.where(rows["control"] == "rtol", np.maximum(1.0, share), allowed))
 
 
 def point(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
@@ -273,7 +280,9 @@ def compare_fresh(before: Frames, now: Frames, runs: Runs, name: str) -> Finding
         raise BadInput(f"{name}: no row that a run of profile {runs.profile!r} makes")
     moved = (compare(table, expected[n], now[n], runs.alike) for n, table in TABLES.items())
     new = sum(int((~keys(t, now[n]).isin(keys(t, before[n]))).sum()) for n, t in TABLES.items())
-    counts = "exactly" if runs.alike else "within a tenth: other processor or libraries"
+    counts = (
+        "exactly" if runs.alike else "within a tenth, of iterations a twentieth: other processor or libraries"
+    )
     texts = (
         f"accuracy: {count} rows of a {runs.profile} run compared with {name}, {new} have no baseline yet",
         f"counts of adaptive methods compared {counts}",

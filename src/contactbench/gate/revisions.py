@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import os
 import subprocess
-import tarfile
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 
 from contactbench.errors import BadInput
@@ -23,10 +21,11 @@ PIN = ".gate-base"
 JUDGED = "CONTACTBENCH_JUDGED_PYTHON"
 
 
-def output(root: Path, *arguments: str) -> bytes:
+def output(root: Path, *arguments: str, **variables: str) -> bytes:
     """Return the output of git; raise `BadInput` with its own last line."""
     command = ["git", "--no-replace-objects", "-C", str(root), *arguments]
-    done = subprocess.run(command, capture_output=True, env={**os.environ, "GIT_GRAFT_FILE": os.devnull})
+    given = {**os.environ, "GIT_GRAFT_FILE": os.devnull, **variables}
+    done = subprocess.run(command, capture_output=True, env=given)
     if done.returncode:
         message = done.stderr.decode(errors="replace").strip() or f"exit {done.returncode}"
         raise BadInput(f"git {arguments[0]} in {root}: {message.splitlines()[-1]}")
@@ -49,12 +48,24 @@ def commit(root: Path, revision: str) -> str:
 
 
 def repository(folder: Path) -> Path:
-    return Path(git(folder, "rev-parse", "--show-toplevel"))
+    return Path(os.fsdecode(output(folder, "rev-parse", "--show-toplevel")).removesuffix("\n"))
+
+
+def project(folder: Path) -> Path:
+    """Return the folder of the project we are in: that of contactbench itself around us, else this one."""
+    folder, top = folder.resolve(), repository(folder).resolve()
+    around = [each for each in (folder, *folder.parents) if each.is_relative_to(top)]
+    return next(filter(ours, around), folder)
 
 
 def ours(root: Path) -> bool:
     """Return whether a tree is one of contactbench itself, not of a project that uses it."""
     return (root / "src" / "contactbench").is_dir()
+
+
+def inside(tree: Path, root: Path, path: Path) -> Path:
+    """Return where a path of a project is in another tree of it."""
+    return Path(os.path.normpath(tree / os.path.relpath(path, root)))
 
 
 def dirty(root: Path) -> bool:
@@ -87,19 +98,25 @@ def base(root: Path, revision: str | None) -> str:
 def pinned(root: Path, base: str) -> str:
     """Return the revision that the base pins for speed, or, where the base has no such file, the tree; "" for none."""
     own = root / PIN
-    text = find(root, "show", f"{base}:{PIN}") or (own.read_text(encoding="utf-8") if own.exists() else "")
+    text = find(root, "show", f"{base}:./{PIN}") or (own.read_text(encoding="utf-8") if own.exists() else "")
     return text.partition("#")[0].strip()
 
 
 @contextmanager
-def checkout(root: Path, commit: str, *paths: str) -> Iterator[Path]:
+def checkout(root: Path, commit: str, path: Path | None = None) -> Iterator[Path]:
+    """Give the project as a commit has it, whatever of it git exports; path : of what is needed, if not all."""
     with tempfile.TemporaryDirectory(prefix="contactbench-base-") as scratch:
-        tree = Path(scratch).resolve() / "base"
-        with tarfile.open(fileobj=BytesIO(output(root, "archive", commit, *paths))) as files:
-            files.extractall(tree, filter="data")
-        if ours(root) and not paths and not ours(tree):
+        top, tree = repository(root).resolve(), Path(scratch).resolve() / "base"
+        where = Path() if path is None else path.relative_to(top)
+        part = f"{commit}:{where.as_posix()}" if where.parts else commit
+        index = {"GIT_INDEX_FILE": str(tree.with_name("index"))}
+        if path is None or find(top, "rev-parse", "--verify", "--quiet", "--end-of-options", part):
+            output(top, "read-tree", part, **index)
+            output(top, "checkout-index", "--all", f"--prefix={tree / where}/", **index)
+        found = tree / root.relative_to(top)
+        if ours(root) and path is None and not ours(found):
             raise BadInput(f"--base {commit[:12]}: that revision has no src/contactbench")
-        yield tree
+        yield found
 
 
 def environment(tree: Path, root: Path | None = None) -> dict[str, str]:
@@ -110,6 +127,7 @@ def environment(tree: Path, root: Path | None = None) -> dict[str, str]:
     path = first if ours(tree) else [*first, *filter(None, [os.environ.get("PYTHONPATH")])]
     if root is not None:
         files = map(Path, filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)))
-        moved = (tree / file.relative_to(root) if file.is_relative_to(root) else file for file in files)
-        own[VARIABLE] = os.pathsep.join(map(str, moved))
+        moved = ((file, inside(tree, root, file)) for file in files)
+        found = (new if new.exists() or file.is_relative_to(root) else file for file, new in moved)
+        own[VARIABLE] = os.pathsep.join(map(str, found))
     return {"JAX_PLATFORMS": "cpu", **own, **threads, "PYTHONPATH": os.pathsep.join(path)}

@@ -50,7 +50,7 @@ def by_base(folder: Path, base: str | None, line: Sequence[str], stdout: TextIO)
     """Have the base's own gate judge a tree by the same command line; return its status, None where we are it."""
     if revisions.JUDGED in os.environ:
         return None
-    root = revisions.repository(folder)
+    root = revisions.project(folder)
     if not revisions.ours(root):  # the code that judges is no part of it
         return None
     base = revisions.base(root, base)
@@ -79,32 +79,34 @@ def gate(
     changed: Sequence[str] = (),
     budget: float | None = None,
 ) -> Findings:
-    root = revisions.repository(folder)
+    root, where, results = revisions.project(folder), results, (folder / results).resolve()
     if not revisions.ours(root) and not brought():
         raise BadInput(f"{root}: no method or scene of your own; name their file with --plugin FILE")
+    if not results.is_relative_to(revisions.repository(root).resolve()):
+        raise BadInput(f"--results {where}: must be in the repository, whose older tables are compared")
     base = revisions.base(root, base)
     found = Findings()
     with (
         tempfile.TemporaryDirectory(prefix="contactbench-gate-") as scratch,
         revisions.checkout(root, base) as tree,
     ):
-        old = tree / (root / results).relative_to(root)
+        old = revisions.inside(tree, root, results)
         if not any(old.glob("*.csv")):
-            raise BadInput(f"--base {base[:12]}: no tables in {results}/ at that revision")
+            raise BadInput(f"--base {base[:12]}: no tables in {where}/ at that revision")
         if "accuracy" in parts:
             if fresh is None:
                 fresh = Path(scratch)
                 found += run_benchmark(root, fresh)
             messages = revisions.git(root, "log", "--format=%B", f"{base}..HEAD")
-            named = changed_tables(messages, changed, root / results)
-            found += compare_tables(root, root / results, old, fresh, named, base)
+            named = changed_tables(messages, changed, results)
+            found += compare_tables(root, results, old, fresh, named, base)
             found += Findings(rows_of(*check_tests(tree, root, messages), *check_report(root, results)))
         if "speed" in parts:
             work = TABLES["work_precision"]
-            timed = Removed.read(root / results).take_out(work, read(work, old))
+            timed = Removed.read(results).take_out(work, read(work, old))
             cells = speed.workload(timed) if revisions.ours(root) else speed.every(timed)
             if not cells:
-                raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {results}/")
+                raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {where}/")
             found += speed.compare_speed(root, tree, cells, budget, revisions.pinned(root, base))
     return found
 
@@ -190,16 +192,25 @@ def compare_oldest(
     root: Path, results: Path, base: str, changed: set[str], removed: Removed, head: Frames, now: Frames
 ) -> Findings:
     """Compare errors with those of the oldest of the last revisions of a table: small moves do not add up."""
-    where = str(results.relative_to(root))
-    walk = ("rev-list", "--first-parent", f"--max-count={REVISIONS}", base, "--", where)
+    walk = (
+        "rev-list",
+        "--first-parent",
+        f"--max-count={REVISIONS}",
+        base,
+        "--",
+        os.path.relpath(results, root),
+    )
     wanted, found = TABLES.keys() - changed, Findings()
-    for revision in reversed(revisions.git(root, *walk).split()[1:]):  # the last has the tables of the base
+    for revision in reversed(
+        revisions.git(root, "--literal-pathspecs", *walk).split()[1:]
+    ):  # the last has the tables of the base
         listed = names_in(TRAILER, revisions.git(root, "log", "--format=%B", f"{revision}..{base}"))
         held = {} if ALL in listed else {n: t for n, t in TABLES.items() if n in wanted - listed}
-        with revisions.checkout(root, revision, where) as tree:
+        with revisions.checkout(root, revision, results) as tree:
+            old = revisions.inside(tree, root, results)
             for name, table in held.items():
                 with suppress(OldTable):
-                    oldest = removed.take_out(table, read(table, tree / where))
+                    oldest = removed.take_out(table, read(table, old))
                     for side, frames in {"tree": head, "fresh": now}.items():
                         moved = compare(table, oldest, frames[name], only=ERRORS)
                         found += between(f"{revision[:12]} → {side}", moved)

@@ -90,9 +90,11 @@ def settle() -> None:
     """
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     processor = f"{get_host_cpu_name()} {get_host_cpu_features().flatten()}"
-    programs = folder().with_name("xla") / hashlib.sha256(processor.encode()).hexdigest()[:16]
-    jax = {"JAX_COMPILATION_CACHE_DIR": str(programs), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    programs, jax = folder("xla"), {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     jax |= {"JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
+    if programs is not None:  # JAX runs whatever lies there
+        key = hashlib.sha256(processor.encode()).hexdigest()[:16]
+        jax |= {"JAX_COMPILATION_CACHE_DIR": str(programs / key)}
     os.environ.update(dict.fromkeys(names, "1") | jax | os.environ)
 
 

@@ -72,6 +72,8 @@ PROPORTIONAL = 0.5
 NUDGE = 1e-5
 #: what follows the packed state: the step, log of the error before, attempts, those rejected, time not covered
 BESIDE = 5
+#: where the attempts are in states with what follows them, of this and of every other such loop
+ATTEMPTS = -3
 #: below it a number is none
 TINY = 1e-30
 #: roundings of a time within which a break is passed by one step
@@ -375,31 +377,55 @@ class ToleranceRun(RunByTolerance):
         self.settings = self.method_.settings(self.request, step)
         d, beside = len(self.start), self.method_.beside(len(self.start))
         size = len(self.spans) * (d + beside)
-        run, loop, rows = self.run, self.tables, None
-        if loop is not None:
-            numbers = np.array([*self.scene.numbers(), *self.settings])
-            rows = loop.rows(numbers, self.spans, np.full(len(self.spans), self.request.max_steps))
+        run, loop, most = self.run, self.tables, self.request.max_steps
+        native = loop is not None and isinstance(run, Native)
+        #: attempts of a run that is not interrupted
+        short = min(most, loop.short) if loop is not None and native else most
 
-        def part(of: tuple[int, int]) -> Callable[[np.ndarray], np.ndarray]:
+        def rows(attempts: int) -> Any:
+            if loop is None:
+                return ()
+            numbers = np.array([*self.scene.numbers(), *self.settings])
+            return loop.rows(numbers, self.spans, np.full(len(self.spans), attempts))
+
+        def part(of: tuple[int, int], given: Any) -> Callable[[np.ndarray], np.ndarray]:
             """Return the function of a start that gives a part of the start and the states after it."""
-            if loop is not None and rows is not None and isinstance(run, Native):
-                return loop.on(d, rows, of)
+            if loop is not None and native:
+                return loop.on(d, given, of)
 
             def plain(y0: np.ndarray) -> np.ndarray:
                 y = np.append(y0, np.empty(size))
-                run(y0, rows, y[d:])
+                run(y0, given, y[d:])
                 return y[of[0] : of[1]]
 
             return plain
 
-        states, bare = part((d, d + size)), part((size - beside, size + d - beside))
+        briefly = part((d, d + size), rows(short))
 
-        def dated(y0: np.ndarray) -> np.ndarray:
-            y = bare(y0)
-            y[self._clock] = y0[self._clock] + self._end
+        def states(y0: np.ndarray) -> np.ndarray:
+            y = briefly(y0)
+            if loop is not None and short < most and y[ATTEMPTS] >= short:
+                loop.execute(y0, *rows(most), y := np.empty(size), math.inf)
             return y
 
-        self.states, self.bare = states, bare if self._clock is None else dated  # type: ignore
+        def bare(y0: np.ndarray) -> np.ndarray:
+            """Find out whether the run is short, and leave it alone from then on."""
+            y = states(y0)
+            if short == most or y[ATTEMPTS] < short:
+                self.bare = dated(part((size - beside, size + d - beside), rows(most)))
+            return y[-d - beside : -beside]
+
+        def dated(bare: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+            clock = self._clock
+
+            def call(y0: np.ndarray) -> np.ndarray:
+                y = bare(y0)
+                y[clock] = y0[clock] + self._end
+                return y
+
+            return bare if clock is None else call
+
+        self.states, self.bare = states, dated(bare)  # type: ignore[method-assign]
 
     def make(self) -> Loop:
         elapsed = stopwatch()

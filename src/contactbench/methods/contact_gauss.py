@@ -30,6 +30,7 @@ from contactbench.methods.implicit import (
     fixed_point,
     found,
     gauss_tableau,
+    implicit,
     jacobian,
     otherwise,
     solved,
@@ -165,10 +166,13 @@ def collocation(stages: int) -> Step:
             return slopes, converged, stages * turns + (size + 2)
 
         size, lost = len(components(start)), LOST * sum(map(abs, leaves(start)))
-        slopes, converged, turns = fixed_point(update, slopes, xp, moves=abs(h), lost=lost)
-        spent = stages * turns
-        if stages * size <= ELIMINATED:
-            slopes, converged, spent = otherwise((slopes, converged, spent), newton, xp)
+
+        def solve(slopes: tuple[Lifted, ...]) -> tuple[tuple[Lifted, ...], Condition, Arithmetic]:
+            slopes, converged, turns = fixed_point(update, slopes, xp, moves=abs(h), lost=lost)
+            found = slopes, converged, stages * turns
+            return otherwise(found, newton, xp) if stages * size <= ELIMINATED else found
+
+        slopes, converged, spent = implicit(update, solve, slopes, xp)
         z = combined(start, b, slopes, h)
         if known:  # little is lost: the rounding of the factor is that of the loss
             G = scene.damped_within(x, h, xp)

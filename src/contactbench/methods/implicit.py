@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from contactbench.numbers.control import choose, repeat_while
 from contactbench.numbers.dual import Dual, leaves, rebuild
 from contactbench.numbers.dual import slope as slope_of
-from contactbench.numbers.protocol import Arithmetic, Condition, Namespace, has_digits
+from contactbench.numbers.protocol import Arithmetic, Condition, Namespace, abilities, has_digits
 from contactbench.scene import AnyState
+from contactbench.xla import jax, jnp, lax
 
 #: iterations that may differ by more than the one before
 FIRST = 3
@@ -69,6 +71,40 @@ def fixed_point[K](
     k, turns, gap, _ = repeat_while(going, turn, start, xp)
     small = (gap <= CONVERGED * size(leaves(k))) & (turns < MOST)  # what still moves is not settled
     return k, (small | (gap * moves <= lost)) & (gap < LARGEST), turns
+
+
+def implicit[K](
+    update: Callable[[K], K],
+    solve: Callable[[K], tuple[K, Condition, Arithmetic]],
+    k: K,
+    xp: Namespace,
+) -> tuple[K, Condition, Arithmetic]:
+    """Return solve(k), as `fixed_point` does; under JAX with the derivative of k = update(k) by its Jacobian.
+
+    JAX cannot take gradients through the loops of an iteration.
+    """
+    if not abilities(xp).traced or any(isinstance(c, Dual) for c in leaves(k)):
+        return solve(k)
+
+    def packed(k: K) -> Any:
+        return jnp.stack(jnp.broadcast_arrays(*leaves(k)))
+
+    def gap(y: Any) -> Any:
+        return packed(update(rebuild(k, list(y)))) - y
+
+    def search(_: object, y: Any) -> tuple[Any, tuple[Any, Any]]:
+        end, there, cost = solve(rebuild(k, list(y)))
+        return packed(end), (jnp.where(there, 1.0, 0.0), cost)
+
+    def inverse(linear: Callable[[Any], Any], y: Any) -> Any:
+        """Solve linear(x) = y, entry by entry of arrays."""
+        unit = jnp.eye(len(y)).reshape(len(y), *y.shape[:1], *[1] * (y.ndim - 1))
+        columns = jax.vmap(linear)(jnp.broadcast_to(unit, (len(y), *y.shape)))
+        matrix, y = jnp.moveaxis(columns, (1, 0), (-2, -1)), jnp.moveaxis(y, 0, -1)
+        return jnp.moveaxis(jnp.linalg.solve(matrix, y[..., None])[..., 0], -1, 0)
+
+    y, (there, cost) = lax.custom_root(gap, packed(k), search, inverse, has_aux=True)
+    return rebuild(k, list(y)), there > 0, cost
 
 
 # -- Newton's iteration --------------------------------------------------------------------------------

@@ -218,11 +218,16 @@ class Loop:
     def size(self) -> int:
         return sum(1 for _ in lines(self.program.run.body))
 
-    def is_long(self, steps: int) -> bool:
+    def is_long(self, steps: float) -> bool:
         return steps * self.size > LONG
 
+    @cached_property
+    def short(self) -> int:
+        """Return the most steps that are not long."""
+        return int(LONG / self.size)
+
     def execute(
-        self, y0: np.ndarray, w: np.ndarray, shape: np.ndarray, after: np.ndarray, steps: int
+        self, y0: np.ndarray, w: np.ndarray, shape: np.ndarray, after: np.ndarray, steps: float
     ) -> None:
         """Call `run`, which ends early where another thread sets the first entry of `shape`."""
         shape = shape.copy()

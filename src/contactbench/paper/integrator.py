@@ -28,7 +28,8 @@ from contactbench.scenes import SCENES
 from contactbench.solution import Differential, Solution
 from contactbench.splitting.modified import modified_hamiltonian
 from contactbench.truth import decimal_context, distance, reference, with_decimals
-from contactbench.xla import jax, jnp
+from contactbench.xla import jax_doubles as jax
+from contactbench.xla import jnp_doubles as jnp
 
 if TYPE_CHECKING:
     from jax import Array

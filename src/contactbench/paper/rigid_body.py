@@ -17,7 +17,8 @@ from contactbench.paper.ledger import Evidence, claim
 from contactbench.scene import BodyState, RigidBody, cross, quaternion_product
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
-from contactbench.xla import jax, jnp
+from contactbench.xla import jax_doubles as jax
+from contactbench.xla import jnp_doubles as jnp
 
 if TYPE_CHECKING:
     from jax import Array

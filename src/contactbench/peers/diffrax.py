@@ -16,7 +16,7 @@ from contactbench.peers.base import Call, Ending, Peer
 from contactbench.scene import Cache, key
 from contactbench.solution import Counts, Status
 from contactbench.trace.recording import reason_of
-from contactbench.xla import jax, jnp
+from contactbench.xla import doubles, jax, jnp
 
 if TYPE_CHECKING:
     from jax.stages import Compiled
@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 CAPACITIES = (1, 1024)
 #: one per structure of a scene, method, budget and capacity
 _programs: Cache[tuple[Compiled, float]] = Cache(1024)
+
+
+def on_device(x: np.ndarray) -> jax.Array:
+    with doubles():
+        return jax.device_put(x)
 
 
 class Diffrax(Call):
@@ -42,12 +47,13 @@ class Diffrax(Call):
         times = np.pad(r.save_at, (0, self.capacity - self.saves), mode="edge")  # the end again and again
         parts = r.scene.numbers(), [r.rtol or 0.0], np.array(r.atol, ndmin=1), times
         self.borders = np.cumsum([len(part) for part in parts])[:-1].tolist()
-        self.start, self.fixed = map(jax.device_put, (r.start, np.concatenate(parts, dtype=float)))
+        self.start, self.fixed = map(on_device, (r.start, np.concatenate(parts, dtype=float)))
 
         def make() -> tuple[Compiled, float]:
             elapsed = stopwatch()
             try:
-                return jax.jit(self._flat).lower(self.start, self.fixed).compile(), elapsed()
+                with doubles():
+                    return jax.jit(self._flat).lower(self.start, self.fixed).compile(), elapsed()
             except jax.errors.JAXTypeError as error:  # it branches on values
                 raise reason_of(error) from error
 
@@ -56,7 +62,7 @@ class Diffrax(Call):
 
     def _run(self, y0: np.ndarray) -> np.ndarray:
         """Return what the program does from an initial state; the scene's own is on the device."""
-        return np.asarray(self.program(self.start if y0 is self.request.start else y0, self.fixed))
+        return np.asarray(self.program(self.start if y0 is self.request.start else on_device(y0), self.fixed))
 
     def _flat(self, y0: jax.Array, fixed: jax.Array) -> jax.Array:
         """Return saved states, facts about the run, and its last state, all in one vector."""

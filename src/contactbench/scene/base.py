@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
+from threading import Lock
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -106,20 +107,26 @@ class Kind(ABCMeta):
 
 
 class Cache[Made]:
-    """Keep the latest `size` things made, by key; a thing whose key is None is made at every call."""
+    """Keep the latest `size` things made, by key; a thing whose key is None is made at every call.
+
+    Several threads may ask at once: those that do not find a thing make it, and all get the first one made.
+    """
 
     def __init__(self, size: int) -> None:
         self.size = size
         self.items: dict[Hashable, Made] = {}
+        self.alone = Lock()
 
     def get(self, key: Hashable | None, make: Callable[[], Made]) -> Made:
         if key is None:
             return make()
         made = self.items.get(key)
         if made is None:
-            made = self.items[key] = make()
-            if len(self.items) > self.size:
-                del self.items[next(iter(self.items))]
+            made = make()
+            with self.alone:
+                made = self.items.setdefault(key, made)
+                if len(self.items) > self.size:
+                    del self.items[next(iter(self.items))]
         return made
 
 

@@ -39,10 +39,9 @@ def answers(results: Path) -> Iterator[str]:
 def moved(results: Path) -> Iterator[str]:
     """Yield what a gate would find between the committed tables and these; clocks are not compared."""
     try:
-        root = revisions.repository(results)
-        folder = results.resolve().relative_to(root.resolve())
-        with revisions.checkout(root, revisions.base(root, "HEAD"), str(folder)) as tree:
-            found = compare_folders(tree / folder, results).moved
+        root = revisions.repository(results).resolve()
+        with revisions.checkout(root, revisions.base(root, "HEAD"), results.resolve()) as tree:
+            found = compare_folders(revisions.inside(tree, root, results.resolve()), results).moved
     except (BadInput, OSError, ValueError) as why:
         yield f"Not compared with the tables before it: {one_line(why)}"
         return

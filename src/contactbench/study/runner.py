@@ -22,13 +22,16 @@ from contactbench.measure.clock import Call
 from contactbench.measure.isolation import Died, Worker, settle
 from contactbench.methods import METHODS
 from contactbench.methods.base import ENGINES
-from contactbench.plugins import brought
+from contactbench.plugins import OWN, brought
 from contactbench.study.experiment import Cell, Experiment, Profile, Row, experiments
 from contactbench.study.timetable import Entry, Timetable
 from contactbench.tables import cells as journal
 from contactbench.tables import provenance
 from contactbench.tables.schema import TABLES, Table
 from contactbench.tables.store import OldTable, check, read
+
+#: the selection of all that plug-ins and installed packages bring
+OWN_ALONE = "--own"
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,8 @@ class Run:
         return [task for task in tasks if task.key not in done]
 
     def end(self) -> None:
-        self.cells.merge(() if self.selection else [task.key for task in self.tasks()])
+        whole = self.selection == OWN_ALONE * self.own
+        self.cells.merge([task.key for task in self.tasks()] if whole else (), OWN if self.own else ())
 
     # -- one cell ----------------------------------------------------------------------------------
     def measure(self, task: Task, timetable: Timetable | None = None) -> Entry | None:

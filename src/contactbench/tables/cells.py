@@ -11,7 +11,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -101,8 +101,11 @@ class Cells:
         return {entry.cell: entry.rows for entry in map(_read, files) if entry and entry.cell}
 
     @disk()
-    def merge(self, expected: Iterable[Cell] = ()) -> None:
-        """Put all new cells into the tables, whichever run finished them; expected : all cells of a whole run."""
+    def merge(self, expected: Iterable[Cell] = (), others: Collection[str] = ()) -> None:
+        """Put all new cells into the tables, whichever run finished them.
+
+        expected : all cells of a whole run.  others : scenes and methods that it leaves as they are.
+        """
         (self.results / FOLDER).mkdir(parents=True, exist_ok=True)
         with FileLock(self.results / FOLDER / "lock"):
             paths = sorted((self.results / FOLDER).glob(f"*/*{NEW}"), key=lambda path: path.stat().st_mtime)
@@ -112,13 +115,13 @@ class Cells:
             profiles = PROFILES[: PROFILES.index(self.profile) + 1]
             for name in [each for each in TABLES if each in rows or each in whole]:
                 made = keys(TABLES[name], whole[name]) if name in whole else None
-                merge(TABLES[name], rows.get(name, ()), self.results, made, profiles)
+                merge(TABLES[name], rows.get(name, ()), self.results, made, profiles, others)
             for run in sorted({entry.run for entry in entries} | {self.run}):
                 if known := _load(self._record(run)):
                     made_by = {name for entry in entries if entry.run == run for name, _ in entry.rows}
                     # rows of a larger profile stay, and with them the run that made them
                     profile_of = {n: read(TABLES[n], self.results)["profile"] for n in whole}
-                    alone = [name for name, profile in profile_of.items() if profile.isin(profiles).all()]
+                    alone = [n for n, each in profile_of.items() if not others and each.isin(profiles).all()]
                     save_run(run, known, made_by, alone if run == self.run else (), self.results)
             for entry in entries:
                 if entry.cell:

@@ -36,8 +36,8 @@ class Rule(Enum):
 
     same = "must not change"
     count = (
-        "exact for fixed steps; where a solver chooses them exact on the same processor with the same libraries, "
-        "else within a tenth"
+        "exact for fixed steps; where a solver chooses them, or iterates, exact on the same processor with the same "
+        "libraries, else within a tenth, or a twentieth"
     )
     error = "may move by a factor of two above round-off"
     structure = "an error; if it is round-off it must stay round-off"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import cache
 from numbers import Real
 from pathlib import Path
@@ -149,10 +149,12 @@ def merge(
     results: Path,
     made: Iterable[Key] | None = None,
     profiles: Sequence[str] = (),
+    others: Collection[str] = (),
 ) -> pd.DataFrame:
     """Put rows into the table's files, one of an older version replaced; return the merged table.
 
-    made : the keys of all rows of these profiles, where the table was made as a whole: others are dropped.
+    made : the keys of all rows of these profiles, where the table was made as a whole: the rest is dropped, and named,
+    but for rows of these other scenes and methods alone.
     """
     try:
         old = read(table, results)
@@ -164,12 +166,29 @@ def merge(
     frame = pd.concat([old[~index(old, replaced).isin(index(new, replaced))], new], ignore_index=True)
     if made is not None:
         known = index(frame, list(table.key)).isin(pd.Index(made, tupleize_cols=False))
-        frame = frame[known | ~frame["profile"].isin(profiles)]
+        named = [frame[name].isin(["", *others]) for name in ("scene", "method") if name in frame]
+        elsewhere = np.logical_and.reduce(named) if others and named else np.zeros(len(frame), bool)
+        stays = known | ~frame["profile"].isin(profiles) | elsewhere
+        name_dropped(table, frame[~stays])
+        frame = frame[stays]
     if new.empty and len(frame) == len(old):
         return old
     frame = set_types(in_order(frame, table), table)
     write(frame, table, results)
     return frame
+
+
+#: rows that nobody makes any more, shown by name
+SHOWN = 3
+
+
+def name_dropped(table: Table, rows: pd.DataFrame) -> None:
+    if len(rows):
+        where = [" ".join(filter(None, map(str, key))) for key in index(rows, list(table.key))[:SHOWN]]
+        more = ", …" * (len(rows) > SHOWN)
+        LOG.warning(
+            f"{table.name}: dropped {len(rows)} rows that no profile makes any more: {', '.join(where)}{more}"
+        )
 
 
 def canonical(table: Table, rows: Iterable[Row]) -> pd.DataFrame:

@@ -21,7 +21,7 @@ import numpy as np
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.trace import form
 from contactbench.trace.form import Statement
-from contactbench.trace.kept import folder, read_kept, write_kept
+from contactbench.trace.kept import kept_file, read_kept, write_kept
 from contactbench.trace.native_call import DOUBLE, WORDS, Native
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ class Machine:
         from llvmlite.binding import ObjectFileRef
 
         name = f"program_{form.digest(key, self.key)}"
-        path = folder() / f"{name}.object"
+        path = kept_file(f"{name}.object")
         with self.alone:
             if (address := self.engine.get_function_address(name)) == 0:
                 code = read_kept(path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
+import stat
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -25,21 +25,24 @@ def is_private(status: os.stat_result) -> bool:
 
 
 @cache
-def folder() -> Path:
-    """Return the folder of kept programs, or a temporary one if it is not writable or others may write to it."""
+def folder(kind: str) -> Path | None:
+    """Return the folder of one kind of kept code; None if it is not writable, or others may write there."""
     from platformdirs import user_cache_path
 
     chosen = os.environ.get(VARIABLE)
-    path = (Path(chosen) if chosen else user_cache_path("contactbench")) / "programs"
+    path = (Path(chosen) if chosen else user_cache_path("contactbench")) / kind
     with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.mkdir(mode=0o700, exist_ok=True)
-        if is_private(path.stat()):
-            with tempfile.TemporaryFile(dir=path):
-                return path
-    path = Path(tempfile.mkdtemp(prefix="contactbench-")) / "programs"
-    path.mkdir()
-    return path
+        for each in (path.parent, path):
+            each.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if is_private(path.parent.stat()) and is_private(path.stat()) and os.access(path, os.W_OK):
+            return path
+    return None
+
+
+def kept_file(name: str) -> Path | None:
+    """Return where a program of a name is kept, if any are."""
+    programs = folder("programs")
+    return programs and programs / name
 
 
 def seal(path: Path, content: bytes) -> bytes:
@@ -47,15 +50,26 @@ def seal(path: Path, content: bytes) -> bytes:
     return hashlib.sha256(path.name.encode() + b"\n" + content).digest()
 
 
-def read_kept(path: Path) -> bytes | None:
-    """Return the kept code; None if the file is missing, damaged, renamed, or writable by other users."""
-    with suppress(OSError), path.open("rb") as file:
-        head, content = file.read(DIGEST), file.read()
-        if is_private(os.fstat(file.fileno())) and head == seal(path, content):
-            return content
+def read_kept(path: Path | None) -> bytes | None:
+    """Return the kept code; None if there is no file, or it is damaged, renamed, or writable by other users."""
+    if path is None:
+        return None
+    with suppress(OSError), open(path, "rb", opener=without_waiting) as file:
+        status = os.fstat(file.fileno())
+        if stat.S_ISREG(status.st_mode) and is_private(status):
+            head, content = file.read(DIGEST), file.read()
+            if head == seal(path, content):
+                return content
     return None
 
 
-def write_kept(path: Path, content: bytes) -> None:
+def without_waiting(path: str, flags: int) -> int:
+    """Open a file; for another end of a pipe nobody waits."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def write_kept(path: Path | None, content: bytes) -> None:
+    if path is None or (path.exists() and not path.is_file()):
+        return
     with suppress(OSError), replacing(path, sync=False, mode="wb") as file:
         file.write(seal(path, content) + content)

@@ -294,15 +294,18 @@ def steps(
 
 
 def interruptible(statement: Statement) -> tuple[Statement, ...]:
-    """Return a loop over steps, whose number is known when it runs, in turns, and anything else as it is."""
+    """Return a loop over steps so that it ends at `STOP`, in turns where their number is known, else step by step."""
+    if isinstance(statement, While):
+        go, more = (f"{name}{statement.condition}" for name in ("go", "more"))
+        test = *statement.test, *going(go), Assign(more, Operation("and", (statement.condition, go)))
+        return (While(test, more, tuple(part for each in statement.body for part in interruptible(each))),)
     if not (isinstance(statement, Loop) and isinstance(statement.times, str)) or statement.times[:2] == "i0":
         return (statement,)
     done, left, more, go, size, after = (f"{name}{statement.times}" for name in TURNS)
     test = (
         Assign(left, Operation("sub", (statement.times, done))),
         Assign(f"{left}0", Operation("gt", (left, 0))),
-        Assign(f"{go}0", STOP),
-        Assign(go, Operation("eq", (f"{go}0", 0))),
+        *going(go),
         Assign(more, Operation("and", (f"{left}0", go))),
     )
     turn = (
@@ -313,6 +316,11 @@ def interruptible(statement: Statement) -> tuple[Statement, ...]:
         Update((done,), (after,)),
     )
     return Update((done,), (0,)), While(test, more, turn)
+
+
+def going(go: str) -> tuple[Statement, ...]:
+    """Assign to a name whether nobody has set `STOP`."""
+    return Assign(f"{go}0", STOP), Assign(go, Operation("eq", (f"{go}0", 0)))
 
 
 #: names of what such a loop needs

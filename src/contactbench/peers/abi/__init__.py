@@ -25,7 +25,7 @@ from numba.core.sigutils import normalize_signature
 from contactbench.peers import compiled
 from contactbench.peers.compiled import ORIGIN
 from contactbench.trace.form import digest
-from contactbench.trace.kept import folder, read_kept, write_kept
+from contactbench.trace.kept import folder, kept_file, read_kept, write_kept
 
 if TYPE_CHECKING:
     from numba.core.codegen import CPUCodegen
@@ -55,17 +55,18 @@ SOURCES = digest(
 class Kept:
     """The cache of one function, in the place of numba's own, which fails for good on a file that is damaged.
 
-    numba's form of a compiled function is a pickle: `read_kept` gives only what this user has written.
+    numba's form of a compiled function is a pickle, and it has no other: `read_kept` gives only what this user has
+    written, in a folder that nobody else can write to.
     """
 
-    cache_path = property(lambda self: str(folder()))
+    cache_path = property(lambda self: str(folder("programs") or ""))
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.key = digest(function.__module__, function.__qualname__, SOURCES)
 
-    def path(self, signature: Signature, codegen: CPUCodegen) -> Path:
+    def path(self, signature: Signature, codegen: CPUCodegen) -> Path | None:
         key = digest(self.key, str(signature), codegen.magic_tuple(), numba.__version__, sys.version)
-        return folder() / f"{key}.program"
+        return kept_file(f"{key}.program")
 
     def load_overload(self, signature: Signature, context: CPUContext) -> Any:
         context.refresh()
