@@ -150,3 +150,11 @@ def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
     spans, saved = np.add.reduceat(steps, ends - n), np.searchsorted(ends, last + 1)
     spans[saved] += np.diff(times, prepend=0.0) - np.add.reduceat(spans, np.append(0, saved[:-1] + 1))
     return Plateaus(spans / n, n, saved)
+
+
+def ends_between(spans: np.ndarray, last: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return when each of some spans ends, counted from the last of the times at which the spans `last` end."""
+    group, sums = np.searchsorted(last, np.arange(len(spans))), np.cumsum(spans)
+    ends = np.append(0.0, times)[group] + (sums - np.append(0.0, sums[last])[group])
+    ends[last] = times
+    return ends

@@ -197,9 +197,22 @@ class System(metaclass=Kind):
         """Return the component of the packed state that is the time, where there is one."""
         return None
 
-    def breaks_until(self, end: float) -> list[tuple[float, float]]:
-        """Return times since the start, from 0 to an end, that no step straddles, and how exact they are."""
+    def breaks_until(self, end: float, begin: float = 0.0) -> list[tuple[float, float]]:
+        """Return times since the start, from `begin` to an end, that no step straddles, and how exact they are."""
         return []
+
+    #: the time that functions take, of the time of a state; None: that itself
+    dated: ClassVar[Callable[[Numeric], Numeric] | None] = None
+    #: whether its functions take `time` of the time of a state
+    keeps_dates: ClassVar[bool] = False
+
+    def time(self, t: Numeric) -> Numeric:
+        """Return the time that functions take where the time of a state is t: see `since`."""
+        return t if self.dated is None else self.dated(t)
+
+    def since(self, dated: Callable[[Numeric], Numeric]) -> Self:
+        """Return the scene whose states count their time from somewhere: its functions take dated(t)."""
+        return self._replaced(dated=dated)
 
     def without_clock[X](self, y: Sequence[X]) -> Sequence[X]:
         """Return a packed state less the time, as a solver integrates it that has a time of its own."""
