@@ -68,12 +68,13 @@ class FixedStepRun(Prepared):
         if states is None:
             return
         of, date, dated, first = Solution.of, self._dated, self._clock is not None, int(self.saves_start)
+        times = self.times_from
         ended = self.attributes(Status.ok, "", self.totals, self._end, self.steps_taken)
 
         def at_once(y0: np.ndarray) -> Solution:
             y, fine = states(y0)
             if fine:
-                return of(ended, date(y0, y) if dated else y, y0)
+                return of(ended | {"t": times(y0)}, date(y0, y), y0) if dated else of(ended, y, y0)
             return self.solved(y0, lambda y0: self.outcome(y0, y[first:], self.totals))
 
         self.at_once = at_once

@@ -174,7 +174,13 @@ class Prepared(ABC):
         out = self.audit(y0, out)
         steps = out.steps or self.steps_taken
         ended = self.attributes(out.status, out.message, out.counts, out.end_time, steps)
+        ended["t"] = self.times_from(y0)
         return Solution.of(ended, self._dated(y0, out.y), y0)
+
+    def times_from(self, y0: np.ndarray) -> np.ndarray:
+        """Return the saved times of a run from a packed state."""
+        begins, save_at = self.request.scene.split_clock(y0)[0], self.request.save_at
+        return save_at + begins if begins else save_at
 
     def attributes(
         self, status: Status, message: str, counts: Counts, end: float, steps: tuple[float, float]
@@ -184,7 +190,8 @@ class Prepared(ABC):
         control, value = r.asked
         settings = {"control": control, "value": value, "step_chosen": chosen, "step": longest}
         ended = {"status": status, "message": message, "counts": counts, "end_time": end}
-        run = {"scene": r.scene, "method": self.method, "engine": r.engine, "carry": r.carry, "t": r.save_at}
+        run = {"scene": r.scene, "method": self.method, "engine": r.engine, "carry": r.carry}
+        run["t"] = self.times_from(self.start)
         return {**run, "run": self, **ended, **settings}
 
     def packed(self, data: Mapping[str, Any]) -> np.ndarray:
