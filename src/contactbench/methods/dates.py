@@ -50,14 +50,19 @@ def dates(scene: Scene, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def begin(
-    scene: Scene, x: OwnState, xp: Namespace, origin: Arithmetic, since: Sequence[Arithmetic]
+    scene: Scene,
+    x: OwnState,
+    xp: Namespace,
+    origin: Arithmetic,
+    since: Sequence[Arithmetic],
+    bounded: bool = True,
 ) -> tuple[Any, OwnState]:
     """Return a scene and a state that counts its time from where an interval begins; since : a row of `dates`."""
     begins, low, high = since
 
     def dated(t: Arithmetic) -> Arithmetic:
         time = begins + value(t)
-        if scene.layout:
+        if bounded and scene.layout:
             time = choose(time < low, low, choose(time > high, high, time, xp), xp)
         return origin + time
 

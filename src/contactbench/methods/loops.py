@@ -193,11 +193,15 @@ def advanced(
     clock: Sequence[Arithmetic],
     repeat: Repeat = plain,
     counted: bool = False,
+    bounded: bool = True,
 ) -> tuple[OwnState, Arithmetic]:
-    """Return the state after n steps, and what they spent if it is `counted`; clock : an origin, a row of `dates`."""
+    """Return the state after n steps, and what they spent if it is `counted`; clock : an origin, a row of `dates`.
+
+    bounded : by breaks.
+    """
     origin, *since = clock or (None,)
     if since:
-        scene, x = dates.begin(scene, x, xp, origin, since)
+        scene, x = dates.begin(scene, x, xp, origin, since, bounded)
     spent: Arithmetic = 0.0
     if counted:
         x, spent = method.advance_counted(scene, x, h, n, xp, repeat)  # type: ignore[attr-defined]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -422,6 +423,33 @@ def require_slope(scene: Scene, start: AnyState) -> None:
         )
 
 
+#: times at which a slope is compared with that a rounding later, and by what part of it the two may differ;
+#: roundings of a time beyond which a span has more of them than a motion has turns
+LOOKS, APART, MANY = 16, 0.01, 1e9
+
+
+def warn_of_rounding(scene: Scene, carry: tuple[str, ...]) -> None:
+    """Warn where times are so far from 0 that their rounding is no small part of what a scene does with them."""
+    begins, end = scene.begins, scene.t_end
+    ulp = float(np.spacing(abs(begins) + end))
+    if not begins or ulp * MANY < end:
+        return
+    y = scene.without_clock(scene.pack(scene.initial(carry)))
+    times = begins + end * (np.arange(LOOKS) + 0.5) / LOOKS
+    with suppress(*NO_NUMBER), np.errstate(all="ignore"):
+        slopes = [
+            np.array([scene.slopes(t, y, carry) for t in (times + late).tolist()]) for late in (0.0, ulp)
+        ]
+        apart = np.median(np.abs(slopes[1] - slopes[0]), axis=0) / np.abs(slopes[0]).max(axis=0)
+        if (most := float(np.nanmax(apart, initial=0.0))) > APART:
+            how = (
+                f"are {ulp:.2g} apart, between which its slope changes by {most:.0%}: count time from nearby"
+            )
+            warnings.warn(
+                f"scene {scene.name!r}: times next to {begins:.6g} {how}", RuntimeWarning, stacklevel=2
+            )
+
+
 _started: Cache[bool] = Cache(1024)
 
 
@@ -432,6 +460,7 @@ def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
 
     def passes() -> bool:
         require_slope(scene, scene.initial(carry))
+        warn_of_rounding(scene, carry)
         return True
 
     data = [getattr(scene, name) for name in scene.initial_fields]

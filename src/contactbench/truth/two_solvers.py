@@ -70,7 +70,9 @@ def doubles(
         for name in pair:
             spent, left = perf_counter() - begun, SOLVERS - len(found)
             watch = Stopwatch(scene, float(t[-1]), deadline, PATIENCE)
-            solve = partial(partial(by_scipy, name=name, rtol=tightest) if name else gragg, slope, watch=watch)
+            solve = partial(
+                partial(by_scipy, name=name, rtol=tightest) if name else gragg, slope, watch=watch
+            )
             try:
                 try:
                     found.append(rows(solve))
