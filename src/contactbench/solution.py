@@ -145,14 +145,14 @@ class Solution:
     ----------
     scene, method, engine, carry
         What was solved, the names of the method and of the engine, and which of s and R were integrated.
-    t
-        Saved times, (k,).
+    t, elapsed
+        Saved times, (k,), and the same since the start, which are others where a scene starts at a time of its own.
     y, y0
         Packed states, (k, d), NaN after the end of a run that did not reach them, and the initial one, (d,).
     q, p, s, M, R
         Their parts, (k, n), (k, n), (k,), (k, 3) and (k, 3, 3); one the run did not carry is None.
     status, message, end_time
-        How it ended, why, and how far it got.
+        How it ended, why, and how far it got, a time since the start.
     counts
         What it cost.
     step_chosen, step
@@ -199,6 +199,15 @@ class Solution:
     def ok(self) -> bool:
         return self.status is Status.ok
 
+    @property
+    def start_time(self) -> float:
+        return self.scene.split_clock(self.y0)[0]
+
+    @property
+    def elapsed(self) -> np.ndarray:
+        """Return the saved times since the start."""
+        return self.t - self.start_time if self.run is None else self.run.request.save_at
+
     def __repr__(self) -> str:
         setting, n = self.setting, self.counts.evaluations
         if self.run is not None and (atol := self.run.request.atol) is not None:
@@ -213,14 +222,14 @@ class Solution:
         scene = f"{self.scene.name}{', undamped,' * self.scene.is_undamped}"
         return (
             f"<Solution of {scene} by {self.method} ({self.engine}, {setting}): "
-            f"{self.status}{why}, {len(self.t)} states to t = {self.end_time:g}{cost}>"
+            f"{self.status}{why}, {len(self.t)} states to t = {self.end_time + self.start_time:g}{cost}>"
         )
 
     def _repr_html_(self) -> str:
         ended = f"{self.status}{f': {self.message}' if self.message else ''}"
         rows = {"method": f"{self.method} ({self.engine}, {self.setting})", "status": ended}
         rows |= {"damping": "none"} if self.scene.is_undamped else {}
-        rows["states"] = f"{len(self.t)}, to t = {self.end_time:g}"
+        rows["states"] = f"{len(self.t)}, to t = {self.end_time + self.start_time:g}"
         if self.counts.evaluations is not None:
             rows["evaluations"] = f"{self.counts.evaluations} ({self.counts.kind})"
         if self.ok:
@@ -268,7 +277,7 @@ class Solution:
             return found
         found.append(("H", np.asarray(scene.hamiltonian_at(x)), "-"))
         start = self.start()
-        spent = scene.damped_by(start, self.t, np) if scene.has_hamiltonian_law else None
+        spent = scene.damped_by(start, self.elapsed, np) if scene.has_hamiltonian_law else None
         if spent is not None:
             found.append(("law of H", float(scene.hamiltonian_at(start)) * np.exp(-spent), ":"))
         return found

@@ -70,7 +70,7 @@ def test_error_bar_of_differences_covers_their_distance_to_the_exact_derivative(
     scene = scene.with_(t_end=min(scene.t_end, 20.0))
     # near-collisions of an orbit that is not resolved make its map bend within any increment
     steps = 8000 if scene.name in ("kepler_drag", "thermostat") else 400
-    run = cb.prepare(scene, method, step=scene.t_end / steps, save_at=saved(scene))
+    run = cb.prepare(scene, method, step=scene.t_end / steps, save_at=scene.begins + saved(scene))
     solution = run()
     assert solution.ok
     exact = solution.differential

@@ -44,14 +44,14 @@ WITH = Driven(name="timed", **FORCE, t=0.5, **STILL)
 @pytest.mark.parametrize("carry", [("s",), pytest.param((), marks=pytest.mark.slow)])
 def test_a_time_that_does_nothing_changes_nothing(method, engine, carry):
     """The same evaluations and the same motion, to the bit where the arithmetic is the same."""
-    times = [0.0, 1.5, 7.0]
+    times = np.array([0.0, 1.5, 7.0])
     plain, timed = (
-        cb.prepare(scene, method, rtol=1e-7, engine=engine, carry=carry, save_at=times)
+        cb.prepare(scene, method, rtol=1e-7, engine=engine, carry=carry, save_at=scene.begins + times)
         for scene in (WITHOUT, WITH)
     )
     a, b = plain(), timed()
     assert a.counts == b.counts
-    np.testing.assert_allclose(np.delete(b.y, 2, axis=1), a.y, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(np.delete(b.y, 2, axis=1), a.y, rtol=0, atol=1e-12)
     assert b.y[:, 2].tolist() == [0.5, 2.0, 7.5]
     np.testing.assert_allclose(timed.bare(timed.start), b.y[-1], rtol=0, atol=1e-5)
     assert timed.bare(timed.start)[2] == 7.5
@@ -61,7 +61,7 @@ def test_a_time_that_does_nothing_changes_nothing(method, engine, carry):
 def test_initial_data_begin_at_a_time_of_their_own(method, engine):
     scene = cb.SCENES["forced_oscillator"]
     moved = cb.prepare(scene, method, rtol=1e-8, engine=engine, carry=(), save_at=[3.0])(t=0.7)
-    own = cb.prepare(scene.with_(t=0.7), method, rtol=1e-8, engine=engine, carry=(), save_at=[3.0])()
+    own = cb.prepare(scene.with_(t=0.7), method, rtol=1e-8, engine=engine, carry=(), save_at=[3.7])()
     np.testing.assert_array_equal(moved.y, own.y)
     assert moved.y[0, 2] == 3.7
     assert cb.LAWS["solution_error"](own) < 1e-6

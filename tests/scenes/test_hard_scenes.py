@@ -51,7 +51,7 @@ def test_singular_damping_ends_in_a_steady_rotation_and_contact_methods_find_it(
 def test_condition_numbers_are_the_growth_of_errors(name):
     """Against the derivative of a run, by dual numbers through its steps: an independent engine and derivative."""
     scene = cb.SCENES[name]
-    solution = cb.solve(scene, "rk8", step=scene.t_end / 4000, save_at=saved(scene, 25))
+    solution = cb.solve(scene, "rk8", step=scene.t_end / 4000, save_at=scene.begins + saved(scene, 25))
     growth = np.linalg.norm(solution.sensitivity, ord=2, axis=(1, 2)).max()
     # other times, and unit tangents instead of coordinates
     assert 0.2 * condition_number(scene) < growth < 3 * condition_number(scene)

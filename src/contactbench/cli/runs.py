@@ -94,7 +94,9 @@ def solve(arguments: argparse.Namespace) -> int:
     if arguments.carry is not None:
         options["carry"] = tuple(filter(None, arguments.carry.split(",")))
     if not (arguments.laws or arguments.plot or arguments.out):  # only the end matters
-        options["save_at"] = [scene.t_end]
+        from contactbench.methods.prescribed import Elapsed
+
+        options["save_at"] = Elapsed([scene.t_end])
     solution = cb.solve(scene, arguments.method, **options)
     if arguments.out:
         write_csv(solution.to_frame(), arguments.out)

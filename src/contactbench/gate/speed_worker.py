@@ -53,6 +53,9 @@ def call(cell: Mapping[str, Any]) -> Callable[[], object]:
             return lambda: subprocess.run([sys.executable, "-P", "-c", "import contactbench"], check=True)
     times = [scene.t_end * k / cell["saves"] for k in range(1, cell["saves"] + 1)]
     setting = {cell["control"]: value} if cell["control"] in ("step", "rtol") else {}
+    times = [
+        getattr(scene, "begins", 0.0) + time for time in times
+    ]  # revisions without take those since the start
     run = cb.prepare(scene, method, engine=engine, save_at=times, carry=cell["carry"], **setting)
     if cell["call"] == "bare":
         packed = run.start

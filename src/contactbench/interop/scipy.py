@@ -142,6 +142,7 @@ class ContactSolver(OdeSolver):
         if span:
             opening, *self.pieces = pieces(step, self.direction * (span / self.steps))
             self.kept = opening(start)
+            self.ahead = scene.split_clock(self.kept)[0] - scene.split_clock(start)[0]
 
     def _step_impl(self) -> tuple[bool, str | None]:
         begin, lead_on, close = self.pieces
@@ -152,6 +153,8 @@ class ContactSolver(OdeSolver):
         last, size = self.taken == self.steps, (self.t_bound - self.t0) / self.steps
         t = self.t_bound if last else self.t0 + self.taken * size
         scene = self.step_map.scene
+        if scene.clock is not None:  # no sum of steps
+            self.kept[scene.clock] = self.t0 + (self.taken * size + self.ahead)
         y = reached if scene.clock is None else np.delete(reached, scene.clock)
         if not ((np.abs(y[: scene.motion]) <= self.bound).all() and np.isfinite(y).all()):
             return False, f"left the scene's scale by a factor 1e6 at t = {t:.6g}"

@@ -99,7 +99,7 @@ def sought(solution: Solution) -> Reference:
     own = scene.pack(scene.initial(solution.carry))
     if solution.y0 is not None and not np.array_equal(own, solution.y0):
         scene = scene.with_(**scene.data(solution.start()))
-    return reference(scene, solution.t, solution.carry)
+    return reference(scene, solution.elapsed, solution.carry)
 
 
 def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
@@ -151,13 +151,15 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
     scene = solution.scene
     if (rate := scene.conformal_rate) is not None:
         return float(rate)
-    damped = scene.damped_by(solution.start(), solution.t, np)
+    damped = scene.damped_by(solution.start(), solution.elapsed, np)
     if damped is None:
         start = float(scene.hamiltonian_at(solution.start()))
         if start == 0:
             raise Undefined(f"scene {scene.name!r}: H(0) = 0, the conformal factor cannot be read off H")
         damped = -np.log(scene.hamiltonian_at(truth(solution).states()) / start)
-    mean: np.ndarray = np.divide(damped, solution.t, out=np.zeros(len(damped)), where=solution.t > 0)
+    mean: np.ndarray = np.divide(
+        damped, solution.elapsed, out=np.zeros(len(damped)), where=solution.elapsed > 0
+    )
     return mean
 
 
@@ -172,7 +174,7 @@ def hamiltonian_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
     value, terms = scene.hamiltonian_at(states), scene.hamiltonian_terms(states)
     start = np.array([scene.hamiltonian_at(solution.start())])
-    return conformal(value[:, None], start, solution.t, decay_rate(solution), terms)
+    return conformal(value[:, None], start, solution.elapsed, decay_rate(solution), terms)
 
 
 @law(
@@ -191,7 +193,7 @@ def modified_hamiltonian(solution: Solution) -> Deviation | float:
     if value is None:
         return math.nan
     terms = scene.hamiltonian_terms(states)
-    return conformal(value[:, None], np.array([start]), solution.t, decay_rate(solution), terms)
+    return conformal(value[:, None], np.array([start]), solution.elapsed, decay_rate(solution), terms)
 
 
 def is_of_contact_flows(solution: Solution) -> bool:
@@ -202,7 +204,7 @@ def is_of_contact_flows(solution: Solution) -> bool:
 
 def knows_factor(solution: Solution) -> bool:
     """Whether ∫Γ' is known without the motion: where Γ' follows s, a run has the factor of its own s."""
-    known = solution.scene.damped_by(solution.start(), solution.t, np) is not None
+    known = solution.scene.damped_by(solution.start(), solution.elapsed, np) is not None
     return is_of_contact_flows(solution) and known
 
 
@@ -229,7 +231,7 @@ def momentum_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
     value, terms = np.array(scene.momentum_at(states)).T, scene.momentum_terms(states)
     start = np.array(scene.momentum_at(solution.start()))
-    return conformal(value, start, solution.t, decay_rate(solution), terms)
+    return conformal(value, start, solution.elapsed, decay_rate(solution), terms)
 
 
 # -- contact structure -----------------------------------------------------------------------------
@@ -242,7 +244,7 @@ def pulled_deviation(solution: Solution, pulled: Pulled | None) -> Deviation | f
     if pulled is None:
         return math.nan
     values, start, terms, error = pulled
-    return conformal(values, start, solution.t, decay_rate(solution), terms, error)
+    return conformal(values, start, solution.elapsed, decay_rate(solution), terms, error)
 
 
 @law(

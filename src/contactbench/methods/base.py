@@ -218,8 +218,9 @@ def prepare(
         given rtol instead of step chooses its step from pilots, which are part of every call and its counts; the
         solution's `step_chosen` is that step.  An exact method takes neither.
     save_at
-        Increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at most 1001 of them, for
-        fixed steps, and 201 equally spaced times for others.  The counts of a fixed-step method depend on them,
+        Increasing times of the scene's span, from its t to t + t_end (0 to t_end where nothing depends on the time);
+        by default the start and every k-th step, at most 1001 of them, for fixed steps, and 201 equally spaced times
+        for others.  The counts of a fixed-step method depend on them,
         since it starts afresh at each: with save_at=[t_end] it takes the fewest steps.
     carry
         Which of s and R to integrate; by default all the scene has.
@@ -295,7 +296,7 @@ def make_request(
     times = (
         default_times(scene, None if chosen.follows else step, budget)
         if save_at is None
-        else saved_times(save_at)
+        else saved_times(save_at, scene)
     )
     steps = None
     if isinstance(step, np.ndarray):

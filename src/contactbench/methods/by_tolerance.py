@@ -9,6 +9,7 @@ exponentials of the damping do, is a constant. They end at saved times. The firs
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -18,7 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.methods import dates
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive
+from contactbench.methods.dates import division
 from contactbench.methods.loops import Loop
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request, RunByTolerance, stopwatch
 from contactbench.methods.runge_kutta import (
@@ -76,8 +79,6 @@ BESIDE = 5
 ATTEMPTS = -3
 #: below it a number is none
 TINY = 1e-30
-#: roundings of a time within which a break is passed by one step
-ROUNDINGS = 2**8
 
 #: of the motion at a state, where it is known
 Slope = Vector | None
@@ -265,10 +266,14 @@ def march[S: Scene](
     def turn(carried: Carried) -> Carried:
         y, first, factors, at, left, step, past, tried, rejected = carried
         h = when(left < 2 * step, last_steps, step, xp, left)
+        if scene.dated:  # a multiple of a rounding of the span: what is left of it is exact
+            h = (span + h) - span
         factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
 
         def attempt(row: EqualSteps) -> EqualSteps:
             _, _, y, first, before, _, left, tried, _, _ = row
+            if scene.dated:
+                y = y._replace(t=span - left)
             try:
                 after, slope, error = form.attempt(scene, y, h, xp, first, factors)
             except NO_NUMBER:
@@ -320,10 +325,16 @@ def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: in
     d, given = len(scene.labels(carry)), len(scene.numbers())
 
     def advance(
-        numbers: Vector, span: Arithmetic, most: Arithmetic, y: Sequence[Arithmetic], xp: Any, repeat: Repeat
+        numbers: Vector,
+        span: Arithmetic,
+        most: Arithmetic,
+        y: Sequence[Arithmetic],
+        xp: Any,
+        repeat: Repeat,
+        *clock: Arithmetic,
     ) -> list[Arithmetic]:
         twin, x = scene.with_numbers(numbers[:given]), scene.unpack(y[:d], carry)
-        x, beside = method.march(twin, x, y[d:], span, most, numbers[given:], xp, repeat)
+        x, beside = marched(method, twin, x, y[d:], span, clock, most, numbers[given:], xp, repeat)
         return [*scene.pack(x), *beside]
 
     def started(statement: Statement) -> Statement:
@@ -333,8 +344,20 @@ def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: in
                 return Update((target,), (0.0,))
         return statement
 
-    program = record(advance, given + settings, d + method.beside(d), scene.motion, DIVERGENCE)
+    clock = scene.clock if scene.keeps_dates else None
+    program = record(advance, given + settings, d + method.beside(d), scene.motion, DIVERGENCE, clock=clock)
     return program._replace(run=replace(program.run, body=tuple(map(started, program.run.body))))
+
+
+def marched(
+    method: Any, scene: Scene, x: OwnState, beside: Any, span: Arithmetic, clock: Any, most: Any, *given: Any
+) -> tuple[OwnState, list[Any]]:
+    """Return what a method's `march` does; clock : an origin and a row of `dates`, of a scene with a time."""
+    origin, *since = clock or (None,)
+    if since:
+        scene, x = dates.begin(scene, x, given[1], origin, since)
+    x, beside = method.march(scene, x, beside, span, most, *given)
+    return dates.end(x, origin, since[0]) if since else x, beside
 
 
 _loops: Cache[Loop] = Cache(256)
@@ -357,11 +380,9 @@ class ToleranceRun(RunByTolerance):
         super().__post_init__()
         r = self.request
         self.scene: Scene = r.scene
-        margins = ((time, ROUNDINGS * exact) for time, exact in self.breaks)
-        breaks = [end for time, margin in margins for end in (time - margin, time + margin)]
-        ends = np.union1d(self.later, [time for time in breaks if 0 < time < self._end])
-        self.saved = np.searchsorted(ends, self.later)
-        self.spans = np.diff(ends, prepend=0.0)
+        ends, self.saved = division(r.scene, self.later)
+        self.spans, begins = np.diff(ends, prepend=0.0), np.append(0.0, ends[:-1])
+        self.since = dates.dates(r.scene, begins, ends) if r.scene.keeps_dates else None
         self.settings = self.method_.settings(r, r.step)
         self.tables: Loop | None = None
         if r.engine == "llvm":
@@ -386,7 +407,7 @@ class ToleranceRun(RunByTolerance):
             if loop is None:
                 return ()
             numbers = np.array([*self.scene.numbers(), *self.settings])
-            return loop.rows(numbers, self.spans, np.full(len(self.spans), attempts))
+            return loop.rows(numbers, self.spans, np.full(len(self.spans), attempts), self.since)
 
         def part(of: tuple[int, int], given: Any) -> Callable[[np.ndarray], np.ndarray]:
             """Return the function of a start that gives a part of the start and the states after it."""
@@ -405,7 +426,7 @@ class ToleranceRun(RunByTolerance):
         def states(y0: np.ndarray) -> np.ndarray:
             y = briefly(y0)
             if loop is not None and short < most and y[ATTEMPTS] >= short:
-                loop.execute(y0, *rows(most), y := np.empty(size), math.inf)
+                loop.execute(y0, rows(most), y := np.empty(size), math.inf)
             return y
 
         def bare(y0: np.ndarray) -> np.ndarray:
@@ -442,8 +463,9 @@ class ToleranceRun(RunByTolerance):
         def as_written(y0: list[float]) -> list[float]:
             x, beside, rows = scene.unpack(y0, r.carry), [0.0] * self.method_.beside(len(y0)), list[float]()
             given = r.max_steps, self.settings, PlainNumbers(), repeat
-            for span in self.spans.tolist():
-                x, beside = self.method_.march(scene, x, beside, span, *given)
+            origin, times = scene.split_clock(np.array(y0))[0], [()] if self.since is None else self.since
+            for span, since in zip(self.spans.tolist(), itertools.cycle(times)):
+                x, beside = marched(self.method_, scene, x, beside, span, (origin, *since), *given)
                 rows += [*scene.pack(x), *beside]
             return rows
 
@@ -489,7 +511,8 @@ class ToleranceRun(RunByTolerance):
         lag = y[-1, -1]
         if lag == 0:
             return self.finish(y0, self.from_start(y0, y[self.saved, :d]), counts)
-        reached = self.saved[y[self.saved, -1] == 0]
+        saved = np.arange(len(y))[self.saved]
+        reached = saved[y[saved, -1] == 0]
         status, message = Status.failed, self.method_.failure
         if self.is_spent(y, counts):
             status, message = Status.budget, f"max_steps = {r.max_steps} spent"

@@ -219,7 +219,8 @@ class ContactGauss(FixedStep):
             x, more, slopes = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
             return x, spent + more, slopes
 
-        x, spent, _ = repeat(n, another, (x, 0 * leaves(x)[0] + 1.0, self.first(scene, x, xp)))
+        start = x, 0 * leaves(x)[0] + 1.0, self.first(scene, x, xp)
+        x, spent, _ = repeat.steps(n, another, start, h)
         return x, spent
 
     def composed(self, scene: Scene) -> bool:

@@ -73,7 +73,7 @@ class FixedStep(Method):
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> OwnState:
         """n ≥ 1 steps of size h."""
-        after: AnyState = repeat(n, lambda x: self.step(scene, x, h, xp), x)
+        after: AnyState = repeat.steps(n, lambda x: self.step(scene, x, h, xp), x, h)
         return after
 
     def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from contactbench.methods.dates import dates, division, from_origin
 from contactbench.methods.loops import StepLoop, is_fixed, total
 from contactbench.methods.prepared import Outcome, Prepared, furthest
-from contactbench.methods.prescribed import EQUAL, UNCOUNTED, plateaus, steps_in
+from contactbench.methods.prescribed import EQUAL, UNCOUNTED, ends_between, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
 from contactbench.scene.base import Numeric
@@ -45,9 +46,8 @@ class FixedStepRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        breaks = [time for time, _ in self.breaks if 0 < time < self._end]
-        #: where intervals of equal steps end, at least
-        self.ends = np.union1d(self.later, breaks) if breaks else self.later
+        #: where intervals of equal steps end, at least, and which of them end at saved times
+        self.ends, self.saves = division(r.scene, self.later)
         self.marks = self.ends.copy()
         self.marks[1:] -= self.ends[:-1]
         self.first_step = self.method_.counts(r.scene, 1, r.carry)
@@ -68,45 +68,33 @@ class FixedStepRun(Prepared):
         if states is None:
             return
         of, date, dated, first = Solution.of, self._dated, self._clock is not None, int(self.saves_start)
+        times = self.times_from
         ended = self.attributes(Status.ok, "", self.totals, self._end, self.steps_taken)
 
         def at_once(y0: np.ndarray) -> Solution:
             y, fine = states(y0)
             if fine:
-                return of(ended, date(y0, y) if dated else y, y0)
+                return of(ended | {"t": times(y0)}, date(y0, y), y0) if dated else of(ended, y, y0)
             return self.solved(y0, lambda y0: self.outcome(y0, y[first:], self.totals))
 
         self.at_once = at_once
 
     def divide(self, step: float) -> None:
-        #: which intervals of equal steps end at saved times: all of them, but of prescribed steps
-        self.saved: slice | np.ndarray = slice(None)
+        scene, ends = self.request.scene, self.ends
+        #: which intervals of equal steps end at saved times
+        self.saved = self.saves
         if self.request.steps is not None:
-            self.h, self.n, self.saved = plateaus(self.request.steps, self.ends)
+            self.h, self.n, reached = plateaus(self.request.steps, ends)
+            self.saved = reached[self.saves]
+            ends = ends_between(self.h * self.n, reached, ends)
         else:
-            self.n = steps_in(self.marks, self.ends, step)
+            self.n = steps_in(self.marks, ends, step)
             self.h = self.marks / self.n
-        if self.breaks:
-            self.bridge()
+        #: when intervals begin, and what their functions take for the time; None of a scene without one
+        self.since = dates(scene, np.append(0.0, ends[:-1]), ends) if scene.keeps_dates else None
         self.steps_taken = step, float(np.maximum.reduce(self.h))
         self.totals, self.needed = self.cost(self.n), total(self.n)
-        self.ready = self.loop.ready(self.h, self.n)
-
-    def bridge(self) -> None:
-        """Make a step of its own of the few roundings around every break, so that others end this side of it.
-
-        The sums of steps that are a run's own time are as exact as so many roundings.
-        """
-        reached = np.arange(len(self.n))[self.saved]
-        self.saved = reached[np.searchsorted(self.ends, self.later)]
-        ends = np.append(0.0, np.cumsum(self.h * self.n))
-        for time, exact in reversed(self.breaks):
-            k = int(np.argmin(np.abs(ends - time)))
-            around = slice(max(k - 1, 0), k + 1)
-            margins = exact * np.maximum(self.n[around], 1)
-            self.h[around] -= margins / self.n[around]
-            self.h, self.n = np.insert(self.h, k, margins.sum()), np.insert(self.n, k, 1)
-            self.saved[self.saved >= k - 1 + (k == 0)] += 1
+        self.ready = self.loop.ready(self.h, self.n, self.since)
 
     def cost(self, n: np.ndarray) -> Counts:
         """Counts of intervals of n[k] steps; every interval starts afresh; evaluations are None where steps iterate."""
@@ -122,9 +110,11 @@ class FixedStepRun(Prepared):
         """Return their size, or the mean of it where saved times shorten them."""
         return step if math.isclose(steps * step, self._end) else self._end / steps
 
-    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Return packed states after each interval of n[k] steps of size h[k], (k, d)."""
-        return self.loop.take(y0, self.loop.ready(h, n))[0]
+    def intervals(
+        self, y0: np.ndarray, y: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None
+    ) -> np.ndarray:
+        """Return packed states after each interval of n[k] steps of size h[k], (k, d), from y on, in a run from y0."""
+        return self.loop.take(from_origin(self.request.scene, y, y0), self.loop.ready(h, n, since))[0]
 
     def take(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
         """Take the steps of this division: packed states after each of its intervals, and the counts."""
@@ -151,8 +141,10 @@ class FixedStepRun(Prepared):
         good, time = (out.y[k - 1], float(r.save_at[k - 1])) if k else (y0, 0.0)
         ends = np.append(0, np.arange(1, len(self.n) + 1)[self.saved])
         i, end = ends[k - int(self.saves_start) :][:2]
+        i, since = min(i, end - 1), self.since
         if i + 1 < end:  # several intervals lead there
-            y = self.intervals(good, np.roll(self.h, -i), np.roll(self.n, -i))[: end - i]
+            rolled = None if since is None else np.roll(since, -i, axis=0)
+            y = self.intervals(y0, good, np.roll(self.h, -i), np.roll(self.n, -i), rolled)[: end - i]
             reached = self.first_divergence(y0, y)
             assert reached is not None
             good = y[reached - 1] if reached else good
@@ -163,7 +155,7 @@ class FixedStepRun(Prepared):
         while left > 1:
             half = np.ones_like(self.n)  # the compiled loop has a fixed number of intervals
             half[0] = left // 2
-            y = self.intervals(good, np.full(len(half), h), half)[:1]
+            y = self.intervals(y0, good, np.full(len(half), h), half, self.dated(i, taken))[:1]
             if self.first_divergence(y0, y) is None:
                 good, time = y[0], time + float(half[0] * h)
                 taken, left = taken + int(half[0]), left - int(half[0])
@@ -171,7 +163,7 @@ class FixedStepRun(Prepared):
                 left = int(half[0])
         end = time + float(h)
         counts = self.cost(np.append(self.n[:i], taken + 1))
-        if self.method_.unsolved and self.lacks_a_step(y0, good, float(h)):
+        if self.method_.unsolved and self.lacks_a_step(y0, good, float(h), self.dated(i, taken)):
             message = (
                 f"{self.method_.unsolved} at t = {time:.6g}, of a step of {h:.6g}: a smaller one is needed"
             )
@@ -179,17 +171,24 @@ class FixedStepRun(Prepared):
         message = f"left the scene's scale by a factor 1e6 at t = {end:.6g}"
         return Outcome(out.y, counts, Status.diverged, message, end)
 
-    def lacks_a_step(self, y0: np.ndarray, good: np.ndarray, h: float) -> bool:
+    def dated(self, i: int, taken: int) -> np.ndarray | None:
+        """Return the dates of intervals that all begin after so many steps of the i-th."""
+        if self.since is None:
+            return None
+        return np.tile(self.since[i] + [taken * self.h[i], 0.0, 0.0], (len(self.n), 1))
+
+    def lacks_a_step(self, y0: np.ndarray, good: np.ndarray, h: float, since: np.ndarray | None) -> bool:
         """Return whether a state of the size of the motion has no step of this size, where an iteration finds it."""
         r = self.request
         most = ORDINARY * furthest(r.scene, r.carry, y0, self._end)
-        after = self.intervals(good, np.full(len(self.h), h), np.ones_like(self.n))[0]
+        after = self.intervals(y0, good, np.full(len(self.h), h), np.ones_like(self.n), since)[0]
         return bool(np.isnan(after).any() and (np.abs(good[: len(most)]) <= most).all())
 
     # -- the map ---------------------------------------------------------------------------------------
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         tangents = self.tangents(y0)
-        columns = [self.loop.tangent(y0, v, self.h, self.n)[self.saved] for v in tangents]
+        steps = self.h, self.n, self.since
+        columns = [self.loop.tangent(y0, v, *steps)[self.saved] for v in tangents]
         return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
 
     @property

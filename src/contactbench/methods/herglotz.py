@@ -98,7 +98,7 @@ class SecondHerglotz(Herglotz):
             return drift(scene, x, h, xp)
 
         x = drift(scene, explicit_kick(scene, x, half, *pull(scene, x)), h, xp)
-        x = repeat(n - 1, joined, x)
+        x = repeat.steps(n - 1, joined, x, h)
         return implicit_kick(scene, x, half, *pull(scene, x))
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:

@@ -13,8 +13,10 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from contactbench.blame import is_ours
+from contactbench.methods import dates
 from contactbench.methods.prepared import NO_NUMBER, Request, stopwatch
 from contactbench.numbers.control import Repeat
+from contactbench.numbers.control import repeat as plain
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Count, Namespace
 from contactbench.scene import AnyState, Cache, Scene, key
@@ -36,9 +38,10 @@ KEPT = 32
 
 #: all states of a run from the first one, and whether nothing can be wrong with them
 Watched = Callable[[np.ndarray], tuple[np.ndarray, bool]]
-#: intervals of n steps of size h: as they are; and as arrays, with the arguments of the loop unless they are too many
-Spans = list[tuple[float, int]]
-Rows = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]
+#: intervals of n steps of size h, with their dates: as they are; and as arrays, with the arguments of the loop unless
+#: they are too many
+Spans = list[tuple[float, int, list[float]]]
+Rows = tuple[np.ndarray, np.ndarray, np.ndarray | None, tuple[np.ndarray, ...] | None]
 
 
 def total(n: np.ndarray) -> int:
@@ -60,13 +63,14 @@ class Steps(Hashable, Protocol):
 class StepLoop[Ready](ABC):
     """Take the steps of a method on a scene, by one engine.
 
-    1. ``ready(h, n)`` is all that depends on the steps alone, intervals of n[k] of size h[k].
+    1. ``ready(h, n, since)`` is all that depends on the steps alone, intervals of n[k] of size h[k]; since : their
+       `dates`, of a scene with a time, which by default follow each other.
     2. ``take(y0, ready)`` returns the packed states after each interval, (k, d), and the evaluations made, None where
        they are known beforehand.  No call leaves a trace.
     3. ``last(ready)`` is the function that gives the last of these states alone, by the fastest way there is.
     4. ``watched(ready, steps, starts)`` is the function that gives all states, after the first one if it `starts`, and
        whether nothing can be wrong with them; None where the loop does not see that, or the steps take long.
-    5. ``tangent(y0, v, h, n)`` is the derivative of the states along v.
+    5. ``tangent(y0, v, h, n, since)`` is the derivative of the states along v.
 
     Parameters
     ----------
@@ -86,7 +90,7 @@ class StepLoop[Ready](ABC):
         self.counted = method.iterates
 
     @abstractmethod
-    def ready(self, h: np.ndarray, n: np.ndarray) -> Ready:
+    def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Ready:
         """Return what depends on the steps alone."""
 
     @abstractmethod
@@ -105,8 +109,18 @@ class StepLoop[Ready](ABC):
     def tangents(self) -> Loop:
         return loop_of(self.method, self.scene, self.carry, tangent=True)
 
-    def tangent(self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return self.tangents.states(self.scene, np.concatenate([y0, v]), h, n)[:, len(y0) :]
+    def tangent(
+        self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
+    ) -> np.ndarray:
+        since = self.since(h, n) if since is None else since
+        return self.tangents.states(self.scene, np.concatenate([y0, v]), h, n, since)[:, len(y0) :]
+
+    def since(self, h: np.ndarray, n: np.ndarray) -> np.ndarray | None:
+        """Return the dates of intervals that follow each other, None of a scene without a time."""
+        if not self.scene.keeps_dates:
+            return None
+        ends = np.cumsum(h * n)
+        return dates.dates(self.scene, np.append(0.0, ends[:-1]), ends)
 
 
 def interruptible(work: Callable[[], object], stop: Callable[[], None], long: bool) -> None:
@@ -142,14 +156,16 @@ def program_of(
         y: Sequence[Arithmetic],
         xp: Namespace,
         repeat: Repeat,
+        *clock: Arithmetic,
     ) -> list[Arithmetic]:
         if tangent:
             y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)  # type: ignore[arg-type]
-        start, twin = scene.unpack(y[:d], carry), scene.with_numbers(numbers)
+        x, spent = advanced(
+            method, scene.with_numbers(numbers), scene.unpack(y[:d], carry), h, n, xp, clock, repeat, counted
+        )
+        end = scene.pack(x)
         if counted:
-            x, spent = method.advance_counted(twin, start, h, n, xp, repeat)  # type: ignore[attr-defined]
-            return [*scene.pack(x), y[d] + spent]
-        end = scene.pack(method.advance(twin, start, h, n, xp, repeat))
+            return [*end, y[d] + spent]
         return [*map(value, end), *map(slope, end)] if tangent else end
 
     def slope_at(numbers: Sequence[Arithmetic], y: Sequence[Arithmetic]) -> list[Arithmetic]:
@@ -162,9 +178,36 @@ def program_of(
         return twin.energy(x), twin.energy_terms(x)
 
     watch = None if tangent else Watch(slope_at, energy_at if scene.bounds_energy else None)
-    return record(
-        interval, len(scene.numbers()), d * (1 + tangent) + counted, scene.motion, DIVERGENCE, watch
-    )
+    size = d * (1 + tangent) + counted
+    clock = scene.clock if scene.keeps_dates else None
+    return record(interval, len(scene.numbers()), size, scene.motion, DIVERGENCE, watch, clock)
+
+
+def advanced(
+    method: Steps,
+    scene: Scene,
+    x: AnyState,
+    h: Arithmetic,
+    n: Count,
+    xp: Namespace,
+    clock: Sequence[Arithmetic],
+    repeat: Repeat = plain,
+    counted: bool = False,
+    bounded: bool = True,
+) -> tuple[OwnState, Arithmetic]:
+    """Return the state after n steps, and what they spent if it is `counted`; clock : an origin, a row of `dates`.
+
+    bounded : by breaks.
+    """
+    origin, *since = clock or (None,)
+    if since:
+        scene, x = dates.begin(scene, x, xp, origin, since, bounded)
+    spent: Arithmetic = 0.0
+    if counted:
+        x, spent = method.advance_counted(scene, x, h, n, xp, repeat)  # type: ignore[attr-defined]
+    else:
+        x = method.advance(scene, x, h, n, xp, repeat)
+    return dates.end(x, origin, since[0]) if since else x, spent
 
 
 @cache
@@ -192,7 +235,7 @@ class Loop:
         self.program = program
         #: spent on recording and compiling
         self.seconds = seconds
-        self._rows: Cache[tuple[np.ndarray, np.ndarray]] = Cache(KEPT)
+        self._rows: Cache[tuple[np.ndarray, ...]] = Cache(KEPT)
         self._calls: Cache[Callable[[np.ndarray], Any]] = Cache(2 * KEPT)
 
     def compiled(self, function: Function, **options: bool) -> Native:
@@ -226,35 +269,37 @@ class Loop:
         """Return the most steps that are not long."""
         return int(LONG / self.size)
 
-    def execute(
-        self, y0: np.ndarray, w: np.ndarray, shape: np.ndarray, after: np.ndarray, steps: float
-    ) -> None:
-        """Call `run`, which ends early where another thread sets the first entry of `shape`."""
+    def execute(self, y0: np.ndarray, rows: Sequence[np.ndarray], after: np.ndarray, steps: float) -> None:
+        """Call `run`, which ends early where another thread sets the first entry of the shape."""
+        w, shape, *times = rows
         shape = shape.copy()
         stop = lambda: shape.__setitem__(0, 1)  # noqa: E731
-        interruptible(lambda: self.run(y0, w, shape, after), stop, self.is_long(steps))
+        interruptible(lambda: self.run(y0, w, shape, *times, after), stop, self.is_long(steps))
 
-    def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
-        given = numbers.tobytes(), h.tobytes(), n.tobytes()
+    def rows(
+        self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
+    ) -> tuple[np.ndarray, ...]:
+        """Return what `run` takes of the steps: a row for each (h, n) among the intervals, a shape, and their dates."""
+        times = () if since is None else (since,)
+        given = (*(part.tobytes() for part in (numbers, h, n, *times)),)
         if (known := self._rows.items.get(given)) is not None:
             return known
         row_of: dict[tuple[float, int], int] = {}
         which = [row_of.setdefault(span, len(row_of)) for span in zip(h.tolist(), n.tolist(), strict=True)]
         w = self.table(numbers, np.array(list(row_of), dtype=float))
-        rows = w, np.concatenate([self.program.shape, which])
+        rows = w, np.concatenate([self.program.shape, which]), *times
         return self._rows.get(given if w.size + len(n) <= FEW else None, lambda: rows)
 
     def on(
-        self, d: int, rows: tuple[np.ndarray, np.ndarray], part: tuple[int, int], flagged: bool = False
+        self, d: int, rows: tuple[np.ndarray, ...], part: tuple[int, int], flagged: bool = False
     ) -> Callable[[np.ndarray], Any]:
         """Return `run` as a function of a start, d doubles; one for all calls with the same rows: see `Native.bind`."""
-        w, shape = rows
+        w, shape, *_ = rows
         given = id(w), part, flagged  # what is kept keeps w, so that no other array has its id
         if (known := self._calls.items.get(given)) is not None:
             return known
         size = (len(shape) - len(self.program.shape)) * self.program.size
-        call = self.run.bind(d, w, shape, size, slice(*part), flagged)
+        call = self.run.bind(d, rows, size, slice(*part), flagged)
         return self._calls.get(given if w.size + size <= FEW else None, lambda: call)
 
     def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
@@ -270,15 +315,17 @@ class Loop:
         self.setup(numbers, spans, program.data, program.shape, w)
         return w
 
-    def states(self, scene: Scene, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+    def states(
+        self, scene: Scene, y0: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return packed states after each interval, (k, d)."""
         y, numbers = np.empty((len(n), len(y0))), np.array(scene.numbers())
         together = max(1, AHEAD // self.program.width)
         for first in range(0, len(n), together):
             part = slice(first, first + together)
-            w, shape = self.rows(numbers, h[part], n[part])
-            self.execute(y0, w, shape, y[part].reshape(-1), total(n[part]))  # a view
-            y0 = y[part][-1]
+            rows = self.rows(numbers, h[part], n[part], None if since is None else since[part])
+            self.execute(y0, rows, y[part].reshape(-1), total(n[part]))  # a view
+            y0 = dates.from_origin(scene, y[part][-1], y0)
         return y
 
 
@@ -312,33 +359,33 @@ class Recorded(StepLoop[Rows]):
         if request.step is None:  # chosen at every call: the time is divided often
             self.loop.setup  # noqa: B018
 
-    def ready(self, h: np.ndarray, n: np.ndarray) -> Rows:
+    def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Rows:
         """Return the steps, and the arguments of the loop where they are not too many to be kept."""
+        since = self.since(h, n) if since is None else since
         few = len(n) * self.loop.program.width <= AHEAD
-        rows = self.loop.rows(self.numbers, h, n) if few else None
+        rows = self.loop.rows(self.numbers, h, n, since) if few else None
         self.seconds = self.loop.seconds
-        return h, n, rows
+        return h, n, since, rows
 
     def take(self, y0: np.ndarray, ready: Rows) -> tuple[np.ndarray, int | None]:
-        h, n, rows = ready
+        h, n, since, rows = ready
         start = np.append(y0, 0.0) if self.counted else y0
         if rows is None:
-            y = self.loop.states(self.scene, start, h, n)
+            y = self.loop.states(self.scene, start, h, n, since)
         else:
             y = np.empty((len(n), len(start)))
-            w, shape = rows
-            self.loop.execute(start, w, shape, y.reshape(-1), total(n))
+            self.loop.execute(start, rows, y.reshape(-1), total(n))
         return spent(y) if self.counted else (y, None)
 
     def last(self, ready: Rows) -> Callable[[np.ndarray], np.ndarray]:
-        _, n, rows = ready
+        _, n, _, rows = ready
         if rows is None or self.counted:
             return super().last(ready)
         d = self.loop.program.size
         return self.loop.on(d, rows, (len(n) * d, len(n) * d + d))
 
     def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
-        _, n, rows = ready
+        _, n, _, rows = ready
         if rows is None or self.counted or not self.loop.program.watched or self.loop.is_long(steps):
             return None
         d, saves = self.loop.program.size, len(n) + starts
@@ -373,8 +420,10 @@ class Plain(StepLoop[Spans]):
             self.setup, self.run = execute(program.setup), execute(program.run)
             self.program, self.seconds = program, elapsed()
 
-    def ready(self, h: np.ndarray, n: np.ndarray) -> Spans:
-        return list(zip(h.tolist(), n.tolist(), strict=True))
+    def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Spans:
+        since = self.since(h, n) if since is None else since
+        times = [[]] * len(n) if since is None else since.tolist()
+        return list(zip(h.tolist(), n.tolist(), times, strict=True))
 
     def take(self, y0: np.ndarray, ready: Spans) -> tuple[np.ndarray, int | None]:
         y = None
@@ -396,25 +445,25 @@ class Plain(StepLoop[Spans]):
         numbers, data, shape = self.scene.numbers(), program.data.tolist(), program.shape.tolist()
         rows, w, last = [], [[0.0] * program.width], None
         y = [*y, 0.0] if self.counted else y
-        for span in spans:
+        start = y
+        for *span, times in spans:
             if span != last:
                 self.setup(numbers, [span], data, shape, w)
                 last = span
             after = [0.0] * len(y)
-            self.run(y, w, [*shape, 0], after)
-            rows.append(y := after)
+            self.run(y, w, [*shape, 0], *([[times]] if times else []), after)
+            rows.append(after)
+            y = dates.from_origin(self.scene, after, start)
         return rows
 
     def states(self, y0: np.ndarray, spans: Spans) -> Iterator[Sequence[float]]:
-        x = self.scene.unpack(self.scene.entries(y0), self.carry)
-        if not self.counted:
-            yield from map(self.scene.pack, trajectory(self.method, self.scene, x, spans, math))
-            return
-        made = 0
-        for h, n in spans:
-            x, more = self.method.advance_counted(self.scene, x, h, n, math)  # type: ignore[attr-defined]
+        scene, made = self.scene, 0.0
+        x, origin = scene.unpack(scene.entries(y0), self.carry), scene.split_clock(y0)[0]
+        for h, n, times in spans:
+            clock = (origin, *times) if times else ()
+            x, more = advanced(self.method, scene, x, h, n, math, clock, counted=self.counted)
             made += more
-            yield [*self.scene.pack(x), made]
+            yield [*scene.pack(x), *([made] if self.counted else [])]
 
 
 def trajectory(

@@ -16,6 +16,7 @@ from contactbench.checks import refuse
 from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.base import lookup
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.loops import advanced
 from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Condition, Namespace
 from contactbench.scene import Scene, Vector
@@ -133,7 +134,10 @@ class OneStep:
     def step(
         self, y: Vector, h: Arithmetic, scene: Scene, xp: Namespace, lack: Arithmetic | None = None
     ) -> Vector:
-        end = tuple(scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp)))
+        x = scene.unpack(y, self.carry)
+        clock = (x.t, 0.0, -math.inf, math.inf) if scene.keeps_dates else ()
+        after, _ = advanced(self.method, scene, x, h, 1, xp, clock, bounded=False)
+        end = tuple(scene.pack(after._replace(t=x.t + h) if clock else after))
         return end if lack is None else tuple(c + lack for c in end)
 
     @property

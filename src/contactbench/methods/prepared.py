@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -174,7 +175,13 @@ class Prepared(ABC):
         out = self.audit(y0, out)
         steps = out.steps or self.steps_taken
         ended = self.attributes(out.status, out.message, out.counts, out.end_time, steps)
+        ended["t"] = self.times_from(y0)
         return Solution.of(ended, self._dated(y0, out.y), y0)
+
+    def times_from(self, y0: np.ndarray) -> np.ndarray:
+        """Return the saved times of a run from a packed state."""
+        begins, save_at = self.request.scene.split_clock(y0)[0], self.request.save_at
+        return save_at + begins if begins else save_at
 
     def attributes(
         self, status: Status, message: str, counts: Counts, end: float, steps: tuple[float, float]
@@ -184,7 +191,8 @@ class Prepared(ABC):
         control, value = r.asked
         settings = {"control": control, "value": value, "step_chosen": chosen, "step": longest}
         ended = {"status": status, "message": message, "counts": counts, "end_time": end}
-        run = {"scene": r.scene, "method": self.method, "engine": r.engine, "carry": r.carry, "t": r.save_at}
+        run = {"scene": r.scene, "method": self.method, "engine": r.engine, "carry": r.carry}
+        run["t"] = self.times_from(self.start)
         return {**run, "run": self, **ended, **settings}
 
     def packed(self, data: Mapping[str, Any]) -> np.ndarray:
@@ -415,6 +423,33 @@ def require_slope(scene: Scene, start: AnyState) -> None:
         )
 
 
+#: times at which a slope is compared with that a rounding later, and by what part of it the two may differ;
+#: roundings of a time beyond which a span has more of them than a motion has turns
+LOOKS, APART, MANY = 16, 0.01, 1e9
+
+
+def warn_of_rounding(scene: Scene, carry: tuple[str, ...]) -> None:
+    """Warn where times are so far from 0 that their rounding is no small part of what a scene does with them."""
+    begins, end = scene.begins, scene.t_end
+    ulp = float(np.spacing(abs(begins) + end))
+    if not begins or ulp * MANY < end:
+        return
+    y = scene.without_clock(scene.pack(scene.initial(carry)))
+    times = begins + end * (np.arange(LOOKS) + 0.5) / LOOKS
+    with suppress(*NO_NUMBER), np.errstate(all="ignore"):
+        slopes = [
+            np.array([scene.slopes(t, y, carry) for t in (times + late).tolist()]) for late in (0.0, ulp)
+        ]
+        apart = np.median(np.abs(slopes[1] - slopes[0]), axis=0) / np.abs(slopes[0]).max(axis=0)
+        if (most := float(np.nanmax(apart, initial=0.0))) > APART:
+            how = (
+                f"are {ulp:.2g} apart, between which its slope changes by {most:.0%}: count time from nearby"
+            )
+            warnings.warn(
+                f"scene {scene.name!r}: times next to {begins:.6g} {how}", RuntimeWarning, stacklevel=2
+            )
+
+
 _started: Cache[bool] = Cache(1024)
 
 
@@ -425,6 +460,7 @@ def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
 
     def passes() -> bool:
         require_slope(scene, scene.initial(carry))
+        warn_of_rounding(scene, carry)
         return True
 
     data = [getattr(scene, name) for name in scene.initial_fields]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from contactbench.checks import positive, real_array, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.scene import Scene
+from contactbench.scene.base import time_between
 
 #: how far the difference of two saved times may be off, in units of the last place of the later one: both are
 #: rounded, as a product or a sum of two, and so may be the spacing of the grid
@@ -102,15 +103,36 @@ def default_times(scene: Scene, step: float | np.ndarray | None, budget: int) ->
     return marks * (scene.t_end / n)
 
 
-def saved_times(save_at: object) -> np.ndarray:
-    times = np.array(real_array("save_at", save_at, "increasing times"), ndmin=1)  # a copy
+class Elapsed(NamedTuple):
+    """Times to save at since the start, and as late as is wanted."""
+
+    times: Any
+
+
+def saved_times(save_at: object, scene: Scene) -> np.ndarray:
+    """Return saved times since the start, given as those of the scene's span or as `Elapsed`; raise `BadInput`."""
+    given = save_at.times if isinstance(save_at, Elapsed) else save_at
+    times = np.array(real_array("save_at", given, "increasing times"), ndmin=1)  # a copy
     if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
         raise BadInput(f"save_at = {excerpt(save_at)}: must be finite times, at least one")
-    if times[0] < 0 or np.any(np.diff(times) <= 0):
-        raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
-    if len(times) == 1 and times[0] == 0:
-        raise BadInput("save_at: at least one time must be > 0")
+    if np.any(np.diff(times) <= 0):
+        raise BadInput("save_at: times must be strictly increasing")
+    if given is save_at:
+        times = within_span(times, scene)
+    if times[-1] <= 0:
+        raise BadInput(f"save_at: at least one time must be > {scene.begins:g}, the start")
     return times
+
+
+def within_span(times: np.ndarray, scene: Scene) -> np.ndarray:
+    """Return times of the scene's span as those since its start; those a few roundings out of it are at its ends."""
+    start, end = scene.begins, scene.begins + scene.t_end
+    slack = GRID_ULPS * np.spacing(max(abs(start), abs(end)))
+    for outside in times[(times < start - slack) | (times > end + slack)][:1].tolist():
+        span = f"from {start:.10g} to {end:.10g}"
+        raise BadInput(f"save_at contains {outside!r}: must lie in the span of scene {scene.name!r}, {span}")
+    since = [time_between(start, time) for time in times.tolist()] if start else times
+    return np.unique(np.clip(since, 0.0, scene.t_end))
 
 
 def steps_of(value: object) -> np.ndarray:
@@ -150,3 +172,11 @@ def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
     spans, saved = np.add.reduceat(steps, ends - n), np.searchsorted(ends, last + 1)
     spans[saved] += np.diff(times, prepend=0.0) - np.add.reduceat(spans, np.append(0, saved[:-1] + 1))
     return Plateaus(spans / n, n, saved)
+
+
+def ends_between(spans: np.ndarray, last: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return when each of some spans ends, counted from the last of the times at which the spans `last` end."""
+    group, sums = np.searchsorted(last, np.arange(len(spans))), np.cumsum(spans)
+    ends = np.append(0.0, times)[group] + (sums - np.append(0.0, sums[last])[group])
+    ends[last] = times
+    return ends

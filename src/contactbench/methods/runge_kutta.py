@@ -284,7 +284,8 @@ def pull(scene: Any, q: Vector, t: Arithmetic | None, acts: bool) -> list[Arithm
     gradient, gamma = tuple(scene.gradient_at(x)), scene.damping_at(x)
     stiffness, turn = gamma * gamma / 4, []
     if scene.rate_changes:
-        turn = [rate_slope(scene.rate, tuple(scene.parameters))(t, **scene.parameters)[0] / 2]
+        slope = rate_slope(scene.rate, tuple(scene.parameters))
+        turn = [slope(scene.time(t), **scene.parameters)[0] / 2]
         stiffness = stiffness + turn[0]
     rate = [stiffness * c - a for c, a in zip(q, scene.velocity(gradient), strict=True)]
     action = [dot(q, gradient) / 2 - scene.potential_at(x)] if acts else []
@@ -356,10 +357,10 @@ class RungeKutta(FixedStep):
         large = len(leaves(x)) > LARGE
         loop = repeat if repeat.over_stages and large and stages > 4 and not scene.rate_changes else None
         if not tableau.nystrom:
-            return repeat(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages, loop)[0], x)
+            return repeat.steps(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages, loop)[0], x, h)
         factors = None if scene.rate_changes else factors_of(tableau, scene, None, h, xp, loop)
         another = lambda y: nystrom_step(tableau, scene, y, h, xp, stages, loop, factors=factors)[0]  # noqa: E731
-        return damped(scene, repeat(n, another, undamped(scene, x)))
+        return damped(scene, repeat.steps(n, another, undamped(scene, x), h))
 
 
 def refusal(method: Method, tableau: Tableau, scene: Scene) -> str | None:

@@ -22,6 +22,7 @@ from contactbench.methods.base import METHODS, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.loops import StepLoop
 from contactbench.methods.prepared import Outcome, Prepared
+from contactbench.methods.prescribed import Elapsed
 from contactbench.solution import Status
 
 #: error aimed at, as a part of the tolerance
@@ -177,7 +178,7 @@ class ChosenStep(Prepared):
         r, witness = self.request, METHODS[WITNESS]
         if sum(bad) != BLOWN or not all(bad[-BLOWN:]) or witness.refuses(r.scene) is not None:
             return None
-        run = prepare(r.scene, witness, rtol=WITNESS_RTOL, save_at=[r.save_at[-1]], carry=r.carry)
+        run = prepare(r.scene, witness, rtol=WITNESS_RTOL, save_at=Elapsed([r.save_at[-1]]), carry=r.carry)
         out = run.integrate(y0)
         return out if out.status is Status.diverged else None
 

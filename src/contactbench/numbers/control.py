@@ -45,6 +45,23 @@ class Repeat:
     def __call__[X](self, n: Count, body: Callable[[X], X], x: X) -> X:
         return self.loop(n, body, x)
 
+    def steps(self, n: Count, step: Callable[[Any], Any], x: Any, h: Arithmetic) -> Any:
+        """Apply a step of size h n times; where x has a time t, the k-th begins at t + k h, which is no running sum.
+
+        x : a state, or a tuple that begins with one.
+        """
+        state = x if hasattr(x, "_fields") else x[0]
+        start = getattr(state, "t", None)
+        if start is None:
+            return self.loop(n, step, x)
+
+        def another(carried: tuple[Any, Count]) -> tuple[Any, Count]:
+            x, k = carried
+            now = start + k * h
+            return step(x._replace(t=now) if hasattr(x, "_fields") else (x[0]._replace(t=now), *x[1:])), k + 1
+
+        return self.loop(n, another, (x, 0))[0]
+
 
 def turns[X](n: Any, body: Callable[[X], X], x: X) -> X:
     for _ in range(n):

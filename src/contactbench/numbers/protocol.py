@@ -186,6 +186,17 @@ def _refuse(question: str) -> Callable[..., Any]:
     return refuse
 
 
+#: what a function of the time that jumps needs besides
+JUMPS = "and name the times at which it jumps in breaks="
+
+
+def _refuse_remainder(self: object, *_: object) -> NoReturn:
+    """`%`, `//`, divmod() and round()."""
+    raise CannotRecord(
+        f"`%`, `//` or round() of a number: use cb.math.floor, x % y = x - y * floor(x / y), {JUMPS}"
+    )
+
+
 class Unknown(Number):
     """A number that stands for a value: whatever asks for the value raises `CannotRecord`."""
 
@@ -198,4 +209,6 @@ class Unknown(Number):
     __complex__ = _refuse("complex arithmetic asks for the value of")
     __iter__ = _refuse("a loop asks for the components of")
     __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = __bool__  # type: ignore[assignment]
+    __mod__ = __rmod__ = __floordiv__ = __rfloordiv__ = __divmod__ = __rdivmod__ = _refuse_remainder
+    __round__ = __trunc__ = __floor__ = __ceil__ = _refuse_remainder
     __hash__ = None  # type: ignore[assignment]

@@ -143,18 +143,19 @@ class Pieces(Prepared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        times, begin, skipped = self.request.save_at, 0.0, 0.0
+        times, begin, skipped, before = self.request.save_at, 0.0, 0.0, -1.0
         #: runs, when they begin, how long the solver has not run before, which saved times and states are theirs
         self.pieces = list[tuple[Prepared, float, float, slice, np.ndarray]]()
         for time, exact in [*self.breaks, (self._end, 0.0)]:
             end, last = min(time, self._end) - exact, time >= self._end - exact
-            ends = [begin or -1.0, times[-1] if last else time]
-            own = slice(*np.searchsorted(times, ends, "right"))
+            until = times[-1] if last else max(time, begin)
+            own = slice(*np.searchsorted(times, [before, until], "right"))
             if end > begin:
                 inside = np.maximum(np.minimum(times[own], end) - begin, 0.0)
                 save_at, which = np.unique(np.append(inside, end - begin), return_inverse=True)
                 run = PeerRun(self.method, replace(self.request, save_at=save_at), self.method_)
                 self.pieces.append((run, begin, skipped, own, which[:-1]))
+                before = until
             if last:
                 break
             begin, skipped = time + exact, time + exact - max(end, 0.0)
@@ -171,14 +172,20 @@ class Pieces(Prepared):
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         y = y0
-        for run, _, skipped, *_ in self.pieces:
-            y = run.bare(self.over(y, skipped))
+        for run, begin, skipped, *_ in self.pieces:
+            y = run.bare(self.at(begin, self.over(y, skipped), y0))
+        return y
+
+    def at(self, begin: float, y: np.ndarray, y0: np.ndarray) -> np.ndarray:
+        """Return a state with the time so long after the start, which is no sum of pieces."""
+        y = y.copy()
+        y[self._clock] = y0[self._clock] + begin
         return y
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         y, states, totals = y0, np.full((self._saves, len(y0)), np.nan), list[Counts]()
         for run, started, skipped, own, which in self.pieces:
-            out = run.integrate(self.over(y, skipped))
+            out = run.integrate(self.at(started, self.over(y, skipped), y0))
             states[own], y = out.y[which], out.y[-1]
             totals.append(out.counts)
             begin = started

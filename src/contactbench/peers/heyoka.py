@@ -34,16 +34,26 @@ if TYPE_CHECKING:
 
 
 def taylor_system(
-    scene: Scene, carry: tuple[str, ...], heyoka: ModuleType, units: Sequence[float] | None = None
+    scene: Scene,
+    carry: tuple[str, ...],
+    heyoka: ModuleType,
+    units: Sequence[float] | None = None,
+    origin: int = 0,
 ) -> list[tuple[object, object]]:
-    """Return the equations, each component in a unit of its own: heyoka knows one scale for all, one or the largest."""
+    """Return the equations, each component in a unit of its own: heyoka knows one scale for all, one or the largest.
+
+    Its time is that since the start, which is its parameter number `origin`.
+    """
     names = scene.without_clock(scene.labels(carry))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
     variables = variables if isinstance(variables, list) else [variables]
     units = [1.0] * len(names) if units is None else units
     series: list[Any] = [Series(v) for v in variables]
     given = [y if unit == 1 else y * unit for y, unit in zip(series, units, strict=True)]
-    slopes = map(expression_of, scene.slopes(Series(heyoka.time), given, carry))
+    time = Series(heyoka.time)
+    if scene.clock is not None:
+        time = time + Series(heyoka.par[origin])
+    slopes = map(expression_of, scene.slopes(time, given, carry))
     expressions = (heyoka.expression(s) if isinstance(s, float) else s for s in slopes)
     own = (s if unit == 1 else s / unit for s, unit in zip(expressions, units, strict=True))
     return list(zip(variables, own, strict=True))
@@ -81,12 +91,13 @@ class Taylor(Call):
         #: what the integrator's numbers are multiples of, powers of two; None: all are 1
         self.units = units if scaled else None
         numbers = scene.numbers()
+        self.origin = len(numbers) if shared else 0
 
         def make() -> tuple[heyoka.taylor_adaptive, float]:
             elapsed = stopwatch()
             pars: list[Any] = [Series(heyoka.par[i]) for i in range(len(numbers))]
             alike = scene.with_numbers(pars) if shared else scene
-            system = taylor_system(alike, r.carry, heyoka, units.tolist())
+            system = taylor_system(alike, r.carry, heyoka, units.tolist(), self.origin)
             how = {"compact_mode": size > UNROLLED, "fast_math": is_fast(scene)}
             return heyoka.taylor_adaptive(system, y0 / units, tol=r.rtol, **how), elapsed()
 
@@ -94,7 +105,8 @@ class Taylor(Call):
         program, self.seconds = _integrators.get(key(scene.recorded().identity, *given), make)
         self.integrator = copy(program)
         if shared:
-            self.integrator.pars[:] = numbers[: len(program.pars)]
+            known = min(len(numbers), len(program.pars))
+            self.integrator.pars[:known] = numbers[:known]
         #: where a packed state has what is integrated: all of it, but the time
         self.motion: slice | list[int] = slice(self.clock)
         if self.clock is not None and self.clock < size - 1:
@@ -105,13 +117,15 @@ class Taylor(Call):
     def set(self, y0: np.ndarray) -> float:
         """Put the integrator to a packed state, in place: `split_clock` takes a third of a short run."""
         start = 0.0 if self.clock is None else y0.item(self.clock)
-        self.integrator.time = start
+        self.integrator.time = 0.0
+        if self.clock is not None and len(self.integrator.pars) > self.origin:
+            self.integrator.pars[self.origin] = start
         self.integrator.state[:] = y0[self.motion] if self.units is None else y0[self.motion] / self.units
         return start
 
     def last(self, y0: np.ndarray) -> np.ndarray:
         ta, y, start = self.integrator, y0.copy(), self.set(y0)
-        ta.propagate_until(start + self.end, max_steps=self.request.max_steps)
+        ta.propagate_until(self.end, max_steps=self.request.max_steps)
         y[self.motion] = ta.state if self.units is None else ta.state * self.units
         if self.clock is not None:
             y[self.clock] = start + self.end
@@ -125,18 +139,18 @@ class Taylor(Call):
                 outcome, steps = limit.step_limit, 0
                 while outcome == limit.step_limit and steps < most:  # in pieces, of the same steps
                     piece = min(PIECE, most - steps)
-                    outcome, _, _, taken, *_ = ta.propagate_until(origin + self.end, max_steps=piece)
+                    outcome, _, _, taken, *_ = ta.propagate_until(self.end, max_steps=piece)
                     steps += taken
                 y = ta.state[None][: outcome == limit.time_limit].copy()
             else:
-                grid, piece = origin + np.append(0.0, self.later), min(PIECE, most)
+                grid, piece = np.append(0.0, self.later), min(PIECE, most)
                 outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=piece)
                 if steps == piece < most:  # once more, with a callback at every step: Python looks at signals
                     self.set(y0)
                     options = {"max_steps": most, "callback": lambda _: True}
                     outcome, _, _, steps, *_, y = ta.propagate_grid(grid, **options)
                 y = y[1:]
-            time, state = float(ta.time) - origin, ta.state.copy()
+            time, state = float(ta.time), ta.state.copy()
         if self.units is not None:
             y, state = y * self.units, state * self.units
         y = self.insert_clock(y, origin, self.later[: len(y)])

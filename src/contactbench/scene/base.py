@@ -11,6 +11,7 @@ import tomllib
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -79,12 +80,17 @@ def with_duration(given: dict[str, Any], clocked: bool) -> dict[str, Any]:
         return given
     if both := [name for name in ("t", "t_end") if name in given]:
         raise BadInput(f"t_span = {excerpt(span)}: say it or {' and '.join(both)}, not both")
-    start, end = vector("t_span", span, 2)
+    start, end = map(float, vector("t_span", span, 2))
     if not end > start:
         raise BadInput(f"t_span = {excerpt(span)}: must end later than it begins")
     if start and not clocked:
         raise BadInput(f"t_span = {excerpt(span)}: nothing here depends on the time: must begin at 0")
-    return given | {"t_end": end - start} | ({"t": start} if clocked else {})
+    return given | {"t_end": time_between(start, end)} | ({"t": start} if clocked else {})
+
+
+def time_between(start: float, end: float) -> float:
+    """Return end − start of the decimals that they print as: 2.05 − 0.75 is 1.3."""
+    return float(Decimal(repr(end)) - Decimal(repr(start))) if start else end
 
 
 def as_formula(function: Callable[..., object], sizes: tuple[int, ...], names: Iterable[str] = ()) -> Formula:
@@ -204,9 +210,27 @@ class System(metaclass=Kind):
         """Return the component of the packed state that is the time, where there is one."""
         return None
 
-    def breaks_until(self, end: float) -> list[tuple[float, float]]:
-        """Return times since the start, from 0 to an end, that no step straddles, and how exact they are."""
+    def breaks_until(self, end: float, begin: float = 0.0) -> list[tuple[float, float]]:
+        """Return times since the start, from `begin` to an end, that no step straddles, and how exact they are."""
         return []
+
+    #: the time that functions take, of the time of a state; None: that itself
+    dated: ClassVar[Callable[[Numeric], Numeric] | None] = None
+    #: whether its functions take `time` of the time of a state
+    keeps_dates: ClassVar[bool] = False
+
+    @cached_property
+    def begins(self) -> float:
+        """Return the time at the start, 0 where there is none."""
+        return 0.0 if self.clock is None else float(self.pack(self.initial(()))[self.clock])
+
+    def time(self, t: Numeric) -> Numeric:
+        """Return the time that functions take where the time of a state is t: see `since`."""
+        return t if self.dated is None else self.dated(t)
+
+    def since(self, dated: Callable[[Numeric], Numeric]) -> Self:
+        """Return the scene whose states count their time from somewhere: its functions take dated(t)."""
+        return self._replaced(dated=dated)
 
     def without_clock[X](self, y: Sequence[X]) -> Sequence[X]:
         """Return a packed state less the time, as a solver integrates it that has a time of its own."""
@@ -353,7 +377,7 @@ class System(metaclass=Kind):
     def _replaced(self, **attributes: object) -> Self:
         twin = object.__new__(type(self))
         twin.__dict__.update(self.__dict__ | attributes)
-        for derived in ("identity", "has_users_functions", "motion"):
+        for derived in ("identity", "has_users_functions", "motion", "begins"):
             twin.__dict__.pop(derived, None)
         return twin
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -108,6 +108,7 @@ class Driven(Mechanical):
     breaks: tuple[float, ...] = ()
 
     kind = "driven"
+    keeps_dates = True
     functions: ClassVar[dict[str, tuple[str, ...]]] = {
         **dict.fromkeys(("potential", "gradient"), ("q", "t", "**")),
         "rate": ("t", "**"),
@@ -144,9 +145,13 @@ class Driven(Mechanical):
             if not (isinstance(pair, tuple | list) and len(pair) == 2 and all(map(is_number, pair))):
                 raise BadInput(f"span: must return a pair of real numbers; it returns {excerpt(pair)}")
 
-    def breaks_until(self, end: float) -> list[tuple[float, float]]:
+    def breaks_until(self, end: float, begin: float = 0.0) -> list[tuple[float, float]]:
         found = ((b - self.t, 4 * math.ulp(max(abs(b), abs(self.t), abs(b - self.t)))) for b in self.breaks)
-        return [(time, exact) for time, exact in found if -exact < time < end + exact]
+        return [(time, exact) for time, exact in found if begin - exact < time < end + exact]
+
+    @property
+    def structure(self) -> tuple[Hashable, ...]:
+        return *super().structure, bool(self.breaks)
 
     @property
     def layout(self) -> Sequence[object]:
@@ -167,10 +172,11 @@ class Driven(Mechanical):
 
     def V(self, q: Vector, t: Arithmetic | None = None) -> Arithmetic:
         """Return V(q, t), at the start where no time is given."""
-        return self.potential(q, self.t if t is None else t, **self.parameters)
+        return self.potential(q, self.t if t is None else self.time(t), **self.parameters)
 
     def dV(self, q: Vector, t: Arithmetic | None = None) -> Vector:
-        return (self.gradient or self.recorded().gradient)(q, self.t if t is None else t, **self.parameters)  # type: ignore[misc]
+        gradient: Callable[..., Vector] = self.gradient or self.recorded().gradient  # type: ignore[assignment]
+        return gradient(q, self.t if t is None else self.time(t), **self.parameters)
 
     def potential_at(self, x: DrivenState) -> Arithmetic:
         return self.V(x.q, x.t)
@@ -206,12 +212,12 @@ class Driven(Mechanical):
         return self.rate is not None
 
     def rate_at(self, t: Arithmetic) -> Arithmetic:
-        return self.gamma if self.rate is None else self.rate(t, **self.parameters)
+        return self.gamma if self.rate is None else self.rate(self.time(t), **self.parameters)
 
     def spent(self, t: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
         """Return (G, φ) of the damping from t to t + h, a step."""
         if self.span is not None:
-            return self.span(t, h, xp, **self.parameters)
+            return self.span(self.time(t), h, xp, **self.parameters)
         return quadrature.integrals(self.rate_at, t, h, xp)
 
     def damped_within(self, x: DrivenState, h: Arithmetic, xp: Namespace) -> Numeric:

@@ -108,6 +108,7 @@ class Equations(Scene):
         "t": finite,
         "parameters": named_numbers,
     }
+    keeps_dates = True
     has_energy = False
     may_gain_energy = True
     conformal_rate = None
@@ -172,7 +173,8 @@ class Equations(Scene):
 
     # -- equations ---------------------------------------------------------------------------------
     def rhs(self, x: EquationState) -> EquationState:  # type: ignore[no-redef]
-        return EquationState(tuple(self.right_hand_side(x.t, x.y, **self.parameters)), 1.0 + 0 * x.t)
+        slope = self.right_hand_side(self.time(x.t), x.y, **self.parameters)
+        return EquationState(tuple(slope), 1.0 + 0 * x.t)
 
     @property
     def has_jacobian(self) -> bool:  # type: ignore[override]
@@ -181,7 +183,7 @@ class Equations(Scene):
     def jacobian(self, x: EquationState) -> list[list[Arithmetic]] | None:
         if self.jacobian_of is None:
             return None
-        rows = self.jacobian_of((*x.y, x.t), **self.parameters)
+        rows = self.jacobian_of((*x.y, self.time(x.t)), **self.parameters)
         return [*map(list, rows), [0.0] * (len(x.y) + 1)]
 
     # -- no Hamiltonian ----------------------------------------------------------------------------

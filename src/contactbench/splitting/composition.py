@@ -178,8 +178,8 @@ def advance(
     opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
     run = runner((*opening, *inner, *closing, *joint), scene, h, xp, repeat)
     if not joint:
-        return run(closing, repeat(n, lambda x: run(inner, x), run(opening, x)))
-    x = repeat(n - 1, lambda x: run((*inner, *joint), x), run(opening, x))
+        return run(closing, repeat.steps(n, lambda x: run(inner, x), run(opening, x), h))
+    x = repeat.steps(n - 1, lambda x: run((*inner, *joint), x), run(opening, x), h)
     return run((*inner, *closing), x)
 
 

@@ -14,6 +14,7 @@ from contactbench.measure.order import error_at, fit_order
 from contactbench.methods.base import Method
 from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
 from contactbench.solution import keywords
 from contactbench.study.choice import key, outcome, pairs
@@ -37,7 +38,9 @@ def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, flo
     if method.refuses(scene) is not None:  # one row says why
         hs = hs[:1]
     for h in hs:
-        solution = cb.solve(scene, method.name, save_at=times(scene), carry=(), **keywords(method.control, h))
+        solution = cb.solve(
+            scene, method.name, save_at=Elapsed(times(scene)), carry=(), **keywords(method.control, h)
+        )
         yield outcome(solution), h, cb.LAWS["solution_error"](solution)
 
 

@@ -8,6 +8,7 @@ import contactbench as cb
 from contactbench.measure.laws import row as law_columns
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
 from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import outcome, pairs, step_budget
@@ -33,7 +34,9 @@ def ladder(profile: Profile) -> list[Cell]:
 def to_the_end(scene: Scene, method: Method, value: float, budget: int | None) -> Solution:
     """Return a run to the end, saved there alone; of diffrax, where that changes nothing, as the laws' program does."""
     saves = times(scene, SAVES) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
-    return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **keywords(method.control, value))
+    return cb.solve(
+        scene, method.name, save_at=Elapsed(saves), max_steps=budget, **keywords(method.control, value)
+    )
 
 
 def evaluations(scene: Scene, method: Method, value: float, budget: int | None = None) -> float:
@@ -52,7 +55,7 @@ def value_at(scene: Scene, method: Method, target: float, budget: int | None = N
 
 def laws_row(scene: Scene, method: Method, value: float, budget: int | None) -> Row:
     setting = keywords(method.control, value)
-    solution = cb.solve(scene, method.name, save_at=times(scene, SAVES), max_steps=budget, **setting)
+    solution = cb.solve(scene, method.name, save_at=Elapsed(times(scene, SAVES)), max_steps=budget, **setting)
     if not solution.ok:
         return {"status": str(solution.status), "message": solution.message}
     return {name: value for name, value in law_columns(solution).items() if name in DECAY_LAWS.columns}

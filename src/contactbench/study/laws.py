@@ -9,6 +9,7 @@ import numpy as np
 import contactbench as cb
 from contactbench.measure.law import relative_deviation
 from contactbench.measure.laws import LAWS, energies, row
+from contactbench.methods.prescribed import Elapsed
 from contactbench.solution import Solution, keywords
 from contactbench.study.choice import affordable, outcome, pairs, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
@@ -34,7 +35,7 @@ def laws(cell: Cell, profile: Profile) -> Recorded:
     without = each if method.adaptive and scene.motion > MANY else ""
     for value in values:
         budget = step_budget(profile, scene, method, method.engines[0])
-        options = {"save_at": times(scene), "max_steps": budget, **keywords(method.control, value)}
+        options = {"save_at": Elapsed(times(scene)), "max_steps": budget, **keywords(method.control, value)}
         solution = cb.solve(scene, method.name, **options)
         yield LAWS_TABLE, outcome(solution) | {"saved_times": len(solution.t)} | row(solution, without)
         if value in shown and solution.ok:
@@ -47,7 +48,7 @@ DEVIATIONS = {"hamiltonian": "hamiltonian_law", "momentum": "momentum_law", "con
 
 def along_time(solution: Solution) -> Iterator[Row]:
     numerical, exact = energies(solution)
-    columns = {"t": solution.t}
+    columns = {"t": solution.elapsed}
     columns["energy_deviation"] = relative_deviation(numerical, exact)
     for name, law in DEVIATIONS.items():
         found = LAWS[law].along(solution) if LAWS[law].applies(solution.scene) else np.nan

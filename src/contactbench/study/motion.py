@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
+from contactbench.methods.prescribed import Elapsed
 from contactbench.study.experiment import Cell, Profile, Recorded, experiment
 from contactbench.study.trial import agreed
 from contactbench.tables.declared import MOTION, ORBIT, TRUTH
@@ -30,12 +31,14 @@ def motion(cell: Cell, profile: Profile) -> Recorded:
     if name == TRUTH:
         late = SPAN - ORBIT + FINE * np.arange(round(ORBIT / FINE) + 1)
         t = np.unique(np.round([*t[t < late[0]], *late], 9))
-        runs = (cb.solve(scene, solver, rtol=rtol, save_at=t) for solver, rtol in SOLVERS)
+        runs = (cb.solve(scene, solver, rtol=rtol, save_at=Elapsed(t)) for solver, rtol in SOLVERS)
         truth = agreed(scene, ("s",), *runs)
         assert truth.digits >= DIGITS
         y, evaluations = truth.y, None
     else:
-        saved, ended = (cb.solve(scene, name, step=STEPS[name], save_at=times) for times in (t, [SPAN]))
+        saved, ended = (
+            cb.solve(scene, name, step=STEPS[name], save_at=Elapsed(times)) for times in (t, [SPAN])
+        )
         y, evaluations = saved.y, ended.counts.evaluations
     for time, row in zip(t.tolist(), y.tolist(), strict=True):
         x = scene.unpack(row, ("s",))

@@ -11,6 +11,7 @@ import numpy as np
 
 from contactbench.measure.clock import Call
 from contactbench.methods.base import METHODS, Method, prepare
+from contactbench.methods.prescribed import Elapsed
 from contactbench.peers.heyoka import SHARED
 from contactbench.scene import Scene
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
@@ -61,7 +62,7 @@ def truth_of(problem: Problem) -> tuple[Reference | None, str]:
     method, rtol = next(each for each in TIGHT if METHODS[each[0]].refuses(scene) is None)
     solvers: list[tuple[Method | str, float]] = [(SHARED, SHARED.rtol_range[0])]
     solvers.append((method, max(rtol, METHODS[method].rtol_range[0])))
-    found = [prepare(scene, one, save_at=ends, carry=carry, rtol=tight)() for one, tight in solvers]
+    found = [prepare(scene, one, save_at=Elapsed(ends), carry=carry, rtol=tight)() for one, tight in solvers]
     source = f"heyoka-taylor, {method}"
     if not all(one.ok for one in found):
         return None, next(f"{one.method}: {one.message}" for one in found if not one.ok)

@@ -19,6 +19,7 @@ from contactbench.measure.clock import VISITS, Call, Race, Visit, least, ratio_c
 from contactbench.measure.laws import row as laws_row
 from contactbench.measure.statistics import PROCESSES, margin, ties
 from contactbench.methods.base import prepare
+from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
 from contactbench.solution import GROWING, Solution
 from contactbench.study.experiment import Row
@@ -205,7 +206,7 @@ class Schedule:
             return
         search, attempt = min(found, key=lambda pair: pair[1].seconds)
         setting = setting_to(scene.t_end, scene, search.control, attempt.value)
-        saves = None if search.control == GROWING else times(scene, DRAWN)
+        saves = None if search.control == GROWING else Elapsed(times(scene, DRAWN))
         with suppress(UserError):
             solution = prepare(scene, search.method, save_at=saves, engine=search.engine, **setting)()
             self.motion = solution if solution.ok else None
@@ -229,7 +230,7 @@ class Schedule:
         if left < (search.compile_s if search.engine == "jax" else 0.0):  # another field is another program
             return {}
         options = setting_to(scene.t_end, scene, search.control, attempt.value) | {"engine": search.engine}
-        saves = times(scene, ENDS) if search.control != GROWING else None
+        saves = Elapsed(times(scene, ENDS)) if search.control != GROWING else None
         solution = prepare(scene, search.method, save_at=saves, **options)()
         if (truth := self.truth_of(solution)) is None:
             return {}
@@ -241,7 +242,7 @@ class Schedule:
 
     def truth_of(self, solution: Solution) -> Reference | None:
         """Return the truth of a run with every field, None where it takes longer than there is."""
-        t, carry, known = solution.t, solution.carry, self.question.truth
+        t, carry, known = solution.elapsed, solution.carry, self.question.truth
         if carry == known.carry and np.array_equal(t, known.t):
             return known
         if (carry, t.tobytes()) not in self.truths:

@@ -15,6 +15,7 @@ from contactbench.measure.laws import motion_size, observables
 from contactbench.methods.base import ENGINES, METHODS, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import IMPLICIT, Prepared
+from contactbench.methods.prescribed import Elapsed
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution, Status
@@ -289,7 +290,7 @@ class Search:
 
         def prepared(end: float) -> Prepared:
             setting = setting_to(end, scene, self.control, value)
-            return prepare(scene, self.method, save_at=[end], **setting, **options)
+            return prepare(scene, self.method, save_at=Elapsed([end]), **setting, **options)
 
         def solved(run: Prepared) -> Solution:
             if perf_counter() > self.question.deadline:

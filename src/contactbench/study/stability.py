@@ -24,6 +24,7 @@ from contactbench.measure.law import MEANINGFUL
 from contactbench.measure.laws import row as laws_row
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
@@ -167,7 +168,7 @@ LONG = 0.3
 def stability_row(name: str, method: str, engine: str, kind: str, value: float, max_steps: int | None) -> Row:
     scene = cb.SCENES[name]
     with blamed_on_solver():
-        given: Row = {"engine": engine, "save_at": times(scene), **keywords(kind, value)}
+        given: Row = {"engine": engine, "save_at": Elapsed(times(scene)), **keywords(kind, value)}
         run = cb.prepare(scene, method, max_steps=max_steps, **given)
         start = perf_counter()
         solution = run()
@@ -189,7 +190,7 @@ def stability_row(name: str, method: str, engine: str, kind: str, value: float, 
 def end_error(solution: Solution) -> float:
     """Return ‖y − y*‖ / ‖y*‖ at the end, of (q, p) or M; 0 where both have underflowed."""
     size = len(solution.scene.labels(()))
-    truth = cb.reference(solution.scene, solution.t[-1:], solution.carry).y[0, :size]
+    truth = cb.reference(solution.scene, solution.elapsed[-1:], solution.carry).y[0, :size]
     return float(np.linalg.norm(solution.y[-1, :size] - truth) / max(np.linalg.norm(truth), MEANINGFUL))
 
 
@@ -198,7 +199,9 @@ def overdamped_row(method: str, kind: str, value: float, max_steps: int | None) 
     """Return the rate of creep between t_end/2 and t_end over the true slow rate."""
     scene = cb.SCENES["overdamped"]
     ends = [scene.t_end / 2, scene.t_end]
-    solution = solve(scene, method, save_at=ends, carry=(), max_steps=max_steps, **keywords(kind, value))
+    solution = solve(
+        scene, method, save_at=Elapsed(ends), carry=(), max_steps=max_steps, **keywords(kind, value)
+    )
     row = rate_row("overdamped", solution, scene.t_end, linear.slow_rate(scene.gamma))
     row["damping_per_step"] = scene.gamma * value if kind == "step" else math.nan
     if solution.ok:
@@ -251,19 +254,21 @@ def weak_row(name: str, method: str, t_end: float) -> Row:
     times = t_end * np.arange(1, SAMPLES + 1) / SAMPLES
 
     def pilot_cost(rtol: float) -> float:
-        return right_hand_sides(solve(scene, method, rtol=rtol, save_at=[PILOT], carry=()))
+        return right_hand_sides(solve(scene, method, rtol=rtol, save_at=Elapsed([PILOT]), carry=()))
 
     if chosen.adaptive:
         value = tolerance_at(pilot_cost, COST * PILOT, chosen.rtol_range)
     else:
         value = step_at(chosen, scene, COST * t_end, SAMPLES)
     setting = keywords(chosen.control, value)
-    solution = solve(scene, method, save_at=times, carry=(), **setting)
+    solution = solve(scene, method, save_at=Elapsed(times), carry=(), **setting)
     row = rate_row("weak", solution, t_end, math.nan)
     if not solution.ok:
         return row
     if "python" not in solution.engine:  # the cost without what it takes to save
-        row["evaluations"] = solve(scene, method, save_at=times[-1:], carry=(), **setting).counts.evaluations
+        row["evaluations"] = solve(
+            scene, method, save_at=Elapsed(times[-1:]), carry=(), **setting
+        ).counts.evaluations
     row["true_rate"] = energy_rate(times, scene.energy(scene.unpack(cb.reference(scene, times, ()).y.T, ())))
     return row | beside(energy_rate(times, scene.energy(solution.states())), row["true_rate"])
 

@@ -15,6 +15,7 @@ from scipy.stats import bootstrap
 import contactbench as cb
 from contactbench.measure.clock import Call
 from contactbench.methods.prepared import Prepared
+from contactbench.methods.prescribed import Elapsed
 from contactbench.numbers.protocol import Arithmetic, Vector
 from contactbench.scene import Scene
 from contactbench.solution import Solution, keywords
@@ -139,7 +140,7 @@ def energy_left(q: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def prepared(method: str, case: Cell, end: float, saves: int, **setting: float) -> Prepared:
-    given: Row = {"save_at": end * np.arange(1, saves + 1) / saves, "carry": (), **setting}
+    given: Row = {"save_at": Elapsed(end * np.arange(1, saves + 1) / saves), "carry": (), **setting}
     return cb.prepare(ring_of(*case), method, max_steps=MOST_STEPS, **given)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.methods.base import Method, prepare
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.prescribed import Elapsed
 from contactbench.peers.heyoka import SHARED
 from contactbench.scene import Scene
 from contactbench.solution import Solution, Status, keywords
@@ -53,7 +54,7 @@ def is_short(scene: Scene, known: Features) -> bool:
     ends, carry = [part * scene.t_end for part in ENDS], carry_of(scene)
     with np.errstate(all="ignore"):
         runs = (
-            prepare(scene, "rk8-7", save_at=ends, carry=carry, rtol=rtol, max_steps=most)
+            prepare(scene, "rk8-7", save_at=Elapsed(ends), carry=carry, rtol=rtol, max_steps=most)
             for rtol in TOLERANCES
         )
         return all(run().ok for run in runs)
@@ -63,7 +64,7 @@ def agreed(scene: Scene, carry: tuple[str, ...], one: Solution, other: Solution)
     """Return the states of one run as the truth, to the digits on which another agrees."""
     gap = float(np.abs(one.y - other.y).max() / (np.abs(one.y).max() or 1.0))  # 1: at rest
     digits = max(0, math.floor(-math.log10(max(gap, 1e-16))))
-    return Reference(scene, carry, np.asarray(one.t), one.y, [], digits, "two solvers")
+    return Reference(scene, carry, np.asarray(one.elapsed), one.y, [], digits, "two solvers")
 
 
 @dataclass
@@ -86,7 +87,7 @@ class Trial:
             end = part * scene.t_end
             given = keywords(control or self.method.control, value)
             given |= {"max_steps": max(100, int(most / self.stages))}
-            runs.append(prepare(scene, self.method, save_at=[end], carry=carry, **given))
+            runs.append(prepare(scene, self.method, save_at=Elapsed([end]), carry=carry, **given))
         solutions: list[Solution] = []
         seconds = math.inf
         for part, run in zip(ENDS, runs, strict=True):

@@ -16,6 +16,7 @@ from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
+from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, GROWING, PILOTS, Solution
@@ -95,7 +96,9 @@ def prepared(cell: Cell, budget: int | None, times: Sequence[float]) -> Prepared
     name, method, engine, control, value = cell
     scene = cb.SCENES[name]
     given = {"engine": engine, "carry": carry_of(scene), "max_steps": budget}
-    return cb.prepare(scene, method, save_at=times, **setting_to(times[-1], scene, control, value), **given)
+    return cb.prepare(
+        scene, method, save_at=Elapsed(times), **setting_to(times[-1], scene, control, value), **given
+    )
 
 
 def budget_of(cell: Cell, profile: Profile) -> int | None:

@@ -16,6 +16,7 @@ from contactbench.measure.order import fit_order, march, order_at
 from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method, prepare
 from contactbench.methods.fixed_step import COUNTED, FixedStep
 from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
 from contactbench.solution import Status
@@ -53,6 +54,7 @@ class MethodCase:
         elif self.method.control == "rtol":
             options.setdefault("rtol", float(np.clip(RTOLS[fine], *self.method.rtol_range)))
         options.setdefault("save_at", [self.scene.t_end])
+        options["save_at"] = Elapsed(options["save_at"])
         return prepare(self.scene, self.method, engine=self.engine, **options)
 
     def error(self, **options: Any) -> float:
@@ -106,7 +108,7 @@ def saves(case: MethodCase) -> None:
     scene, times = case.scene, case.scene.t_end * np.array([0.0, 0.13, 0.5, 1.0])
     solution, start = case.run(save_at=times)(), scene.pack(scene.initial(scene.carry()))
     require(solution.ok, f"ends {solution.status}: {solution.message}")
-    require(np.array_equal(solution.t, times) and solution.end_time == times[-1], f"t = {solution.t}")
+    require(np.array_equal(solution.elapsed, times) and solution.end_time == times[-1], f"t = {solution.t}")
     require(solution.y.shape == (4, len(start)), f"states of shape {solution.y.shape}")
     require(np.array_equal(solution.y[0], start), "another initial state")
     require_below(0.1, LAWS["solution_error"](solution), "error")

@@ -33,7 +33,7 @@ type Instructions = Callable[[IRBuilder, Sequence[Value]], Value | None]
 #: whether numba is allowed to
 COMPILES = os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
 #: the arrays a program works on that are not doubles in one dimension
-KINDS = {"spans": (DOUBLE, 2), "w": (DOUBLE, 2), "shape": (np.dtype(np.int64), 1)}
+KINDS = {**dict.fromkeys(("spans", "w", "times"), (DOUBLE, 2)), "shape": (np.dtype(np.int64), 1)}
 #: functions LLVM knows, and its names for them; all others are the C library's
 INTRINSICS = {
     "abs": "fabs",

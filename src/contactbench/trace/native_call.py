@@ -67,9 +67,9 @@ class Native:
         return result
 
     def bind(
-        self, d: int, w: np.ndarray, shape: np.ndarray, size: int, part: slice, flagged: bool
+        self, d: int, given: Sequence[np.ndarray], size: int, part: slice, flagged: bool
     ) -> Callable[[np.ndarray], Any]:
-        """Return a function of the start alone, d doubles, of a program of (start, w, shape, after).
+        """Return a function of the start alone, d doubles, of a program of (start, *given, after).
 
         `after` has `size` doubles.  The function joins start and `after`, and returns `part` of them as a new array,
         with the result of the program too if it is `flagged`.  It raises `TypeError` for any other start.
@@ -81,8 +81,9 @@ class Native:
         def memory() -> tuple[np.ndarray, Callable[[], np.ndarray], Any]:
             y = np.empty(d + size)
             at, found = address(y), y[part]
-            given = *words(w, self.kinds[1]), *words(shape, self.kinds[2])
-            block = block_of((at, d, d, *given, at + y.itemsize * d, size, size))
+            pairs = zip(given, self.kinds[1:-1], strict=True)
+            middle = [word for array, kind in pairs for word in words(array, kind)]
+            block = block_of((at, d, d, *middle, at + y.itemsize * d, size, size))
             return y[:d], found.copy if small else lambda: found, block
 
         def call(y0: np.ndarray) -> Any:

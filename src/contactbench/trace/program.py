@@ -4,6 +4,7 @@
 
     setup(numbers, spans, data, shape, w)   row u of w: everything that depends on (h, n) = spans[u] only
     run(start, w, shape, after)             the states after all intervals in one row, the j-th by row which[j] of w
+    run(start, w, shape, times, after)      the same of states with a time, the j-th interval's dates in row j of times
 
 `setup` is called once per choice of steps, `run` at every call.  Vectors made by ``xp.asarray``, such as
 the coefficients of a composition, are data of the program and not part of it, as are their lengths and the
@@ -68,6 +69,8 @@ class Watch(NamedTuple):
     energy: Callable[[Numbers, Numbers], tuple[Arithmetic, Arithmetic]] | None
 
 
+#: what is known of the times of an interval, see `Clock`
+DATES = ("begins", "low", "high")
 #: what another thread sets to end a run early, with nothing reached, and the steps between two looks at it
 STOP, TURN = Element("shape", (0,), kind="stop"), 2**12
 
@@ -210,8 +213,11 @@ def record(
     bounded: int,
     factor: float,
     watch: Watch | None = None,
+    clock: int | None = None,
 ) -> Program:
     """The program of ``advance(numbers, h, n, y, xp, repeat) -> y``, on packed states of d components.
+
+    clock : which of them is the time, where one is; `advance` is then called with an origin and `DATES`, too.
 
     `run` returns the first interval at whose end a number is not finite, or one of the first `bounded` larger than
     `factor` times their norm at the start (1 where that is less), or the energy watched has risen; 0 where the slope
@@ -221,7 +227,9 @@ def record(
     given, h, n = tape.given(numbers)
     state = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(d)]
     loop = Repeat(tape.repeat, over_stages=True)
-    end = attempt(lambda: advance(given, h, n, state, RecordedArrays(tape), loop))
+    dates = () if clock is None else (f"start{clock}", *DATES)
+    dated = [Recorded(tape, name, "f", tape.main) for name in dates]
+    end = attempt(lambda: advance(given, h, n, state, RecordedArrays(tape), loop, *dated))
     if len(end) != d:
         raise CannotRecord(f"a step from {d} components to {len(end)}")
     ends = tuple(tape.read(value, tape.main) for value in end)
@@ -232,7 +240,8 @@ def record(
             head, last = looks(tape, given, d, bounded, factor, watch)
             watched = True
     once = setup(tape)  # adds to the shape
-    run = Function("run", ("start", "w", "shape", "after"), steps(tape, ends, head, last), "bad")
+    arrays = ("start", "w", "shape", *(("times",) if dates else ()), "after")
+    run = Function("run", arrays, steps(tape, ends, head, last, dates[1:]), "bad")
     return Program(once, run, *tape.constants, d, watched)
 
 
@@ -277,9 +286,13 @@ def looks(
 
 
 def steps(
-    tape: ProgramTape, ends: tuple[Operand, ...], head: Sequence[Statement], last: Sequence[Statement]
+    tape: ProgramTape,
+    ends: tuple[Operand, ...],
+    head: Sequence[Statement],
+    last: Sequence[Statement],
+    dates: Sequence[str],
 ) -> tuple[Statement, ...]:
-    """The loop over the intervals; head, last : before it, at the end of each."""
+    """The loop over the intervals; head, last : before it, at the end of each; dates : what `times` has of each."""
     state, known = tuple(f"x{i}" for i in range(len(ends))), len(tape.shape)
     first = tuple(f"start{i}" for i in range(len(ends)))
     given = [Assign(name, Element("start", (i,))) for i, name in enumerate(first)]
@@ -287,7 +300,8 @@ def steps(
     at = Assign("at", Operation("mul", ("j", len(ends))))
     stores = [Store(Element("after", ("at",), i), x) for i, x in enumerate(state)]
     steps = (part for statement in tape.main.statements for part in interruptible(statement))
-    body = row, *tape.loads, *steps, Update(state, ends), at, *stores, *last
+    times = [Assign(name, Element("times", ("j", i))) for i, name in enumerate(dates)]
+    body = row, *times, *tape.loads, *steps, Update(state, ends), at, *stores, *last
     count = Assign("all", Operation("len", ("shape",))), Assign("intervals", Operation("sub", ("all", known)))
     before = *given, Update(state, first), first_row, *tape.loads, *head
     return *tape.whole.statements, *before, *count, Loop("j", "intervals", body)

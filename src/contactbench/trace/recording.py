@@ -17,6 +17,7 @@ import numpy as np
 from contactbench.blame import place, plain_function
 from contactbench.numbers.dual import Dual, DualNumbers, leaves, rebuild
 from contactbench.numbers.protocol import (
+    JUMPS,
     LARGEST_POWER,
     Arithmetic,
     CannotRecord,
@@ -140,6 +141,8 @@ def _arithmetic(
             return NotImplemented  # type: ignore[no-any-return]
         if neutral is not None and is_constant(other, neutral):
             return self
+        if "b" in (self.kind, getattr(other, "kind", "f")):
+            raise CannotRecord(f"a comparison is no number: cb.math.where(t > 1, a, b) chooses, {JUMPS}")
         a, b = (other, self) if reflected else (self, other)
         if self.kind == "i" and (isinstance(other, int) or getattr(other, "kind", "f") == "i"):
             return self.tape.operation(function, "i", a, b)

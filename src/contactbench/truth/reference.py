@@ -124,7 +124,7 @@ def reference(
     scene
         Itself, or the name of a registered one.
     times
-        Times ≥ 0 in any order, (k,), or one number.  A time within 4 units in the last place of a frozen grid time
+        Times since the start, ≥ 0, in any order, (k,), or one number: a solution's `elapsed`.  A time within 4 units in the last place of a frozen grid time
         means that grid time.
     carry
         Which of s and R to give; by default all the scene has.
@@ -180,8 +180,8 @@ def reference(
 def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> Reference:
     unique, back = np.unique(t, return_inverse=True)
     survey = surveyed(scene, carry, float(unique[-1]), deadline)
-    y, digits = doubles(scene, unique, carry, deadline, survey.stops if survey else ())
-    if survey and survey.ended and scene.clock is not None:  # both may have stepped over a pulse
+    y, digits = doubles(scene, unique, carry, deadline, survey.stops, 10 * survey.blur)
+    if survey.ended and scene.clock is not None:  # both may have stepped over a pulse
         raise survey.ended
     return Reference(scene, carry, t, y[back], [], digits, "two solvers")
 

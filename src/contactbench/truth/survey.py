@@ -47,6 +47,8 @@ ROUNDING, FINEST = 1e-14, 1e-7
 HALVINGS, FAINT = 100, 1e-24
 #: what rounding of a force changes the motion by, at most, against the largest
 LOST = 1e-10
+#: times at which slopes are compared with those a rounding later
+BLURRED = 64
 #: slopes below it, against the largest, are none: their squares are not among floats
 NONE = 1e-100
 #: pieces of a motion at most, and the shortest of them against the span
@@ -111,11 +113,24 @@ class Survey:
             self.varying = np.ptp(waiting, axis=1)
             self.largest = max(self.largest, np.abs(waiting).max())
         self.largest = self.largest or 1.0
+        self.precision = max(STEP, 10 * self.blur)
+        self.off = max(OFF, 10 * self.precision)
         self.signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(self.start), len(NODES)))
         #: states at the ends of steps, and their errors
         self.known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         self.breaks = self.scene.breaks_until(self.end)
         self.sides = sides(self.breaks, self.end)
+
+    @cached_property
+    def blur(self) -> float:
+        """Return by how much slopes differ between times next to each other, far from 0, against the motion."""
+        if not float(self.origin):
+            return 0.0
+        t = np.linspace(0.0, self.end, BLURRED)
+        y = np.tile(self.start[:, None], BLURRED)
+        with np.errstate(all="ignore"):
+            near = self.slopes(t + np.spacing(abs(float(self.origin)) + t), y) - self.slopes(t, y)
+        return float(np.median(np.abs(np.nan_to_num(near)), axis=1).max() / self.largest)
 
     @cached_property
     def stops(self) -> list[float]:
@@ -150,7 +165,7 @@ class Survey:
         watch, y = Stopwatch(self.scene, self.end, self.deadline), self.start
         given = {} if states is None else dict(zip(times, states, strict=True))
         self.recent = self.scale = np.maximum(np.abs(y), FAINT * self.largest)
-        self.least, self.lost = STEP * self.scale, np.zeros_like(y)
+        self.least, self.lost = self.precision * self.scale, np.zeros_like(y)
         for bound in sorted({*times, *self.sides} - {0.0}):
             with np.errstate(all="ignore"):
                 y = self.piece(ends, y, bound, watch)
@@ -177,26 +192,26 @@ class Survey:
                 (y,) = across_breaks(lambda *_, **__: [], self.slope, y, [due[-1]], self.breaks, ends[-1])
                 ends.append(due.pop())
                 continue
-            solver = DOP853(self.motion, ends[-1], y, due[-1], rtol=STEP, atol=self.least)
+            solver = DOP853(self.motion, ends[-1], y, due[-1], rtol=self.precision, atol=self.least)
             while solver.status == "running":
                 watch.check(solver.t)
                 if not math.isfinite(solver.h_abs) or solver.step() is not None:
-                    if np.all(self.least >= STEP * self.largest):
+                    if np.all(self.least >= self.precision * self.largest):
                         raise DoublesOnly(no_reference(self.scene, "it cannot be followed"))
-                    self.least = np.maximum(self.least, STEP * self.largest)
+                    self.least = np.maximum(self.least, self.precision * self.largest)
                     break  # again, over what is too rough for a motion that is small as yet
                 step, size = solver.t - solver.t_old, np.maximum(np.abs(y), np.abs(solver.y))
                 recent = np.maximum(size, self.recent * 2 ** (-HALVINGS * step / self.end))
                 cuts, integral, coupled = self.cut(solver.t_old, solver.t, solver.dense_output(), recent)
                 # what others, and a force that is rounding, change a component by
-                scale = np.maximum(recent, step * np.maximum(coupled, ROUNDING / OFF * self.varying))
-                if len(cuts) > 1 and np.any(np.abs(solver.y - y - integral) > OFF * scale):
+                scale = np.maximum(recent, step * np.maximum(coupled, ROUNDING / self.off * self.varying))
+                if len(cuts) > 1 and np.any(np.abs(solver.y - y - integral) > self.off * scale):
                     due = sorted({*due, *cuts}, reverse=True)
                     break  # again, in pieces
                 y, self.recent, self.scale = solver.y, np.maximum(recent, FAINT * self.largest), scale
                 self.lose(solver.t_old + step / 2, step, solver.dense_output())
-                self.known[solver.t] = y, 10 * OFF * scale + np.abs(self.lost)
-                solver.atol = self.least = STEP * scale + ROUNDING * step * self.varying
+                self.known[solver.t] = y, 10 * self.off * scale + np.abs(self.lost)
+                solver.atol = self.least = self.precision * scale + ROUNDING * step * self.varying
                 ends += cuts
                 if len(ends) > PIECES:
                     rough = f"it is too rough at t = {ends[-1]:.6g}{of_bends(self.scene)}"

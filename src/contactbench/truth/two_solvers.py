@@ -42,18 +42,24 @@ SOLVERS, UNEVEN, PATIENCE = 2, 1.5, 4.0
 
 
 def doubles(
-    scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float, stops: Sequence[float] = ()
+    scene: Scene,
+    t: np.ndarray,
+    carry: tuple[str, ...],
+    deadline: float,
+    stops: Sequence[float] = (),
+    blur: float = 0.0,
 ) -> tuple[np.ndarray, int]:
     """Return states (k, size) at increasing times, and how many digits of them two solvers agree on.
 
-    stops : times at which a step ends.
+    stops : times at which a step ends.  blur : how exact slopes are.
     """
+    tightest = max(TIGHTEST, blur)
     slope, start, origin = initial_value_problem(scene, carry)
     times = sorted({*t.tolist(), *stops})
     saved, breaks = np.searchsorted(times, t), scene.breaks_until(times[-1])
     with np.errstate(all="ignore"):
         slope(0.0, start)  # the first records the functions: no part of the pace
-    gragg = partial(extrapolate, most=COLUMNS, tolerance=TIGHTEST)
+    gragg = partial(extrapolate, most=COLUMNS, tolerance=tightest)
 
     def rows(solve: Callable[..., list[np.ndarray]]) -> np.ndarray:
         with np.errstate(all="ignore"):
@@ -64,7 +70,9 @@ def doubles(
         for name in pair:
             spent, left = perf_counter() - begun, SOLVERS - len(found)
             watch = Stopwatch(scene, float(t[-1]), deadline, PATIENCE)
-            solve = partial(partial(by_scipy, name=name) if name else gragg, slope, watch=watch)
+            solve = partial(
+                partial(by_scipy, name=name, rtol=tightest) if name else gragg, slope, watch=watch
+            )
             try:
                 try:
                     found.append(rows(solve))
@@ -110,7 +118,7 @@ def jumps(slope: Slope, y: np.ndarray, time: float, end: float) -> bool:
 
 
 def by_scipy(
-    slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch, begin: float, name: str
+    slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch, begin: float, name: str, rtol: float
 ) -> list[np.ndarray]:
     """Return the states at increasing times by SciPy's solver at its tightest, stopping at each; may raise `BlowUp`."""
     from scipy.integrate import solve_ivp
@@ -126,7 +134,7 @@ def by_scipy(
     rows, now = [], begin
     for time in times:
         if time > now:
-            run = solve_ivp(checked, (now, time), y, name, [time], rtol=TIGHTEST, atol=TIGHTEST)
+            run = solve_ivp(checked, (now, time), y, name, [time], rtol=rtol, atol=rtol)
             if not run.success or not np.isfinite(run.y).all():
                 raise BlowUp(watch.scene, reached)
             y, now = run.y[:, -1], time

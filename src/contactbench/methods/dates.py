@@ -1,0 +1,83 @@
+"""The times of a run: which intervals of equal steps it has, and what its functions take for the time.
+
+The n-th step of an interval begins n h after it, which is no running sum, and functions are given the time of the
+scene's start and the time since then, added once.  Next to a break they are given no time beyond it: on which side of a
+jump a stage lies is decided here, not by the rounding of its time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from contactbench.numbers.control import choose
+from contactbench.numbers.dual import value
+from contactbench.numbers.protocol import Arithmetic, Namespace
+from contactbench.scene import Scene
+from contactbench.scene.base import OwnState
+
+
+class Division(NamedTuple):
+    """Where intervals end, times since the start, and which of them end at the saved times, in turn."""
+
+    ends: np.ndarray
+    saved: slice | np.ndarray
+
+
+def division(scene: Scene, later: np.ndarray) -> Division:
+    """Return the fewest intervals between saved times > 0 and breaks; what is a rounding from a break is at it."""
+    end, ends = float(later[-1]), list[float]()
+    for time, exact in scene.breaks_until(end):
+        if (ends[-1] if ends else 0.0) + exact < time < end - exact:
+            ends.append(time)
+            later = np.where(np.abs(later - time) <= exact, time, later)
+    if not ends:
+        return Division(later, slice(None))
+    every = np.union1d(later, ends)
+    return Division(every, np.searchsorted(every, later))
+
+
+def dates(scene: Scene, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Return when intervals begin, and between which times their functions are called, (k, 3), since the start."""
+    breaks = np.array(scene.breaks_until(math.inf, -math.inf)).reshape(-1, 2)
+    after = np.searchsorted(breaks[:, 0], (begins + ends) / 2)
+    low = np.append(-math.inf, breaks.sum(axis=1))[after]
+    high = np.append(breaks[:, 0] - breaks[:, 1], math.inf)[after]
+    return np.column_stack([begins, np.minimum(low, ends), np.maximum(high, begins)])
+
+
+def begin(
+    scene: Scene,
+    x: OwnState,
+    xp: Namespace,
+    origin: Arithmetic,
+    since: Sequence[Arithmetic],
+    bounded: bool = True,
+) -> tuple[Any, OwnState]:
+    """Return a scene and a state that counts its time from where an interval begins; since : a row of `dates`."""
+    begins, low, high = since
+
+    def dated(t: Arithmetic) -> Arithmetic:
+        time = begins + value(t)
+        if bounded and scene.layout:
+            time = choose(time < low, low, choose(time > high, high, time, xp), xp)
+        return origin + time
+
+    return scene.since(dated), x._replace(t=0 * x.t)
+
+
+def end(x: OwnState, origin: Arithmetic, begins: Arithmetic) -> OwnState:
+    """Return such a state with its time as others know it."""
+    return x._replace(t=origin + (begins + x.t))
+
+
+def from_origin[Y: (np.ndarray, list[float])](scene: Scene, y: Y, start: Y) -> Y:
+    """Return a packed state of a run with the time of its start, from which its dates count."""
+    if not scene.keeps_dates:
+        return y
+    y = y.copy()
+    y[scene.clock] = start[scene.clock]
+    return y
