@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from contactbench.errors import BadInput
 from contactbench.measure.law import (
@@ -29,8 +28,9 @@ from contactbench.measure.law import (
 from contactbench.measure.pullback import Pulled, growth, pairs, pullback
 from contactbench.methods.base import METHODS
 from contactbench.registry import Registry
-from contactbench.scene import Scene, rotation_matrix
+from contactbench.scene import Scene
 from contactbench.scene.definition import verify_along
+from contactbench.scene.scales import errors
 from contactbench.solution import Solution
 from contactbench.truth import Reference, condition_number, reference
 
@@ -65,22 +65,6 @@ def has_linear_damping(scene: Scene) -> bool:
 
 
 # -- comparisons with the truth --------------------------------------------------------------------
-def observables(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarray:
-    """Return the motion in packed states, the attitude as its nine matrix entries: what q and −q have in common.
-
-    The time is no part of it, and s where nothing follows it: a constant in V would make it as large as one likes.
-    """
-    acts = "s" in scene.carry(())
-    if "R" in carry:
-        turned = scene.unpack(tuple(y.T), carry)
-        matrix = [entry for row in rotation_matrix(turned.R) for entry in row]
-        return np.array([*turned.M, *matrix, *([turned.s] if acts else [])]).T
-    beside = [] if scene.clock is None else [scene.clock]
-    if "s" in carry and not acts:
-        beside.append(scene.labels(carry).index("s"))
-    return np.delete(y, beside, axis=1)
-
-
 def truth(solution: Solution) -> Reference:
     """Return the true states at the saved times of a run, which keeps them, or why there are none."""
     if solution.truth is None:
@@ -102,24 +86,21 @@ def sought(solution: Solution) -> Reference:
     return reference(scene, solution.t, solution.carry)
 
 
-def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
-    """Return ‖y − y*‖ of the motion at the saved times, and the size of the motion that it is relative to."""
-    scene, true, carry = solution.scene, truth(solution).y, solution.carry
-    start = scene.pack(scene.initial(carry)) if solution.y0 is None else solution.y0
-    gaps = observables(scene, solution.y, carry) - observables(scene, true, carry)
-    return np.linalg.norm(gaps, axis=1), motion_size(scene, start, true, carry)
+def errors_of(runs: Sequence[Solution]) -> np.ndarray:
+    """Return the errors of runs from one start at all their saved times, on the scales of all of them: see `errors`."""
+    one = runs[0]
+    start = one.scene.pack(one.scene.initial(one.carry)) if one.y0 is None else one.y0
+    y, true = (np.vstack(rows) for rows in ([run.y for run in runs], [truth(run).y for run in runs]))
+    return errors(one.scene, y, true, start, one.carry)
 
 
-def motion_size(scene: Scene, start: ArrayLike, true: np.ndarray, carry: tuple[str, ...]) -> float:
-    """Return what an error is relative to: the largest norm of the true states (k, d), the start (d,) included."""
-    states = observables(scene, np.vstack([np.asarray(start, dtype=float), true]), carry)
-    return float(np.linalg.norm(states, axis=1).max())
-
-
-@law("max ‖y − y*‖ / max ‖y*‖, the start included", "solution error", shown=BOTH)
+@law(
+    "max ‖y − y*‖ / max ‖y*‖, of q, p, M, R and what else has a unit of its own the largest, the start included",
+    "solution error",
+    shown=BOTH,
+)
 def solution_error(solution: Solution) -> float:
-    error, size = absolute_error(solution)
-    return float(error.max()) / size if size else math.nan
+    return float(errors_of([solution]).max())
 
 
 def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray]:

@@ -50,16 +50,10 @@ class Request:
     scales: Any = None
 
     def to_scale(self, takes_atol: bool, **data: object) -> Request:
-        """Return the request with the scales of the motion from its start, or other data, and the atol of these.
-
-        Coordinates have one, and momenta, the largest of theirs: with one for every component the momenta of light
-        bodies would be held to digits that nobody asks for.
-        """
+        """Return the request with the scales of the motion from its start, or other data, and the atol of these."""
         assert self.rtol is not None
         start = self.scene.initial(self.carry, **data)
         each = self.scene.scales(start, float(self.save_at[-1]))
-        for part in np.split(each[: self.scene.motion], 2 if "p" in self.scene.state._fields else 1):
-            part[:] = part.max()
         scales = 1.0 if (each == 1).all() else each
         return replace(self, scales=scales, atol=self.rtol * scales if takes_atol else None)
 

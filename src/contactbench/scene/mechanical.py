@@ -379,9 +379,21 @@ class Mechanical(Canonical):
         return State(self.velocity(x.p), force, s)
 
     def sizes(self, x: OwnState, end: float) -> Sizes:
-        far, fast = reach(self, x, end)
-        momenta: list[Any] = [fast * (1 / each) for each in self.velocity((1.0,) * len(x.p))]
-        return [far] * len(x.q) + momenta, float(in_order(far) * in_order(np.max(momenta)))
+        lengths = self.alike[: len(self.alike) // 2]
+        far, fast = (np.repeat(each, lengths) for each in reach(self, x, end, lengths))
+        momenta = fast / np.array(self.velocity((1.0,) * len(x.p)))
+        if self.mixed:
+            return [*far, *momenta], float(np.nanmax(far * momenta))
+        return [*far, *momenta], float(in_order(far[0]) * in_order(np.max(momenta)))
+
+    @property
+    def mixed(self) -> bool:  # type: ignore[override]
+        return isinstance(self.mass, tuple)
+
+    @property
+    def alike(self) -> Sequence[int]:
+        n = len(self.q)
+        return [1] * 2 * n if self.mixed else [n, n]
 
     def energy_terms(self, x: OwnState) -> Arithmetic:
         return self.kinetic(x.p) + abs(self.potential_at(x))

@@ -300,6 +300,12 @@ class RigidBody(Scene):
     def orders(self) -> list[tuple[int, int, bool]]:
         return super().orders() + [(i, j, False) for i, j in pairwise(self.by_inertia)]
 
+    mixed = False
+
+    @property
+    def alike(self) -> Sequence[int]:
+        return [3]
+
     def sizes(self, x: BodyState, end: float) -> Sizes:
         most = float(np.linalg.norm(np.array(x.M, dtype=float), axis=0))
         return [most] * 3, most

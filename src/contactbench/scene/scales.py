@@ -1,25 +1,40 @@
-"""How large a motion becomes, from its start alone: what divergence and absolute tolerances are measured against."""
+"""Units: which components share one, how large each becomes, and what an error is in parts of that.
+
+From its start alone a motion's sizes bound absolute tolerances and divergence; with its truth they are what errors are
+measured against, everywhere.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Vector
+from contactbench.scene.algebra import rotation_matrix
 
 #: a size between these counts as 1: a scene in sensible units keeps them
 LEAST, MOST = 1e-2, 1e3
 #: spans that are tried, each so many times as long as the one before
 SPANS, RATIO = 18, 8.0
+#: what moves less than this part of what the energy would let it is measured against that part
+FAINT = 1e-3
+
+
+def known(sizes: np.ndarray) -> np.ndarray:
+    """Return sizes, 1 where they are not known."""
+    return np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
 
 
 def in_order(sizes: object) -> np.ndarray:
     """Return sizes, 1 where they are of order one or not known."""
-    sizes = np.asarray(sizes, dtype=float)
-    known = np.isfinite(sizes) & (sizes > 0) & ~((sizes >= LEAST) & (sizes <= MOST))
-    return np.where(known, sizes, 1.0)
+    sizes = known(np.asarray(sizes, dtype=float))
+    return np.where((sizes >= LEAST) & (sizes <= MOST), 1.0, sizes)
 
 
 def size(vector: Vector) -> float:
@@ -29,12 +44,20 @@ def size(vector: Vector) -> float:
     return float(largest) if total == total else math.nan
 
 
-def reach(scene: Any, x: Any, end: float) -> tuple[float, float]:
-    """Return how large coordinates and velocities become.
+def parts_of[X: Sequence[Any]](v: X, lengths: Sequence[int]) -> list[X]:
+    """Return the consecutive parts of a sequence, of these lengths."""
+    return [v[end - n : end] for n, end in zip(lengths, accumulate(lengths), strict=True)]  # type: ignore[misc]
+
+
+def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return how large the parts of the coordinates, of these lengths, and their velocities become.
 
     A body is thrown from x with its first acceleration, over the longest of some spans up to `end` in which the
     change of the force does not outweigh what it has: a fraction of a period, or all the time of a free body.
     """
+
+    def sizes(v: Vector) -> np.ndarray:
+        return np.array([size(part) for part in parts_of(v, lengths)])
 
     def pull(after: float, q: Vector) -> Vector:
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
@@ -45,22 +68,102 @@ def reach(scene: Any, x: Any, end: float) -> tuple[float, float]:
         return accelerations
 
     v, a = scene.velocity(x.p), pull(0.0, x.q)
-    far, fast, force = size(x.q), size(v), size(a)
+    far, fast, force = map(sizes, (x.q, v, a))
     spans = [end / RATIO**k for k in reversed(range(SPANS))]
     if scene.clock is not None:  # a force that is yet to come
-        force = np.fmax.reduce([force, *(size(pull(span, x.q)) for span in spans)])
-
-    def fits(span: float) -> bool:
+        force = np.fmax.reduce([force, *(sizes(pull(span, x.q)) for span in spans)])
+    longest, fits = np.zeros(len(lengths)), np.ones(len(lengths), bool)
+    for span in spans:
         thrown = tuple(c + span * (d + span / 2 * e) for c, d, e in zip(x.q, v, a, strict=True))
         here = a if scene.clock is None else pull(span, x.q)
-        change = size(tuple(there - c for there, c in zip(pull(span, thrown), here, strict=True)))
-        return bool(change * span <= fast + force * span / 2)
-
-    longest = 0.0
-    for span in spans:
-        if not fits(span):
+        change = sizes(tuple(there - c for there, c in zip(pull(span, thrown), here, strict=True)))
+        fits &= change * span <= fast + force * span / 2
+        if not fits.any():
             break
-        longest = span
-    if not longest > 0:
-        return float(np.fmax(far, 0.0)), fast
-    return float(np.fmax(far, longest * (fast + longest / 2 * force))), fast + longest * force
+        longest[fits] = span
+    way, more = (np.where(longest > 0, c, 0.0) for c in (longest * (fast + longest / 2 * force), longest * force))
+    return np.fmax(far, way), fast + more
+
+
+# -- what an error is measured against -----------------------------------------------------------------
+def curvatures(scene: Any, x: Any) -> np.ndarray:
+    """Return |∂²H/∂y²| along every coordinate and momentum, (2n,): stiffnesses and inverse masses; 0 where unknown."""
+    n = len(x.q)
+    try:
+        rows = scene.jacobian(x)
+        if rows is None:
+            y, carry = scene.pack(x), [name for name in scene.optional if getattr(x, name) is not None]
+            moved = [Dual(c, row) for c, row in zip(y, np.eye(len(y)), strict=True)]
+            found = scene.rhs(scene.unpack(moved, carry))
+            rows = [slope(c) + np.zeros(len(y)) for c in (*found.q, *found.p)]
+        bends = [rows[i + n if i < n else i - n][i] for i in range(2 * n)]
+        return np.nan_to_num(np.abs(np.array(bends, dtype=float)), posinf=0.0)
+    except Exception:  # a user's function, of floats or where it is not defined
+        return np.zeros(2 * n)
+
+
+def at_least(scene: Any, x: Any, sizes: np.ndarray) -> np.ndarray:
+    """Return sizes of coordinates and momenta (2n,), a hardly moving one as what a motion of theirs would let it do.
+
+    That is `FAINT` of √(2E/H''), E the kinetic energy that the momenta come to: √(2E/mω²) and √(2mE).
+    """
+    bends, momenta = curvatures(scene, x), sizes[len(x.q) :]
+    twice = np.nansum(bends[len(x.q) :] * momenta * momenta)
+    room = np.sqrt(np.divide(twice, bends, out=np.zeros(len(sizes)), where=bends > 0))
+    return np.fmax(sizes, FAINT * room)
+
+
+def parts(scene: Any, y: np.ndarray, carry: Sequence[str]) -> list[np.ndarray]:
+    """Return the motion in packed states (k, d) as vectors (k, ·), each of one unit: what an error is taken of.
+
+    The attitude is its nine matrix entries, what a quaternion and its negative have in common.  The time is no part,
+    nor s where nothing follows it: a constant in V would make it as large as one likes.
+    """
+    if scene.clock is not None:
+        y = np.delete(y, scene.clock, axis=1)
+    found = [part.T for part in parts_of(y.T, scene.groups(carry))]
+    if "R" in carry:
+        attitude = len(scene.vectors)
+        found[attitude] = np.array(rotation_matrix(tuple(found[attitude].T))).reshape(9, -1).T
+    return found[:-1] if "s" in carry and "s" not in scene.carry(()) else found
+
+
+def part_sizes(scene: Any, rows: np.ndarray, carry: Sequence[str]) -> np.ndarray:
+    """Return the scale of each of `parts` in true states (k, d), the start first: the largest size over the motion.
+
+    What hardly moves counts as what the energy would let it (`at_least`), what never moves as 1; the user's own rules.
+    """
+    sizes = np.array([norms(part).max() for part in parts(scene, rows, carry)])
+    start, vectors = scene.unpack(rows[0].tolist(), carry), scene.vectors
+    motion = len(vectors)
+    if hasattr(start, "p"):
+        each = np.repeat(sizes[:motion], vectors)
+        if scene.mixed:
+            each = at_least(scene, start, each)
+            sizes[:motion] = each[np.cumsum(vectors) - 1]
+        if len(sizes) > motion:
+            sizes[-1] = np.fmax(sizes[-1], FAINT * np.multiply(*np.split(each, 2)).max())
+    if scene.scale is not None:
+        sizes[:motion] = scene.scale
+    return known(sizes)
+
+
+def norms(part: np.ndarray) -> np.ndarray:
+    """Return the lengths of the rows of an array; none underflows, nor overflows before it has to."""
+    most = np.abs(part).max(axis=1, keepdims=True)
+    most = np.where((most > 0) & np.isfinite(most), most, 1.0)
+    return np.linalg.norm(part / most, axis=1) * most[:, 0]
+
+
+def gaps(scene: Any, y: np.ndarray, true: np.ndarray, sizes: np.ndarray, carry: Sequence[str]) -> np.ndarray:
+    """Return the error of packed states (k, d): of every vector in parts of its own size, the largest, (k,)."""
+    pairs = zip(parts(scene, y, carry), parts(scene, true, carry), sizes, strict=True)
+    return np.max([norms(a - b) / one for a, b, one in pairs], axis=0)
+
+
+def errors(
+    scene: Any, y: np.ndarray, true: np.ndarray, start: ArrayLike, carry: Sequence[str]
+) -> np.ndarray:
+    """Return the errors (k,) of states (k, d) against the true ones, whose sizes, the start's too, are the scales."""
+    rows = np.vstack([np.asarray(start, dtype=float), true])
+    return gaps(scene, y, true, part_sizes(scene, rows, carry), carry)

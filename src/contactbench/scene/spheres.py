@@ -348,6 +348,14 @@ class Spheres(Mechanical):
                     row[n + j] = row[n + j] - 2 * x.q[k] * v[j] / square
         return rows
 
+    @property
+    def mixed(self) -> bool:  # type: ignore[override]
+        return isinstance(self.mass, tuple) or isinstance(self.radius, tuple)
+
+    @property
+    def alike(self) -> Sequence[int]:
+        return [self.dimension] * 2 * self.bodies
+
     def sizes(self, x: State, end: float) -> Sizes:
         """Return the radii, and what a fall through them makes of momenta: √(2 m R ‖∇V‖)."""
         try:

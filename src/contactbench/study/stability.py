@@ -25,6 +25,7 @@ from contactbench.measure.laws import row as laws_row
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import Scene
+from contactbench.scene.scales import part_sizes, parts
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import controlled, key, left_to_full, outcome, small, step_budget
@@ -187,10 +188,14 @@ def stability_row(name: str, method: str, engine: str, kind: str, value: float, 
 
 
 def end_error(solution: Solution) -> float:
-    """Return ‖y − y*‖ / ‖y*‖ at the end, of (q, p) or M; 0 where both have underflowed."""
-    size = len(solution.scene.labels(()))
-    truth = cb.reference(solution.scene, solution.t[-1:], solution.carry).y[0, :size]
-    return float(np.linalg.norm(solution.y[-1, :size] - truth) / max(np.linalg.norm(truth), MEANINGFUL))
+    """Return the error of (q, p) or M at the end in parts of what is left, each in its unit; 0 where both underflow."""
+    scene, carry = solution.scene, solution.carry
+    truth = cb.reference(scene, solution.t, carry).y
+    sizes = part_sizes(scene, np.vstack([solution.y0, truth]), carry)
+    motion = range(len(scene.vectors))
+    ends = (parts(scene, y[-1:], carry) for y in (solution.y, truth))
+    found, left = (np.concatenate([end[i] / sizes[i] for i in motion], axis=1) for end in ends)
+    return float(np.linalg.norm(found - left) / max(np.linalg.norm(left), MEANINGFUL))
 
 
 # -- overdamped ------------------------------------------------------------------------------------
