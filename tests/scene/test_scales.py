@@ -108,7 +108,7 @@ def test_coordinates_of_one_mass_share_a_scale_and_momenta_another():
     scene = cb.SCENES["particle"].with_(mass=100.0)
     start = np.array([1.0, 0.5, 0.0, 0.3])
     assert part_sizes(scene, start[None], ()) == pytest.approx([np.hypot(1.0, 0.5), 0.3])
-    moved = start + [3e-3, 4e-3, 0.0, 0.0]
+    moved = start + np.array([3e-3, 4e-3, 0.0, 0.0])
     assert errors(scene, moved[None], start[None], start, ()) == pytest.approx(5e-3 / np.hypot(1.0, 0.5))
 
 

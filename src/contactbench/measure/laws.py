@@ -25,7 +25,7 @@ from contactbench.measure.law import (
     is_kept,
     round_off_bound,
 )
-from contactbench.measure.pullback import Pulled, growth, pairs, pullback
+from contactbench.measure.pullback import Pulled, growth, in_units, pairs, pullback, units_of
 from contactbench.methods.base import METHODS
 from contactbench.registry import Registry
 from contactbench.scene import Scene
@@ -262,7 +262,9 @@ def distribution_drift(solution: Solution) -> Deviation | float:
     claimed=is_contact_map,
 )
 def pairing_drift(solution: Solution) -> Deviation | float:
-    return pulled_deviation(solution, pairs(solution.differential, len(solution.start().q)))
+    start = solution.start()
+    units = units_of(solution.scene, start)
+    return pulled_deviation(solution, pairs(solution.differential, len(start.q), units))
 
 
 @law(
@@ -377,7 +379,7 @@ def row(
         columns["derivative"] = f"not taken: {without}"
     elif scene.is_contact:
         if solution.differential.taken:
-            columns["map_growth"] = growth(solution.differential)
+            columns["map_growth"] = growth(in_units(solution))
         columns["derivative"] = solution.differential.source
     of_map = columns.get("map_growth") or condition_number(scene) or 1.0
     for name, measured in found.items():

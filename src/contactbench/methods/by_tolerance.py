@@ -183,7 +183,9 @@ class Nystrom(Explicit[Mechanical]):
         force = slope[: len(y.q)]
         in_units = lambda v: [a / unit for a, unit in zip(v, units, strict=False)]  # noqa: E731
         ways = (in_units(way) for way in (force, y.u))
-        parts = [scaled(share / (norm(way, xp) + TINY), way) for share, way in zip((1.0, 0.5), ways, strict=True)]
+        parts = [
+            scaled(share / (norm(way, xp) + TINY), way) for share, way in zip((1.0, 0.5), ways, strict=True)
+        ]
         way = tuple(NUDGE * size * (a + b) for a, b in zip(*parts, strict=True))
         moved = tuple(a + b * unit for a, b, unit in zip(y.q, way, units, strict=False))
         there = self.slope(scene, y._replace(q=moved), xp)

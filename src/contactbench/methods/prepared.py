@@ -482,13 +482,17 @@ def differences(run: Prepared, y0: np.ndarray, out: Outcome | Solution) -> Diffe
     def quotient(v: object, amount: float) -> np.ndarray:
         return np.asarray((end(v, amount) - end(v, -amount)) / (2 * amount))
 
-    units = scene.unpack(scene.with_clock(run.scales(y0).tolist(), 1.0), run.request.carry)
-    scales = [scale(x, v, units) for v in tangents]
+    each = np.array(scene.with_clock(run.scales(y0).tolist(), 1.0))
+    units = scene.unpack(each.tolist(), run.request.carry)
+    flat = (np.abs(np.array(scene.pack(v), dtype=float)) for v in tangents)
+    scales = [float(max(v * each)) for v in flat] if scene.mixed else [scale(x, v, units) for v in tangents]
     moved = list(zip(tangents, scales, strict=True))
     plain = np.array([[quotient(v, d * size) for v, size in moved] for d in INCREMENTS])
     better = (RATIO**2 * plain[1:] - plain[:-1]) / (RATIO**2 - 1)
-    gap, size = (np.abs(values).max(axis=(1, 2)) for values in (better[-1] - better[-2], better[-1]))  # (m,)
-    round_off = ROUNDINGS * np.finfo(float).eps * np.abs(out.y).max() / (INCREMENTS[-1] * np.array(scales))
+    gap, size = (np.abs(v / each).max(axis=(1, 2)) for v in (better[-1] - better[-2], better[-1]))  # (m,)
+    round_off = (
+        ROUNDINGS * np.finfo(float).eps * np.abs(out.y / each).max() / (INCREMENTS[-1] * np.array(scales))
+    )
     if not np.all(gap < np.maximum(UNRESOLVED * size, round_off)):
         return Differential("not taken: differences of the solver do not converge", none)
     return Differential(f"central differences of the solver, {runs} runs", np.moveaxis(better, 1, -1))

@@ -61,7 +61,7 @@ class Pilot(NamedTuple):
 
 @dataclass
 class ChosenStep(Prepared):
-    """A fixed-step method run to a tolerance on the error of the run (`scene.scales`); its pilots are part of every call."""
+    """A fixed-step method run to a tolerance on the error of the run; its pilots are part of every call."""
 
     #: the state decides on a whole number of steps, which a small change of it leaves as it is
     steps_follow_state = False

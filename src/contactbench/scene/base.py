@@ -639,8 +639,8 @@ class Scene(System):
         Where units are shared it is one where of order one.
         """
         with np.errstate(all="ignore"):
-            motion, action = self.sizes(x, end)
-            motion = np.array(motion, dtype=float)
+            found, action = self.sizes(x, end)
+            motion = np.array(found, dtype=float)
             if self.mixed and hasattr(x, "p"):
                 motion = at_least(self, x, motion)
             attitude = [1.0] * 4 if getattr(x, "R", None) is not None else []

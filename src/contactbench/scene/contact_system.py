@@ -168,7 +168,7 @@ class ContactSystem(Canonical):
     def _require_symmetry(self) -> None:
         """Raise `BadInput` unless J' = −J ∂H/∂s at states near the start."""
         start = np.array(self.pack(self.initial(("s",))))
-        size, rng = np.where(start == 0, np.abs(start).max() or 1.0, np.abs(start)), np.random.default_rng(1)
+        size, rng = self.scales(self.initial(("s",)), self.t_end), np.random.default_rng(1)
         for y in (start + SPREAD * size * rng.uniform(-1, 1, len(start)) * (k > 0) for k in range(POINTS)):
             x = self.unpack(y.tolist(), ("s",))
             try:
@@ -260,18 +260,18 @@ class ContactSystem(Canonical):
             half = x._replace(p=tuple((a + b) / 2 for a, b in zip(x.p, p, strict=True)))
             return State(tuple(q + span * v for q, v in zip(x.q, self.rhs(half).q, strict=True)), p, x.s)
 
-        force = self.rhs(x).p
+        force: Any = self.rhs(x).p
         far, fast, pull = (np.abs(np.array(each, dtype=float)) for each in (x.q, x.p, force))
         start_momenta, moves = fast, fast + pull > 0
         for span in (end / RATIO**k for k in reversed(range(SPANS))):
             try:
                 there = throw(span)
-                change = np.abs(np.subtract(self.rhs(there).p, force))
+                change = np.abs(np.array(self.rhs(there).p, dtype=float) - force)
             except (ArithmeticError, ValueError):  # where a function is not defined
                 break
             if not (change * span <= start_momenta + span / 2 * pull)[moves].all():
                 break
-            far = np.fmax(far, np.abs(np.subtract(there.q, x.q)))
+            far = np.fmax(far, np.abs(np.array(there.q, dtype=float) - x.q))
             fast = start_momenta + span * pull
         return [*far, *fast], float(np.nanmax(far * fast))
 

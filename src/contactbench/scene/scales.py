@@ -44,11 +44,6 @@ def size(vector: Vector) -> float:
     return float(largest) if total == total else math.nan
 
 
-def parts_of[X: Sequence[Any]](v: X, lengths: Sequence[int]) -> list[X]:
-    """Return the consecutive parts of a sequence, of these lengths."""
-    return [v[end - n : end] for n, end in zip(lengths, accumulate(lengths), strict=True)]  # type: ignore[misc]
-
-
 def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """Return how large the parts of the coordinates, of these lengths, and their velocities become.
 
@@ -57,7 +52,7 @@ def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.nd
     """
 
     def sizes(v: Vector) -> np.ndarray:
-        return np.array([size(part) for part in parts_of(v, lengths)])
+        return np.array([size(v[end - n : end]) for n, end in zip(lengths, accumulate(lengths), strict=True)])
 
     def pull(after: float, q: Vector) -> Vector:
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
@@ -81,7 +76,9 @@ def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.nd
         if not fits.any():
             break
         longest[fits] = span
-    way, more = (np.where(longest > 0, c, 0.0) for c in (longest * (fast + longest / 2 * force), longest * force))
+    way, more = (
+        np.where(longest > 0, c, 0.0) for c in (longest * (fast + longest / 2 * force), longest * force)
+    )
     return np.fmax(far, way), fast + more
 
 
@@ -110,30 +107,33 @@ def at_least(scene: Any, x: Any, sizes: np.ndarray) -> np.ndarray:
     bends, momenta = curvatures(scene, x), sizes[len(x.q) :]
     twice = np.nansum(bends[len(x.q) :] * momenta * momenta)
     room = np.sqrt(np.divide(twice, bends, out=np.zeros(len(sizes)), where=bends > 0))
-    return np.fmax(sizes, FAINT * room)
+    raised: np.ndarray = np.fmax(sizes, FAINT * room)
+    return raised
 
 
-def parts(scene: Any, y: np.ndarray, carry: Sequence[str]) -> list[np.ndarray]:
+def parts(scene: Any, y: np.ndarray, carry: Sequence[str], whole: bool = False) -> list[np.ndarray]:
     """Return the motion in packed states (k, d) as vectors (k, ·), each of one unit: what an error is taken of.
 
     The attitude is its nine matrix entries, what a quaternion and its negative have in common.  The time is no part,
-    nor s where nothing follows it: a constant in V would make it as large as one likes.
+    nor, unless `whole`, s where nothing follows it: a constant in V would make it as large as one likes.
     """
     if scene.clock is not None:
         y = np.delete(y, scene.clock, axis=1)
-    found = [part.T for part in parts_of(y.T, scene.groups(carry))]
+    ends = np.cumsum(scene.groups(carry)).tolist()
+    found = np.split(y, ends[:-1], axis=1)
     if "R" in carry:
         attitude = len(scene.vectors)
         found[attitude] = np.array(rotation_matrix(tuple(found[attitude].T))).reshape(9, -1).T
-    return found[:-1] if "s" in carry and "s" not in scene.carry(()) else found
+    idle = "s" in carry and "s" not in scene.carry(()) and not whole
+    return found[:-1] if idle else found
 
 
-def part_sizes(scene: Any, rows: np.ndarray, carry: Sequence[str]) -> np.ndarray:
+def part_sizes(scene: Any, rows: np.ndarray, carry: Sequence[str], whole: bool = False) -> np.ndarray:
     """Return the scale of each of `parts` in true states (k, d), the start first: the largest size over the motion.
 
     What hardly moves counts as what the energy would let it (`at_least`), what never moves as 1; the user's own rules.
     """
-    sizes = np.array([norms(part).max() for part in parts(scene, rows, carry)])
+    sizes = np.array([norms(part).max() for part in parts(scene, rows, carry, whole)])
     start, vectors = scene.unpack(rows[0].tolist(), carry), scene.vectors
     motion = len(vectors)
     if hasattr(start, "p"):
@@ -155,15 +155,21 @@ def norms(part: np.ndarray) -> np.ndarray:
     return np.linalg.norm(part / most, axis=1) * most[:, 0]
 
 
-def gaps(scene: Any, y: np.ndarray, true: np.ndarray, sizes: np.ndarray, carry: Sequence[str]) -> np.ndarray:
+def gaps(
+    scene: Any, y: np.ndarray, true: np.ndarray, sizes: np.ndarray, carry: Sequence[str], whole: bool = False
+) -> np.ndarray:
     """Return the error of packed states (k, d): of every vector in parts of its own size, the largest, (k,)."""
-    pairs = zip(parts(scene, y, carry), parts(scene, true, carry), sizes, strict=True)
-    return np.max([norms(a - b) / one for a, b, one in pairs], axis=0)
+    found, wanted = (parts(scene, each, carry, whole) for each in (y, true))
+    pairs = zip(found, wanted, sizes, strict=True)
+    return np.max([norms(np.asarray(a - b, dtype=float)) / one for a, b, one in pairs], axis=0)
 
 
 def errors(
-    scene: Any, y: np.ndarray, true: np.ndarray, start: ArrayLike, carry: Sequence[str]
+    scene: Any, y: np.ndarray, true: np.ndarray, start: ArrayLike, carry: Sequence[str], whole: bool = False
 ) -> np.ndarray:
-    """Return the errors (k,) of states (k, d) against the true ones, whose sizes, the start's too, are the scales."""
-    rows = np.vstack([np.asarray(start, dtype=float), true])
-    return gaps(scene, y, true, part_sizes(scene, rows, carry), carry)
+    """Return the errors (k,) of states (k, d) against the true ones, whose sizes, the start's too, are the scales.
+
+    Both may be arrays of numbers of more digits.
+    """
+    rows = np.asarray(np.vstack([np.asarray(start), true]), dtype=float)
+    return gaps(scene, y, true, part_sizes(scene, rows, carry, whole), carry, whole)
