@@ -470,6 +470,8 @@ class Scene(System):
     rate_changes: ClassVar[bool] = False
     #: J' = −Γ'(s) J
     has_momentum_law: ClassVar[bool] = False
+    #: R, where it has one, is part of the motion that runs are raced on
+    attitude: ClassVar[bool] = True
     #: its states lie on a manifold that methods may drift off: see `departure`
     constrained: ClassVar[bool] = False
     #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
