@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from contactbench.checks import is_real, refuse
 from contactbench.errors import BadInput
 from contactbench.measure.law import (
     ATTAINABLE,
@@ -27,12 +29,13 @@ from contactbench.measure.law import (
 )
 from contactbench.measure.pullback import Pulled, growth, in_units, pairs, pullback, units_of
 from contactbench.methods.base import METHODS
+from contactbench.methods.prepared import Patience
 from contactbench.registry import Registry
 from contactbench.scene import Scene
 from contactbench.scene.definition import verify_along
 from contactbench.scene.scales import errors
 from contactbench.solution import Solution
-from contactbench.truth import Reference, condition_number, reference
+from contactbench.truth import OutOfTime, Reference, condition_number, reference
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -83,7 +86,8 @@ def sought(solution: Solution) -> Reference:
     own = scene.pack(scene.initial(solution.carry))
     if solution.y0 is not None and not np.array_equal(own, solution.y0):
         scene = scene.with_(**scene.data(solution.start()))
-    return reference(scene, solution.t, solution.carry)
+    limit = {} if solution.patience is None else {"seconds": solution.patience.left}
+    return reference(scene, solution.t, solution.carry, **limit)
 
 
 def errors_of(runs: Sequence[Solution]) -> np.ndarray:
@@ -307,13 +311,27 @@ def energy_increases(solution: Solution) -> float:
 
 
 # -- all of them, of one run -----------------------------------------------------------------------
-def laws(solution: Solution) -> pd.DataFrame:
+def measured_row(item: Law, solution: Solution) -> tuple[float, bool, str, str]:
+    """Return the deviation from a law, whether it is an upper bound, why there is none, and what the law is."""
+    try:
+        found, note = item.measured(solution), "" if solution.ok else str(solution.status)
+        if solution.ok and item.differentiates and not solution.differential.taken:
+            note = solution.differential.source
+    except BadInput as error:  # no reference to compare with, or H(0) = 0
+        found, note = Measured(math.nan), str(error)
+    return found.value, found.bound, note, item.definition
+
+
+def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
     """Measure how far a run is from every law that its scene has and whose fields it carries.
 
     Parameters
     ----------
     solution : Solution
         The run.
+    seconds : float
+        How long it may take, most of it for the reference and, of a solver that chooses its steps, for the runs that
+        its map is differentiated by; ``math.inf`` for as long as it takes.
 
     Returns
     -------
@@ -324,24 +342,29 @@ def laws(solution: Solution) -> pd.DataFrame:
     Raises
     ------
     BadInput
-        For a scene whose gradient is not that of its potential along the motion.
+        For a scene whose gradient is not that of its potential along the motion, and seconds that are no number > 0.
     """
     import pandas as pd
     from tqdm import tqdm
 
+    if not (hasattr(seconds, "__float__") and is_real(seconds) and seconds > 0):
+        refuse("seconds", seconds, "a number > 0")
+    until = perf_counter() + float(seconds)
     verify_along(solution.scene)
     rows = {}
     bar = tqdm(laws_of(solution.scene), "laws", unit="law", delay=1.0, leave=False, disable=None)
-    for item in bar:
-        bar.set_postfix_str(item.label)
-        if set(item.needs_on(solution.scene)) <= set(solution.carry):
-            try:
-                found, note = item.measured(solution), "" if solution.ok else str(solution.status)
-                if solution.ok and item.differentiates and not solution.differential.taken:
-                    note = solution.differential.source
-            except BadInput as error:  # no reference to compare with, or H(0) = 0
-                found, note = Measured(math.nan), str(error)
-            rows[item.name] = (found.value, found.bound, note, item.definition)
+    solution.patience = patience = Patience(until, bar.set_postfix_str)
+    try:
+        for item in bar:
+            bar.set_postfix_str(item.label)
+            if set(item.needs_on(solution.scene)) <= set(solution.carry):
+                rows[item.name] = measured_row(item, solution)
+    finally:  # what there was no time for is tried again where there is more
+        solution.patience = None
+        if patience.over:
+            del solution.differential
+        if isinstance(solution.truth, OutOfTime):
+            solution.truth = None
     return pd.DataFrame.from_dict(
         rows, orient="index", columns=["deviation", "upper_bound", "note", "definition"]
     ).rename_axis("law")
