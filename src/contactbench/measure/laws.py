@@ -99,7 +99,8 @@ def errors_of(runs: Sequence[Solution]) -> np.ndarray:
 
 
 @law(
-    "max ‖y − y*‖ / max ‖y*‖, of q, p, M, R and what else has a unit of its own the largest, the start included",
+    "max ‖y − y*‖ / max ‖y*‖, the start included: each vector in one unit by itself (q, p, M, R, a component with a "
+    "unit of its own), the largest",
     "solution error",
     shown=BOTH,
 )

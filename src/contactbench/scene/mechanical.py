@@ -208,7 +208,8 @@ class Mechanical(Canonical):
     mass
         > 0; one number, or one for every component; or ``M(q, **parameters)``, a symmetric positive definite matrix,
         n rows of n numbers.  Then H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s², and what is made is the `ContactSystem` of
-        this H, γ and κ among its parameters; gradient and hessian are derived.  In p = M(q) q' the damping is still
+        this H, γ and κ among its parameters; gradient and hessian are derived, and errors are of every component by
+        itself: such coordinates are angles beside lengths more often than not.  In p = M(q) q' the damping is still
         −γ p: the friction −γ M(q) q' is proportional to the mass.
     parameters
         Numbers by name that the functions take.
