@@ -6,7 +6,7 @@ import pytest
 import contactbench as cb
 from contactbench.measure.laws import errors_of
 from contactbench.methods.base import METHODS
-from contactbench.scene.scales import FAINT, errors, part_sizes
+from contactbench.scene.scales import FAINT, errors, sizes_of
 from contactbench.study.search import Question, Search
 from contactbench.study.settings import ENDS, times
 
@@ -101,13 +101,13 @@ def test_what_hardly_moves_is_measured_against_what_the_energy_would_let_it():
         t_end=5.0,
     )
     rows = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
-    assert part_sizes(scene.recorded(), rows, ()) == pytest.approx([1.0, FAINT / 10, 1.0, FAINT * 2])
+    assert sizes_of(scene.recorded(), rows, ()) == pytest.approx([1.0, FAINT / 10, 1.0, FAINT * 2])
 
 
 def test_coordinates_of_one_mass_share_a_scale_and_momenta_another():
     scene = cb.SCENES["particle"].with_(mass=100.0)
     start = np.array([1.0, 0.5, 0.0, 0.3])
-    assert part_sizes(scene, start[None], ()) == pytest.approx([np.hypot(1.0, 0.5), 0.3])
+    assert sizes_of(scene, start[None], ()) == pytest.approx([np.hypot(1.0, 0.5), 0.3])
     moved = start + np.array([3e-3, 4e-3, 0.0, 0.0])
     assert errors(scene, moved[None], start[None], start, ()) == pytest.approx(5e-3 / np.hypot(1.0, 0.5))
 

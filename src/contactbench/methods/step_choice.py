@@ -22,7 +22,7 @@ from contactbench.methods.base import METHODS, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.loops import StepLoop
 from contactbench.methods.prepared import Outcome, Prepared
-from contactbench.scene.scales import gaps, part_sizes
+from contactbench.scene.scales import gaps, sizes_of
 from contactbench.solution import Status
 
 #: error aimed at, as a part of the tolerance
@@ -241,6 +241,6 @@ class ChosenStep(Prepared):
         """Return the error of the coarse one against the fine one; infinite unless finite."""
         r = self.request
         with np.errstate(all="ignore"):
-            sizes = part_sizes(r.scene, fine.y, r.carry)
+            sizes = sizes_of(r.scene, fine.y, r.carry)
             gap = float(gaps(r.scene, coarse.y, fine.y, sizes, r.carry).max())
         return gap if math.isfinite(gap) and np.isfinite(fine.y).all() else math.inf

@@ -111,35 +111,50 @@ def at_least(scene: Any, x: Any, sizes: np.ndarray) -> np.ndarray:
     return raised
 
 
-def parts(scene: Any, y: np.ndarray, carry: Sequence[str], whole: bool = False) -> list[np.ndarray]:
-    """Return the motion in packed states (k, d) as vectors (k, ·), each of one unit: what an error is taken of.
+def vectors_of(
+    scene: Any, y: np.ndarray, carry: Sequence[str], whole: bool = False
+) -> tuple[np.ndarray, list[int]]:
+    """Return the motion in packed states (k, d), what errors are taken of, and how long each vector of one unit is.
 
     The attitude is its nine matrix entries, what a quaternion and its negative have in common.  The time is no part,
     nor, unless `whole`, s where nothing follows it: a constant in V would make it as large as one likes.
     """
+    lengths = scene.groups(carry)
     if scene.clock is not None:
         y = np.delete(y, scene.clock, axis=1)
-    ends = np.cumsum(scene.groups(carry)).tolist()
-    found = np.split(y, ends[:-1], axis=1)
+    if "s" in carry and "s" not in scene.carry(()) and not whole:
+        y, lengths = y[:, :-1], lengths[:-1]
     if "R" in carry:
-        attitude = len(scene.vectors)
-        found[attitude] = np.array(rotation_matrix(tuple(found[attitude].T))).reshape(9, -1).T
-    idle = "s" in carry and "s" not in scene.carry(()) and not whole
-    return found[:-1] if idle else found
+        attitude, first = len(scene.vectors), scene.motion
+        entries = np.array(rotation_matrix(tuple(y[:, first : first + lengths[attitude]].T))).reshape(9, -1)
+        y = np.concatenate([y[:, :first], entries.T, y[:, first + lengths[attitude] :]], axis=1)
+        lengths[attitude] = 9
+    return y, lengths
 
 
-def part_sizes(scene: Any, rows: np.ndarray, carry: Sequence[str], whole: bool = False) -> np.ndarray:
-    """Return the scale of each of `parts` in true states (k, d), the start first: the largest size over the motion.
+def norms(v: np.ndarray, lengths: Sequence[int]) -> np.ndarray:
+    """Return the norms of vectors one beside the other, (k, ·); none underflows, nor overflows before it has to."""
+    if len(lengths) == v.shape[1]:
+        return np.abs(v)
+    firsts = np.cumsum(lengths) - lengths
+    most = np.maximum.reduceat(np.abs(v), firsts, axis=1)
+    most = np.where((most > 0) & (most < np.inf), most, 1.0)
+    return np.asarray(
+        most * np.sqrt(np.add.reduceat((v / np.repeat(most, lengths, axis=1)) ** 2, firsts, axis=1))
+    )
+
+
+def sizes_of(scene: Any, rows: np.ndarray, carry: Sequence[str], whole: bool = False) -> np.ndarray:
+    """Return the scale of each of `vectors_of` in true states (k, d), the start first: its largest size.
 
     What hardly moves counts as what the energy would let it (`at_least`), what never moves as 1; the user's own rules.
     """
-    sizes = np.array([norms(part).max() for part in parts(scene, rows, carry, whole)])
-    start, vectors = scene.unpack(rows[0].tolist(), carry), scene.vectors
+    sizes, vectors = norms(*vectors_of(scene, rows, carry, whole)).max(axis=0), scene.vectors
     motion = len(vectors)
-    if hasattr(start, "p"):
+    if "p" in getattr(scene.state, "_fields", ()) and (scene.mixed or len(sizes) > motion):
         each = np.repeat(sizes[:motion], vectors)
         if scene.mixed:
-            each = at_least(scene, start, each)
+            each = at_least(scene, scene.unpack(rows[0].tolist(), carry), each)
             sizes[:motion] = each[np.cumsum(vectors) - 1]
         if len(sizes) > motion:
             sizes[-1] = np.fmax(sizes[-1], FAINT * np.multiply(*np.split(each, 2)).max())
@@ -148,20 +163,13 @@ def part_sizes(scene: Any, rows: np.ndarray, carry: Sequence[str], whole: bool =
     return known(sizes)
 
 
-def norms(part: np.ndarray) -> np.ndarray:
-    """Return the lengths of the rows of an array; none underflows, nor overflows before it has to."""
-    most = np.abs(part).max(axis=1, keepdims=True)
-    most = np.where((most > 0) & np.isfinite(most), most, 1.0)
-    return np.linalg.norm(part / most, axis=1) * most[:, 0]
-
-
 def gaps(
     scene: Any, y: np.ndarray, true: np.ndarray, sizes: np.ndarray, carry: Sequence[str], whole: bool = False
 ) -> np.ndarray:
     """Return the error of packed states (k, d): of every vector in parts of its own size, the largest, (k,)."""
-    found, wanted = (parts(scene, each, carry, whole) for each in (y, true))
-    pairs = zip(found, wanted, sizes, strict=True)
-    return np.max([norms(np.asarray(a - b, dtype=float)) / one for a, b, one in pairs], axis=0)
+    (found, lengths), (wanted, _) = (vectors_of(scene, each, carry, whole) for each in (y, true))
+    apart = norms(np.asarray(found - wanted, dtype=float), lengths)
+    return np.asarray((apart / sizes).max(axis=1))
 
 
 def errors(
@@ -172,4 +180,4 @@ def errors(
     Both may be arrays of numbers of more digits.
     """
     rows = np.asarray(np.vstack([np.asarray(start), true]), dtype=float)
-    return gaps(scene, y, true, part_sizes(scene, rows, carry, whole), carry, whole)
+    return gaps(scene, y, true, sizes_of(scene, rows, carry, whole), carry, whole)

@@ -25,7 +25,7 @@ from contactbench.measure.laws import row as laws_row
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import Scene
-from contactbench.scene.scales import part_sizes, parts
+from contactbench.scene.scales import sizes_of
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import controlled, key, left_to_full, outcome, small, step_budget
@@ -191,10 +191,9 @@ def end_error(solution: Solution) -> float:
     """Return the error of (q, p) or M at the end in parts of what is left, each in its unit; 0 where both underflow."""
     scene, carry = solution.scene, solution.carry
     truth = cb.reference(scene, solution.t, carry).y
-    sizes = part_sizes(scene, np.vstack([solution.y0, truth]), carry)
-    motion = range(len(scene.vectors))
-    ends = (parts(scene, y[-1:], carry) for y in (solution.y, truth))
-    found, left = (np.concatenate([end[i] / sizes[i] for i in motion], axis=1) for end in ends)
+    sizes = sizes_of(scene, np.vstack([solution.y0, truth]), carry)[: len(scene.vectors)]
+    units = np.repeat(sizes, scene.vectors)
+    found, left = (scene.without_clock(y[-1])[: scene.motion] / units for y in (solution.y, truth))
     return float(np.linalg.norm(found - left) / max(np.linalg.norm(left), MEANINGFUL))
 
 
