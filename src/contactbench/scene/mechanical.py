@@ -380,12 +380,13 @@ class Mechanical(Canonical):
         return State(self.velocity(x.p), force, s)
 
     def sizes(self, x: OwnState, end: float) -> Sizes:
-        lengths = self.alike[: len(self.alike) // 2]
-        far, fast = (np.repeat(each, lengths) for each in reach(self, x, end, lengths))
-        momenta = fast / np.array(self.velocity((1.0,) * len(x.p)))
+        far, fast = reach(self, x, end, self.alike[: len(self.alike) // 2])
         if self.mixed:
+            momenta = fast / np.array(self.velocity((1.0,) * len(x.p)))
             return [*far, *momenta], float(np.nanmax(far * momenta))
-        return [*far, *momenta], float(in_order(far[0]) * in_order(np.max(momenta)))
+        over_mass: Any = self.velocity((1.0,) * len(x.p))[0]
+        q, p = float(far[0]), float(fast[0]) * (1 / over_mass)
+        return [q] * len(x.q) + [p] * len(x.p), float(in_order(q) * in_order(p))
 
     @property
     def mixed(self) -> bool:  # type: ignore[override]

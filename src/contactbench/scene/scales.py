@@ -33,8 +33,9 @@ def known(sizes: np.ndarray) -> np.ndarray:
 
 def in_order(sizes: object) -> np.ndarray:
     """Return sizes, 1 where they are of order one or not known."""
-    sizes = known(np.asarray(sizes, dtype=float))
-    return np.where((sizes >= LEAST) & (sizes <= MOST), 1.0, sizes)
+    sizes = np.asarray(sizes, dtype=float)
+    other = np.isfinite(sizes) & (sizes > 0) & ~((sizes >= LEAST) & (sizes <= MOST))
+    return np.where(other, sizes, 1.0)
 
 
 def size(vector: Vector) -> float:
@@ -51,8 +52,11 @@ def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.nd
     change of the force does not outweigh what it has: a fraction of a period, or all the time of a free body.
     """
 
-    def sizes(v: Vector) -> np.ndarray:
-        return np.array([size(v[end - n : end]) for n, end in zip(lengths, accumulate(lengths), strict=True)])
+    ends = [*accumulate(lengths)]
+    cuts = [slice(end - n, end) for n, end in zip(lengths, ends, strict=True)]
+
+    def sizes(v: Vector) -> list[float]:
+        return [size(v[cut]) for cut in cuts]
 
     def pull(after: float, q: Vector) -> Vector:
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
@@ -66,20 +70,23 @@ def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.nd
     far, fast, force = map(sizes, (x.q, v, a))
     spans = [end / RATIO**k for k in reversed(range(SPANS))]
     if scene.clock is not None:  # a force that is yet to come
-        force = np.fmax.reduce([force, *(sizes(pull(span, x.q)) for span in spans)])
-    longest, fits = np.zeros(len(lengths)), np.ones(len(lengths), bool)
+        force = np.fmax.reduce([force, *(sizes(pull(span, x.q)) for span in spans)]).tolist()
+    longest, fits = [0.0] * len(cuts), [True] * len(cuts)
     for span in spans:
         thrown = tuple(c + span * (d + span / 2 * e) for c, d, e in zip(x.q, v, a, strict=True))
         here = a if scene.clock is None else pull(span, x.q)
         change = sizes(tuple(there - c for there, c in zip(pull(span, thrown), here, strict=True)))
-        fits &= change * span <= fast + force * span / 2
-        if not fits.any():
+        seen = zip(fits, change, fast, force, strict=True)
+        fits = [fit and bool(c * span <= was + f * span / 2) for fit, c, was, f in seen]
+        if not any(fits):
             break
-        longest[fits] = span
-    way, more = (
-        np.where(longest > 0, c, 0.0) for c in (longest * (fast + longest / 2 * force), longest * force)
-    )
-    return np.fmax(far, way), fast + more
+        longest = [span if fit else before for fit, before in zip(fits, longest, strict=True)]
+    most, faster = np.fmax(far, 0.0), np.array(fast)
+    for i, span in enumerate(longest):
+        if span > 0:
+            most[i] = np.fmax(far[i], span * (fast[i] + span / 2 * force[i]))
+            faster[i] = fast[i] + span * force[i]
+    return most, faster
 
 
 # -- what an error is measured against -----------------------------------------------------------------
