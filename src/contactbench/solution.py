@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from contactbench.methods.prepared import Prepared
+    from contactbench.methods.prepared import Patience, Prepared
     from contactbench.truth.reference import Reference
 
 
@@ -183,6 +183,8 @@ class Solution:
     step_chosen: float = float("nan")
     step: float = float("nan")
     truth: Reference | BadInput | None = None
+    #: how long its laws may take, while they are measured
+    patience: Patience | None = None
 
     @staticmethod
     def of(ending: dict[str, object], y: np.ndarray, y0: np.ndarray) -> Solution:
@@ -288,18 +290,21 @@ class Solution:
 
         return pd.DataFrame({"t": self.t, **dict(zip(self.labels, self.y.T, strict=True))})
 
-    def laws(self) -> pd.DataFrame:
-        """Return how far the run is from every law that applies to it: see `contactbench.measure.laws.laws`."""
+    def laws(self, seconds: float = 60.0) -> pd.DataFrame:
+        """Return how far the run is from every law that applies to it, in so many seconds.
+
+        See `contactbench.measure.laws.laws`.
+        """
         from contactbench.measure.laws import laws  # which measures solutions
 
-        return laws(self)
+        return laws(self, seconds)
 
     @cached_property
     def differential(self) -> Differential:
         """dΦ of the numerical map its user gets; where the state decides on the steps, this included."""
         if self.run is None:
             raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
-        return self.run.differential(self.y0, self)
+        return self.run.differential(self.y0, self, self.patience)
 
     @property
     def sensitivity(self) -> np.ndarray:

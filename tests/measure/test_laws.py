@@ -1,6 +1,7 @@
 """The laws measure what they say: zero on the truth, the planted size on a planted error, finite always."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -8,12 +9,16 @@ import pytest
 
 import contactbench as cb
 from cases import FIXED, by_name, pairs, saved
+from contactbench.measure import laws
 from contactbench.measure.law import JUDGEMENT, conformal, relative_deviation
-from contactbench.measure.laws import LAWS, laws_of, observables, row
+from contactbench.measure.laws import LAWS, laws_of, row
+from contactbench.methods import prepared
+from contactbench.scene.scales import norms
 from contactbench.scenes.driven import DRIVEN
 from contactbench.solution import Solution, Status
 from contactbench.study.search import Question
 from contactbench.study.settings import times as save_times
+from contactbench.truth import OutOfTime
 from own_scenes import TIMED, UNDERFLOW
 
 TIMES = np.linspace(0.0, 20.0, 41)
@@ -67,10 +72,11 @@ def test_an_error_is_relative_to_the_largest_true_state_the_start_included(name,
     scene = cb.SCENES[name]
     t = [scene.t_end / 2, scene.t_end]
     run = cb.solve(scene, "contact-strang", step=scene.t_end / steps, save_at=t, carry=())
-    true = observables(scene, cb.reference(scene, [0.0, *t], ()).y, ())
-    sizes = np.linalg.norm(true, axis=1)
-    assert sizes[0] > sizes[1:].max()  # the start is the largest
-    error = np.linalg.norm(observables(scene, run.y, ()) - true[1:], axis=1).max() / sizes[0]
+    true, n = cb.reference(scene, [0.0, *t], ()).y, len(scene.q)
+    (q, own_q), (p, own_p) = (([y[:, part] for y in (true, run.y)]) for part in (slice(n), slice(n, 2 * n)))
+    assert np.abs(q[0]).max() > np.abs(q[1:]).max()  # the start is the largest
+    pairs = ((q, own_q), (p, own_p))
+    error = max(norms(own - y[1:], [n]).max() / norms(y, [n]).max() for y, own in pairs)
     assert LAWS["solution_error"](run) == pytest.approx(error, rel=1e-12)
     question = Question(scene, cb.reference(scene, t, ()), (1e-3,), 1.0)
     ends = [dataclasses.replace(run, t=run.t[[k]], y=run.y[[k]]) for k in range(2)]
@@ -252,3 +258,50 @@ def test_an_error_of_the_motion_does_not_depend_on_a_constant_in_the_potential(c
     error = cb.LAWS["solution_error"](without)
     assert error > 1e-3
     assert cb.LAWS["solution_error"](with_action) == pytest.approx(error, rel=1e-6)
+
+
+# -- how long it may take ------------------------------------------------------------------------------
+def short_run():
+    return cb.solve(cb.SCENES["particle"].with_(t_end=1.0), "scipy-radau", rtol=1e-5, save_at=[1.0])
+
+
+def test_laws_measure_the_map_of_a_solver_that_calls_back(monkeypatch):
+    """By a limit of time, not one of right-hand sides, which is that of tables."""
+    monkeypatch.setattr(prepared, "CALLBACK_BUDGET", 1)
+    assert "60 runs would cost" in short_run().differential.source
+    run = short_run()
+    assert 1e-9 < run.laws(seconds=math.inf).loc["contact_drift", "deviation"] < 1e-2
+    assert run.differential.taken
+
+
+def test_laws_end_in_time_and_say_what_there_was_no_time_for(monkeypatch):
+    """On a clock that a look at moves by a second."""
+    now, run = itertools.count(), short_run()
+    with monkeypatch.context() as patch:
+        for module in (prepared, laws):
+            patch.setattr(module, "perf_counter", lambda: float(next(now)))
+        notes = run.laws(seconds=20.0)["note"]
+    assert "60 runs take about 120 s, 17 s were left" in notes["contact_drift"]
+    assert next(now) < 40
+    assert run.laws(seconds=math.inf).loc["contact_drift", "deviation"] > 0  # is taken where there is more
+
+
+def test_a_reference_that_takes_too_long_is_sought_again(monkeypatch):
+    given = list[float]()
+
+    def late(*_, seconds):
+        given.append(seconds)
+        raise OutOfTime("no reference in time", 1.0)
+
+    run = short_run()
+    with monkeypatch.context() as patch:
+        patch.setattr(laws, "reference", late)
+        assert run.laws(seconds=7.0).loc["solution_error", "note"] == "no reference in time"
+    assert 0 < given[0] <= 7
+    assert run.laws().loc["solution_error", "deviation"] > 0
+
+
+@pytest.mark.parametrize("seconds", [0, -1.0, math.nan, "ten", None])
+def test_a_limit_that_is_none_is_refused(seconds):
+    with pytest.raises(cb.BadInput, match="seconds = "):
+        short_run().laws(seconds=seconds)

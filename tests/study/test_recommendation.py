@@ -47,6 +47,15 @@ def test_a_contact_method_that_leads_says_what_it_keeps():
     assert found.startswith("Take contact-rkn8, step 0.75: 3.1 µs for 10⁻⁶, keeps η; cyrk-vern8 ×1.90;")
 
 
+def test_what_is_kept_is_never_named_as_a_drift():
+    """ "keeps attitude drift" would read as its opposite."""
+    frame = cb.compare("rigid_body", ["contact-strang"], [1e-2], budget=10.0)
+    (found,), kept = frame.attrs["recommendation"], set(frame["laws_kept"][0].split(", "))
+    assert {"J", "η", "RᵀR = 1"} <= kept
+    assert "keeps" in found
+    assert "drift" not in found + frame["laws_kept"][0]
+
+
 def test_equal_ones_are_equal_within_their_margin_and_noise_is_named():
     (found,) = recommendation(raced([3.1, 9.0, 3.2, *[9.0] * 3, 100.0], halves=1.1))
     assert "; rk8 equal within ×1.15; contact-rkn8" in found

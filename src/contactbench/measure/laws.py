@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from contactbench.checks import is_real, refuse
 from contactbench.errors import BadInput
 from contactbench.measure.law import (
     ATTAINABLE,
@@ -26,13 +27,15 @@ from contactbench.measure.law import (
     is_kept,
     round_off_bound,
 )
-from contactbench.measure.pullback import Pulled, growth, pairs, pullback
+from contactbench.measure.pullback import Pulled, growth, in_units, pairs, pullback, units_of
 from contactbench.methods.base import METHODS
+from contactbench.methods.prepared import Patience
 from contactbench.registry import Registry
-from contactbench.scene import Scene, rotation_matrix
+from contactbench.scene import Scene
 from contactbench.scene.definition import verify_along
+from contactbench.scene.scales import errors
 from contactbench.solution import Solution
-from contactbench.truth import Reference, condition_number, reference
+from contactbench.truth import OutOfTime, Reference, condition_number, reference
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,22 +68,6 @@ def has_linear_damping(scene: Scene) -> bool:
 
 
 # -- comparisons with the truth --------------------------------------------------------------------
-def observables(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarray:
-    """Return the motion in packed states, the attitude as its nine matrix entries: what q and −q have in common.
-
-    The time is no part of it, and s where nothing follows it: a constant in V would make it as large as one likes.
-    """
-    acts = "s" in scene.carry(())
-    if "R" in carry:
-        turned = scene.unpack(tuple(y.T), carry)
-        matrix = [entry for row in rotation_matrix(turned.R) for entry in row]
-        return np.array([*turned.M, *matrix, *([turned.s] if acts else [])]).T
-    beside = [] if scene.clock is None else [scene.clock]
-    if "s" in carry and not acts:
-        beside.append(scene.labels(carry).index("s"))
-    return np.delete(y, beside, axis=1)
-
-
 def truth(solution: Solution) -> Reference:
     """Return the true states at the saved times of a run, which keeps them, or why there are none."""
     if solution.truth is None:
@@ -99,27 +86,26 @@ def sought(solution: Solution) -> Reference:
     own = scene.pack(scene.initial(solution.carry))
     if solution.y0 is not None and not np.array_equal(own, solution.y0):
         scene = scene.with_(**scene.data(solution.start()))
-    return reference(scene, solution.elapsed, solution.carry)
+    limit = {} if solution.patience is None else {"seconds": solution.patience.left}
+    return reference(scene, solution.elapsed, solution.carry, **limit)
 
 
-def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
-    """Return ‖y − y*‖ of the motion at the saved times, and the size of the motion that it is relative to."""
-    scene, true, carry = solution.scene, truth(solution).y, solution.carry
-    start = scene.pack(scene.initial(carry)) if solution.y0 is None else solution.y0
-    gaps = observables(scene, solution.y, carry) - observables(scene, true, carry)
-    return np.linalg.norm(gaps, axis=1), motion_size(scene, start, true, carry)
+def errors_of(runs: Sequence[Solution]) -> np.ndarray:
+    """Return the errors of runs from one start at all their saved times, on the scales of all of them: see `errors`."""
+    one = runs[0]
+    start = one.scene.pack(one.scene.initial(one.carry)) if one.y0 is None else one.y0
+    y, true = (np.vstack(rows) for rows in ([run.y for run in runs], [truth(run).y for run in runs]))
+    return errors(one.scene, y, true, start, one.carry)
 
 
-def motion_size(scene: Scene, start: ArrayLike, true: np.ndarray, carry: tuple[str, ...]) -> float:
-    """Return what an error is relative to: the largest norm of the true states (k, d), the start (d,) included."""
-    states = observables(scene, np.vstack([np.asarray(start, dtype=float), true]), carry)
-    return float(np.linalg.norm(states, axis=1).max())
-
-
-@law("max ‖y − y*‖ / max ‖y*‖, the start included", "solution error", shown=BOTH)
+@law(
+    "max ‖y − y*‖ / max ‖y*‖, the start included: each vector in one unit by itself (q, p, M, R, a component with a "
+    "unit of its own), the largest",
+    "solution error",
+    shown=BOTH,
+)
 def solution_error(solution: Solution) -> float:
-    error, size = absolute_error(solution)
-    return float(error.max()) / size if size else math.nan
+    return float(errors_of([solution]).max())
 
 
 def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -283,7 +269,9 @@ def distribution_drift(solution: Solution) -> Deviation | float:
     claimed=is_contact_map,
 )
 def pairing_drift(solution: Solution) -> Deviation | float:
-    return pulled_deviation(solution, pairs(solution.differential, len(solution.start().q)))
+    start = solution.start()
+    units = units_of(solution.scene, start)
+    return pulled_deviation(solution, pairs(solution.differential, len(start.q), units))
 
 
 @law(
@@ -326,13 +314,27 @@ def energy_increases(solution: Solution) -> float:
 
 
 # -- all of them, of one run -----------------------------------------------------------------------
-def laws(solution: Solution) -> pd.DataFrame:
+def measured_row(item: Law, solution: Solution) -> tuple[float, bool, str, str]:
+    """Return the deviation from a law, whether it is an upper bound, why there is none, and what the law is."""
+    try:
+        found, note = item.measured(solution), "" if solution.ok else str(solution.status)
+        if solution.ok and item.differentiates and not solution.differential.taken:
+            note = solution.differential.source
+    except BadInput as error:  # no reference to compare with, or H(0) = 0
+        found, note = Measured(math.nan), str(error)
+    return found.value, found.bound, note, item.definition
+
+
+def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
     """Measure how far a run is from every law that its scene has and whose fields it carries.
 
     Parameters
     ----------
     solution : Solution
         The run.
+    seconds : float
+        How long it may take, most of it for the reference and, of a solver that chooses its steps, for the runs that
+        its map is differentiated by; ``math.inf`` for as long as it takes.
 
     Returns
     -------
@@ -343,24 +345,29 @@ def laws(solution: Solution) -> pd.DataFrame:
     Raises
     ------
     BadInput
-        For a scene whose gradient is not that of its potential along the motion.
+        For a scene whose gradient is not that of its potential along the motion, and seconds that are no number > 0.
     """
     import pandas as pd
     from tqdm import tqdm
 
+    if not (hasattr(seconds, "__float__") and is_real(seconds) and seconds > 0):
+        refuse("seconds", seconds, "a number > 0")
+    until = perf_counter() + float(seconds)
     verify_along(solution.scene)
     rows = {}
     bar = tqdm(laws_of(solution.scene), "laws", unit="law", delay=1.0, leave=False, disable=None)
-    for item in bar:
-        bar.set_postfix_str(item.label)
-        if set(item.needs_on(solution.scene)) <= set(solution.carry):
-            try:
-                found, note = item.measured(solution), "" if solution.ok else str(solution.status)
-                if solution.ok and item.differentiates and not solution.differential.taken:
-                    note = solution.differential.source
-            except BadInput as error:  # no reference to compare with, or H(0) = 0
-                found, note = Measured(math.nan), str(error)
-            rows[item.name] = (found.value, found.bound, note, item.definition)
+    solution.patience = patience = Patience(until, bar.set_postfix_str)
+    try:
+        for item in bar:
+            bar.set_postfix_str(item.label)
+            if set(item.needs_on(solution.scene)) <= set(solution.carry):
+                rows[item.name] = measured_row(item, solution)
+    finally:  # what there was no time for is tried again where there is more
+        solution.patience = None
+        if patience.over:
+            del solution.differential
+        if isinstance(solution.truth, OutOfTime):
+            solution.truth = None
     return pd.DataFrame.from_dict(
         rows, orient="index", columns=["deviation", "upper_bound", "note", "definition"]
     ).rename_axis("law")
@@ -398,7 +405,7 @@ def row(
         columns["derivative"] = f"not taken: {without}"
     elif scene.is_contact:
         if solution.differential.taken:
-            columns["map_growth"] = growth(solution.differential)
+            columns["map_growth"] = growth(in_units(solution))
         columns["derivative"] = solution.differential.source
     of_map = columns.get("map_growth") or condition_number(scene) or 1.0
     for name, measured in found.items():

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contactbench.scene import norm
+from contactbench.scene import AnyState, Scene, norm
 from contactbench.solution import SAFETY, Differential, Solution, closest
 
 
@@ -40,12 +40,13 @@ def pullback(solution: Solution, differential: Differential) -> Pulled | None:
     if not differential.taken:
         return None
     scene, start = solution.scene, solution.start()
-    form = np.array([float(scene.contact_form(start, v)) for v in scene.tangents(start)])
+    units = units_of(scene, start)[:, None]
+    form = np.array([float(scene.contact_form(start, v)) for v in scene.tangents(start)]) * units[:, 0]
     # (l, k, d, m) → a state of arrays (l, m, k)
     pushed = scene.unpack(np.moveaxis(differential.estimates, (2, 3), (0, 2)), solution.carry)
     here = solution.states()
-    values = np.asarray(scene.contact_form(here, pushed))
-    terms = np.asarray(scene.contact_terms(here, pushed))
+    values = np.asarray(scene.contact_form(here, pushed)) * units
+    terms = np.asarray(scene.contact_terms(here, pushed)) * units
     if len(values) == 1:
         return Pulled(values[0].T, form, np.linalg.norm(terms[0], axis=0), None)
     gaps = np.abs(np.diff(values, axis=0))  # (l - 1, m, k)
@@ -63,13 +64,33 @@ def growth(differential: Differential) -> float:
     return float(np.linalg.norm(differential.value, ord=2, axis=(1, 2)).max())
 
 
-def pairs(differential: Differential, n: int) -> Pulled | None:
+def units_of(scene: Scene, x: AnyState) -> np.ndarray:
+    """Return the sizes that tangents are taken in, where each is along a component with a unit of its own; else 1."""
+    if scene.canonical and scene.mixed:
+        return scene.scales(x, scene.t_end)
+    return np.ones(len(scene.tangents(x)))
+
+
+def in_units(solution: Solution) -> Differential:
+    """Return the derivative of a run's map with each component, and displacement, in parts of its size."""
+    scene, differential = solution.scene, solution.differential
+    if not (scene.canonical and scene.mixed):
+        return differential
+    units = units_of(scene, solution.start())
+    rows = np.array(scene.with_clock(units.tolist(), 1.0))
+    return differential._replace(estimates=differential.estimates * units / rows[:, None])
+
+
+def pairs(differential: Differential, n: int, units: np.ndarray | None = None) -> Pulled | None:
     """σ_i σ_{2n+1−i} for n degrees of freedom, σ_1 the largest; None where the derivative is not taken or not finite.
 
     Of several estimates of the derivative the one is used that agrees best with the next.  The terms are
-    σ_1 ‖(σ_1, …, σ_n)‖: the smaller of a pair has the round-off of σ_1.
+    σ_1 ‖(σ_1, …, σ_n)‖: the smaller of a pair has the round-off of σ_1.  units : sizes of q and p; both are taken in
+    parts of √(q/p), and of its inverse, which keeps pairs.
     """
-    tangent = differential.estimates[:, :, : 2 * n, : 2 * n]
+    a = np.ones(n) if units is None else np.sqrt(units[:n] / units[n : 2 * n])
+    sides = np.concatenate([a, 1 / a])
+    tangent = differential.estimates[:, :, : 2 * n, : 2 * n] * sides / sides[:, None]
     if not differential.taken or not np.isfinite(tangent).all():
         return None
     sigma = np.linalg.svd(tangent, compute_uv=False)

@@ -214,7 +214,8 @@ def prepare(
         processor (contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
     rtol, atol
         Tolerances of an adaptive method.  By default atol is rtol times the scale of the motion, of every component by
-        itself, as force and velocity at the start show it; a scale from 0.01 to 1000 counts as 1.  A fixed-step method
+        itself, as force and velocity at the start show it, or the scene's `scale` has it; where all share a unit a
+        scale from 0.01 to 1000 counts as 1.  A fixed-step method
         given rtol instead of step chooses its step from pilots, which are part of every call and its counts; the
         solution's `step_chosen` is that step.  An exact method takes neither.
     save_at

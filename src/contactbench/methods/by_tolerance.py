@@ -184,10 +184,15 @@ class Nystrom(Explicit[Mechanical]):
     ) -> Arithmetic:
         """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
         force = slope[: len(y.q)]
-        parts = [scaled(share / (norm(way, xp) + TINY), way) for share, way in ((1.0, force), (0.5, y.u))]
+        in_units = lambda v: [a / unit for a, unit in zip(v, units, strict=False)]  # noqa: E731
+        ways = (in_units(way) for way in (force, y.u))
+        parts = [
+            scaled(share / (norm(way, xp) + TINY), way) for share, way in zip((1.0, 0.5), ways, strict=True)
+        ]
         way = tuple(NUDGE * size * (a + b) for a, b in zip(*parts, strict=True))
-        there = self.slope(scene, y._replace(q=tuple(a + b for a, b in zip(y.q, way, strict=True))), xp)
-        change = norm([a - b for a, b in zip(there, force, strict=False)], xp)
+        moved = tuple(a + b * unit for a, b, unit in zip(y.q, way, units, strict=False))
+        there = self.slope(scene, y._replace(q=moved), xp)
+        change = norm(in_units(a - b for a, b in zip(there, force, strict=False)), xp)
         return xp.sqrt(change / (norm(way, xp) + TINY))
 
 

@@ -51,16 +51,10 @@ class Request:
     scales: Any = None
 
     def to_scale(self, takes_atol: bool, **data: object) -> Request:
-        """Return the request with the scales of the motion from its start, or other data, and the atol of these.
-
-        Coordinates have one, and momenta, the largest of theirs: with one for every component the momenta of light
-        bodies would be held to digits that nobody asks for.
-        """
+        """Return the request with the scales of the motion from its start, or other data, and the atol of these."""
         assert self.rtol is not None
         start = self.scene.initial(self.carry, **data)
         each = self.scene.scales(start, float(self.save_at[-1]))
-        for part in np.split(each[: self.scene.motion], 2 if "p" in self.scene.state._fields else 1):
-            part[:] = part.max()
         scales = 1.0 if (each == 1).all() else each
         return replace(self, scales=scales, atol=self.rtol * scales if takes_atol else None)
 
@@ -351,12 +345,14 @@ class Prepared(ABC):
         """(k, d, m): derivative of the saved states along the scene's m tangents at y0, steps held fixed."""
         raise BadInput(f"{self.method} ({self.request.engine}): its map cannot be differentiated")
 
-    def differential(self, y0: np.ndarray, out: Outcome | Solution) -> Differential:
+    def differential(
+        self, y0: np.ndarray, out: Outcome | Solution, patience: Patience | None = None
+    ) -> Differential:
         """dΦ of the map its user gets: to round-off where the engine can, else by differences of the solver."""
         if self.sensitivity_source and not self.steps_follow_state:
             with suppress(CannotRecord):  # a function that dual numbers do not know
                 return Differential(self.sensitivity_source, self.sensitivity(y0)[None])
-        return differences(self, y0, out)
+        return differences(self, y0, out, patience)
 
     @property
     def composed(self) -> bool:
@@ -487,6 +483,40 @@ ROUNDINGS = 8
 BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 
 
+class Patience:
+    """How long laws may take to be measured: until a time on the clock of `perf_counter`; tell : whoever waits.
+
+    over : whether the runs for a derivative would have taken longer.
+    """
+
+    def __init__(self, until: float, tell: Callable[[str], None]) -> None:
+        self.until, self.tell, self.over = until, tell, False
+
+    @property
+    def left(self) -> float:
+        return max(self.until - perf_counter(), 0.0)
+
+    def counts(self, runs: int) -> Callable[[], None]:
+        """Return what is called after each of some runs; it raises `OutOfPatience` where they take too long."""
+        begun, left, done = perf_counter(), self.left, 0
+
+        def after_run() -> None:
+            nonlocal done
+            done += 1
+            needed = (perf_counter() - begun) * runs / done
+            self.over = needed > left
+            if self.over:
+                why = f"{runs} runs take about {needed:.3g} s, {left:.3g} s were left"
+                raise OutOfPatience(f"not taken: {why}; laws(seconds=…) gives more")
+            self.tell(f"run {done} of {runs}")
+
+        return after_run
+
+
+class OutOfPatience(Exception):
+    """The runs for a derivative would take too long."""
+
+
 def scale(x: AnyState, v: AnyState, units: AnyState) -> float:
     """Return the size of the field that v moves, where it is zero what the motion makes of it."""
     for own, part, unit in zip(x, v, units, strict=True):
@@ -495,8 +525,12 @@ def scale(x: AnyState, v: AnyState, units: AnyState) -> float:
     return 1.0
 
 
-def differences(run: Prepared, y0: np.ndarray, out: Outcome | Solution) -> Differential:
+def differences(
+    run: Prepared, y0: np.ndarray, out: Outcome | Solution, patience: Patience | None = None
+) -> Differential:
     """Return dΦ at y0, of the map its user gets, choice of steps included, by differences of `run.integrate`.
+
+    patience : the time it may take; by default it is a number of right-hand sides, the same on every machine.
 
     Initial data are moved along the scene's tangents by increments falling by `RATIO`, and every two neighbouring
     central differences D give one estimate without their error of second order, R = (r² D(δ/r) − D(δ))/(r² − 1):
@@ -514,23 +548,33 @@ def differences(run: Prepared, y0: np.ndarray, out: Outcome | Solution) -> Diffe
     steps = (counts.steps or 0) + (counts.rejected or 0)
     cost = runs * (IMPLICIT * steps if counts.rhs_equivalents is None else counts.rhs_equivalents)
     none = np.empty((0, *out.y.shape, len(tangents)))
-    if cost > budget:
+    after_run = (lambda: None) if patience is None else patience.counts(runs)
+    if patience is None and cost > budget:
         why = f"not taken: {runs} runs would cost {cost:.1e} right-hand sides, more than {budget:.0e}"
         return Differential(why, none)
 
     def end(v: object, amount: float) -> np.ndarray:
-        return run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
+        y = run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
+        after_run()
+        return y
 
     def quotient(v: object, amount: float) -> np.ndarray:
         return np.asarray((end(v, amount) - end(v, -amount)) / (2 * amount))
 
-    units = scene.unpack(scene.with_clock(run.scales(y0).tolist(), 1.0), run.request.carry)
-    scales = [scale(x, v, units) for v in tangents]
+    each = np.array(scene.with_clock(run.scales(y0).tolist(), 1.0))
+    units = scene.unpack(each.tolist(), run.request.carry)
+    flat = (np.abs(np.array(scene.pack(v), dtype=float)) for v in tangents)
+    scales = [float(max(v * each)) for v in flat] if scene.mixed else [scale(x, v, units) for v in tangents]
     moved = list(zip(tangents, scales, strict=True))
-    plain = np.array([[quotient(v, d * size) for v, size in moved] for d in INCREMENTS])
+    try:
+        plain = np.array([[quotient(v, d * size) for v, size in moved] for d in INCREMENTS])
+    except OutOfPatience as why:
+        return Differential(str(why), none)
     better = (RATIO**2 * plain[1:] - plain[:-1]) / (RATIO**2 - 1)
-    gap, size = (np.abs(values).max(axis=(1, 2)) for values in (better[-1] - better[-2], better[-1]))  # (m,)
-    round_off = ROUNDINGS * np.finfo(float).eps * np.abs(out.y).max() / (INCREMENTS[-1] * np.array(scales))
+    gap, size = (np.abs(v / each).max(axis=(1, 2)) for v in (better[-1] - better[-2], better[-1]))  # (m,)
+    round_off = (
+        ROUNDINGS * np.finfo(float).eps * np.abs(out.y / each).max() / (INCREMENTS[-1] * np.array(scales))
+    )
     if not np.all(gap < np.maximum(UNRESOLVED * size, round_off)):
         return Differential("not taken: differences of the solver do not converge", none)
     return Differential(f"central differences of the solver, {runs} runs", np.moveaxis(better, 1, -1))

@@ -23,6 +23,7 @@ from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.loops import StepLoop
 from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.methods.prescribed import Elapsed
+from contactbench.scene.scales import gaps, sizes_of
 from contactbench.solution import Status
 
 #: error aimed at, as a part of the tolerance
@@ -61,7 +62,7 @@ class Pilot(NamedTuple):
 
 @dataclass
 class ChosenStep(Prepared):
-    """A fixed-step method run to a tolerance on max ‖y − y*‖ / max ‖y*‖; its pilots are part of every call."""
+    """A fixed-step method run to a tolerance on the error of the run; its pilots are part of every call."""
 
     #: the state decides on a whole number of steps, which a small change of it leaves as it is
     steps_follow_state = False
@@ -88,7 +89,7 @@ class ChosenStep(Prepared):
         self.probes = 0 if self.method_.follows else PROBES
         self.alone = Lock()  # one run to divide: calls from several threads take turns
         self.sensitivity_source = self.run.sensitivity_source
-        #: what the parts of the motion are measured in
+        #: what the components of the motion are measured in
         self.units = self.scales(self.start)[: self._motion]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
@@ -217,15 +218,17 @@ class ChosenStep(Prepared):
             f += damped * y
             return f
 
+        def size(w: np.ndarray) -> float:
+            return float(np.linalg.norm(w[:motion] / self.units))
+
         def bent(w: np.ndarray) -> np.ndarray:
-            size = float(np.linalg.norm(w[:motion]))
-            near = BESIDE * (np.linalg.norm(y0[:motion]) or 1.0) / (size or 1.0)
+            near = BESIDE * (size(y0) or 1.0) / (size(w) or 1.0)
             change: np.ndarray = slope(y0 + near * w) - first
             return change / near
 
         with np.errstate(all="ignore"):
             first = slope(y0)
-            fast, slow = (float(np.linalg.norm(w[:motion])) for w in (bent(bent(first)), first))
+            fast, slow = size(bent(bent(first))), size(first)
         return math.sqrt(slow / fast) if 0 < fast < math.inf and slow > 0 else math.inf
 
     def pilot(self, y0: np.ndarray, step: float) -> Pilot:
@@ -236,11 +239,9 @@ class ChosenStep(Prepared):
         return Pilot(steps, run.size_at(step, steps), step, counts.evaluations or 0, saved)
 
     def distance(self, coarse: Pilot, fine: Pilot) -> float:
-        """Return max ‖coarse − fine‖ / max ‖fine‖ of (q, p) or M, the start included; infinite unless finite."""
-        a, b = (pilot.y[:, : self._motion] / self.units for pilot in (coarse, fine))
+        """Return the error of the coarse one against the fine one; infinite unless finite."""
+        r = self.request
         with np.errstate(all="ignore"):
-            size = float(np.linalg.norm(b, axis=1).max())
-            gap = float(np.linalg.norm(a - b, axis=1).max())
-        if not (math.isfinite(size) and math.isfinite(gap)):
-            return math.inf
-        return gap / size if size > 0 else 0.0
+            sizes = sizes_of(r.scene, fine.y, r.carry)
+            gap = float(gaps(r.scene, coarse.y, fine.y, sizes, r.carry).max())
+        return gap if math.isfinite(gap) and np.isfinite(fine.y).all() else math.inf

@@ -358,6 +358,7 @@ class Callback(Call):
     def begin(self, start: float, y: np.ndarray, rhs: Rates) -> Solver:
         """Return a solver, with the interface of SciPy's, for the motion from a time on."""
 
+    @np.errstate(under="ignore")  # SciPy looks for the number next to t = 0
     def __call__(self, y0: np.ndarray) -> Ending:
         times, most, calls, rows = self.later, self.request.max_steps, [0], list[np.ndarray]()
         start, y = self.split_clock(y0)

@@ -87,8 +87,8 @@ class Taylor(Call):
 
         _, y0 = self.split_clock(r.start)
         scaled = np.ndim(r.scales) > 0
-        units = np.exp2(np.round(np.log2(r.scales))) if scaled else np.ones(len(y0))
-        #: what the integrator's numbers are multiples of, powers of two; None: all are 1
+        units = np.array(r.scales) if scaled else np.ones(len(y0))
+        #: what the integrator's numbers are multiples of; None: all are 1
         self.units = units if scaled else None
         numbers = scene.numbers()
         self.origin = len(numbers) if shared else 0

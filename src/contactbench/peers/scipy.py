@@ -36,6 +36,7 @@ class Scipy(Callback):
             raise OverflowError("the first step is not finite")
         return solver
 
+    @np.errstate(under="ignore")
     def last(self, y0: np.ndarray) -> np.ndarray:
         start, y = self.split_clock(y0)
         with suppress(OverflowError):

@@ -23,6 +23,7 @@ from contactbench.tables.judgement import structural_laws
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: what a law is about, and what follows from what
 SYMBOLS = {"momentum_law": "J", "contact_drift": "η", "distribution_drift": "ker η", "pairing_drift": "pairs"}
+SYMBOLS |= {"attitude_drift": "RᵀR = 1", "sphere_drift": "|q| = R"}
 IMPLIED = {"η": ("ker η", "pairs")}
 #: what stands behind the title of a table of times
 LEGEND = "time at each error; kept at round-off: J, η, pairs of singular values"
@@ -85,9 +86,14 @@ def has_laws(rows: pd.DataFrame) -> pd.Series:
     return rows[laws_of(rows)].notna().any(axis=1)
 
 
+def symbol(law: str) -> str:
+    """Return what a run keeps that keeps a law, never its drift."""
+    return SYMBOLS.get(law, law_label(law).removesuffix(" drift"))
+
+
 def symbols(laws: Iterable[str]) -> list[str]:
     """Return the symbols of laws, without the laws that follow from another."""
-    found = [SYMBOLS.get(law, law_label(law)) for law in laws]
+    found = [*map(symbol, laws)]
     implied = {each for symbol in found for each in IMPLIED.get(symbol, ())}
     return [symbol for symbol in found if symbol not in implied]
 
@@ -109,7 +115,7 @@ def kept_laws(rows: pd.DataFrame) -> str:
         return "not measured"
     kept, unknown = kept_and_unknown(rows)
     hidden = {label for text in rows["laws_undecided"] for label in text.split(", ")}
-    unclear = symbols(law for law in laws_of(rows) if law_label(law) in hidden)
+    unclear = symbols(law for law in laws_of(rows) if symbol(law) in hidden)
     groups = {"": kept, " undecided": unclear, " not measured": unknown}
     return "; ".join(f"{', '.join(some)}{why}" for why, some in groups.items() if some) or "none"
 
@@ -118,7 +124,7 @@ def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
     kept, unknown = [], []
     for law in filter(LAWS_TABLE.columns.__contains__, laws_of(rows)):
         known = rows.loc[rows[law].notna(), "laws_kept"]
-        if len(known) and all(law_label(law) in text.split(", ") for text in known):
+        if len(known) and all(symbol(law) in text.split(", ") for text in known):
             kept.append(law)
         elif known.empty and law in structural_laws() and law not in OF_THE_STATE:  # needs the derivative
             unknown.append(law)

@@ -29,7 +29,7 @@ from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace, V
 from contactbench.registry import Registry
 from contactbench.scene.algebra import AnyState, shifted
 from contactbench.scene.flow import Flow
-from contactbench.scene.scales import in_order
+from contactbench.scene.scales import at_least, in_order, known
 from contactbench.trace.formula import Formula, formula
 
 #: by how much a function of floats may differ from its formula: powers are products there
@@ -433,6 +433,11 @@ class Scene(System):
         The action at the start.
     exact
         Closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None.
+    scale
+        What is large of each component of the motion (q, then p; M; y), numbers > 0 as many as there are: what errors
+        are parts of, and what the default atol and divergence are taken from.  By default the largest true size of
+        each vector in one unit: q of one mass, p, M, R, a point of a sphere; components with masses of their own, and
+        those of a `ContactSystem` or `Equations`, each by itself.
     slows_after
         The time after which the motion slows down as 1/t: steps that grow with the time suit it
         (`geometric_steps`).
@@ -450,6 +455,7 @@ class Scene(System):
     s: float = 0.0
     exact: Callable[..., OwnState] | None = None
     about: str = ""
+    scale: Any = None
     slows_after: float | None = None
     hard: bool = False
     experiments: tuple[str, ...] = ()
@@ -471,6 +477,7 @@ class Scene(System):
         "hard": switch,
         "experiments": experiment_names,
         "exact": optional(function),
+        "scale": optional(vector),
         "t_end": positive,
         "s": finite,
     }
@@ -494,6 +501,8 @@ class Scene(System):
     rate_changes: ClassVar[bool] = False
     #: J' = −Γ'(s) J
     has_momentum_law: ClassVar[bool] = False
+    #: R, where it has one, is part of the motion that runs are raced on
+    attitude: ClassVar[bool] = True
     #: its states lie on a manifold that methods may drift off: see `departure`
     constrained: ClassVar[bool] = False
     #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
@@ -522,6 +531,9 @@ class Scene(System):
             self._fix(kept, reciprocal(value))
             if not all(map(math.isfinite, leaves(getattr(self, kept)))):
                 raise BadInput(f"{name} = {excerpt(value)}: 1/{name} must be finite")
+        if (scale := self.scale) is not None and not (len(scale) == self.motion and min(scale) > 0):
+            names = ", ".join(self.without_clock(self.labels(()))[: self.motion])
+            raise BadInput(f"scale = {excerpt(scale)}: must be {self.motion} numbers > 0, for {names}")
 
     def _require_arguments(self, name: str) -> None:
         """Raise `BadInput`, which names another way, unless a function takes what it is called with."""
@@ -632,16 +644,44 @@ class Scene(System):
         sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
         return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
+    # -- units ---------------------------------------------------------------------------------
+    #: components of the motion have units of their own
+    mixed: ClassVar[bool] = True
+
+    @property
+    def alike(self) -> Sequence[int]:
+        """Return how many components each vector of the motion has whose components share a unit."""
+        return [1] * self.motion
+
+    @property
+    def vectors(self) -> Sequence[int]:
+        """Return the same, or where the user says their scale each component by itself."""
+        return self.alike if self.scale is None else [1] * self.motion
+
+    def groups(self, carry: Sequence[str]) -> list[int]:
+        """Return how many components each vector of a packed state has, less the time."""
+        return [*self.vectors, *[4] * ("R" in carry), *[1] * ("s" in carry)]
+
     @abstractmethod
     def sizes(self, x: OwnState, end: float) -> Sizes:
         """Return how large every component of the motion from x becomes until `end`, and the action: see `scales`."""
 
     def scales(self, x: OwnState, end: float) -> np.ndarray:
-        """Return the scale of every component of a packed state but the time, from x on: one where of order one."""
+        """Return the scale of every component of a packed state but the time, from x on: see `scene.scales`.
+
+        Where units are shared it is one where of order one.
+        """
         with np.errstate(all="ignore"):
-            motion, action = self.sizes(x, end)
+            found, action = self.sizes(x, end)
+            motion = np.array(found, dtype=float)
+            if self.mixed and hasattr(x, "p"):
+                motion = at_least(self, x, motion)
             attitude = [1.0] * 4 if getattr(x, "R", None) is not None else []
-            return in_order([*motion, *attitude, *([] if x.s is None else [np.fmax(abs(x.s), action)])])
+            sizes = np.array([*motion, *attitude, *([] if x.s is None else [np.fmax(abs(x.s), action)])])
+            sizes = known(sizes) if self.mixed else in_order(sizes)
+            if self.scale is not None:
+                sizes[: self.motion] = self.scale
+            return sizes
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
         defaults = self.state._field_defaults

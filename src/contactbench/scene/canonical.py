@@ -50,6 +50,8 @@ class Canonical(Scene):
         return dx.s - dot(x.p, dx.q)
 
     def contact_terms(self, x: State, dx: State) -> Numeric:
+        if self.mixed:
+            return abs(dx.s) + sum(abs(p * v) for p, v in zip(x.p, dx.q, strict=True))
         return abs(dx.s) + dot(x.p, x.p) ** 0.5 * dot(dx.q, dx.q) ** 0.5
 
 

@@ -20,7 +20,7 @@ from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.scene.algebra import State, Vector, dot
 from contactbench.scene.base import Check, Numeric, Sizes, as_formula, named_numbers, optional
 from contactbench.scene.canonical import Canonical, angular_momentum
-from contactbench.scene.scales import RATIO, SPANS, in_order, size
+from contactbench.scene.scales import RATIO, SPANS
 from contactbench.trace.formula import Formula, argument_names
 
 #: components of a state up to which the Jacobian is derived
@@ -168,7 +168,7 @@ class ContactSystem(Canonical):
     def _require_symmetry(self) -> None:
         """Raise `BadInput` unless J' = −J ∂H/∂s at states near the start."""
         start = np.array(self.pack(self.initial(("s",))))
-        size, rng = np.where(start == 0, np.abs(start).max() or 1.0, np.abs(start)), np.random.default_rng(1)
+        size, rng = self.scales(self.initial(("s",)), self.t_end), np.random.default_rng(1)
         for y in (start + SPREAD * size * rng.uniform(-1, 1, len(start)) * (k > 0) for k in range(POINTS)):
             x = self.unpack(y.tolist(), ("s",))
             try:
@@ -253,26 +253,27 @@ class ContactSystem(Canonical):
         return rows
 
     def sizes(self, x: State, end: float) -> Sizes:
-        """Return the sizes of a throw with the first force, as long as that does not change by more than itself."""
+        """Return the sizes of a throw with the first force, as long as none of that changes by more than it has."""
 
         def throw(span: float) -> State:
             p = tuple(p + span * f for p, f in zip(x.p, force, strict=True))
             half = x._replace(p=tuple((a + b) / 2 for a, b in zip(x.p, p, strict=True)))
             return State(tuple(q + span * v for q, v in zip(x.q, self.rhs(half).q, strict=True)), p, x.s)
 
-        n, force = len(self.q), self.rhs(x).p
-        far, fast, pull = map(size, (x.q, x.p, force))
+        force: Any = self.rhs(x).p
+        far, fast, pull = (np.abs(np.array(each, dtype=float)) for each in (x.q, x.p, force))
+        start_momenta, moves = fast, fast + pull > 0
         for span in (end / RATIO**k for k in reversed(range(SPANS))):
             try:
                 there = throw(span)
-                change = size(tuple(a - b for a, b in zip(self.rhs(there).p, force, strict=True)))
+                change = np.abs(np.array(self.rhs(there).p, dtype=float) - force)
             except (ArithmeticError, ValueError):  # where a function is not defined
                 break
-            if not change * span <= fast + span / 2 * pull:
+            if not (change * span <= start_momenta + span / 2 * pull)[moves].all():
                 break
-            far = np.fmax(far, size(tuple(a - b for a, b in zip(there.q, x.q, strict=True))))
-            fast = fast + span * pull
-        return [far] * n + [fast] * n, float(in_order(far) * in_order(fast))
+            far = np.fmax(far, np.abs(np.array(there.q, dtype=float) - x.q))
+            fast = start_momenta + span * pull
+        return [*far, *fast], float(np.nanmax(far * fast))
 
     # -- laws --------------------------------------------------------------------------------------
     def energy(self, x: State) -> Numeric:

@@ -111,10 +111,12 @@ def _verify(scene: Mechanical) -> None:
 def _motion(scene: Mechanical) -> np.ndarray:
     from scipy.integrate import DOP853
 
-    start = scene.pack(scene.initial(scene.carry(("s",))))
+    begin = scene.initial(scene.carry(("s",)))
+    start, scales = scene.pack(begin), scene.scales(begin, scene.t_end).tolist()
+    atol = 1e-9 * np.array(scene.with_clock(scales, 1.0))
     path = [np.empty((0, len(start)))]
     with _within_the_domain():  # the motion ends there
-        solver = DOP853(lambda t, y: _slope(scene, y), 0.0, start, scene.t_end, rtol=1e-6, atol=1e-9)
+        solver = DOP853(lambda t, y: _slope(scene, y), 0.0, start, scene.t_end, rtol=1e-6, atol=atol)
         until = perf_counter() + FOLLOWED_SECONDS
         while solver.status == "running" and solver.nfev < FOLLOWED and isfinite(solver.h_abs):
             if perf_counter() > until:

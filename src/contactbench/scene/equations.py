@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import InitVar, dataclass, field
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
@@ -17,7 +18,7 @@ from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.scene.algebra import AnyState, Vector
 from contactbench.scene.base import Check, Numeric, Scene, Sizes, named_numbers
 from contactbench.scene.mechanical import LARGEST_HESSIAN
-from contactbench.scene.scales import in_order, size
+from contactbench.scene.scales import RATIO, SPANS
 from contactbench.trace.formula import Formula, formula
 
 
@@ -168,8 +169,28 @@ class Equations(Scene):
         return {"y0": x.y, "t": x.t}
 
     def sizes(self, x: EquationState, end: float) -> Sizes:
-        most = size(x.y)
-        return [float(in_order(most))] * len(x.y), most
+        """Return the sizes of a throw with the first slope, as long as no component's changes by more than it has.
+
+        A component that does not move yet has what the others make of its slope by then.
+        """
+
+        def slope(span: float) -> np.ndarray:
+            with suppress(ArithmeticError, ValueError):  # where a function is not defined
+                there = EquationState(tuple((y + span * first).tolist()), x.t + span)
+                return np.array(self.rhs(there).y, dtype=float)
+            return np.full(len(y), np.nan)
+
+        y, first = np.array(x.y, dtype=float), np.zeros(len(x.y))
+        first, own, longest = slope(0.0), np.abs(y), 0.0
+        fast = np.abs(first)
+        moves = own + fast > 0
+        for span in (end / RATIO**k for k in reversed(range(SPANS))):
+            if not (np.abs(slope(span) - first) * span <= own + span / 2 * fast)[moves].all():
+                break
+            longest = span
+        far = np.fmax(own, longest * fast)
+        far = np.where(far > 0, far, longest * np.abs(slope(longest)))
+        return far.tolist(), 0.0
 
     # -- equations ---------------------------------------------------------------------------------
     def rhs(self, x: EquationState) -> EquationState:  # type: ignore[no-redef]

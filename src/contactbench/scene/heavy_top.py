@@ -49,6 +49,8 @@ class HeavyTop(RigidBody):
         As of `RigidBody`.
     R
         As of `RigidBody`; the attitude is always carried.
+    attitude
+        True: the weight follows it.
     gamma
         Isotropic damping.
     damping
@@ -88,6 +90,8 @@ class HeavyTop(RigidBody):
                 "damping: of a heavy top it is isotropic: give gamma; SciPy's solve_ivp takes any other"
             )
         super().__post_init__()
+        if not self.attitude:
+            raise BadInput("attitude = False: the weight of a heavy top follows its attitude; leave it out")
         if self.potential is not None:
             require_number("potential", self._value("potential"))
             self.recorded()

@@ -208,7 +208,8 @@ class Mechanical(Canonical):
     mass
         > 0; one number, or one for every component; or ``M(q, **parameters)``, a symmetric positive definite matrix,
         n rows of n numbers.  Then H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s², and the scene made is the `ContactSystem` of
-        this H, γ and κ among its parameters; gradient and hessian are derived.  In p = M(q) q' the damping is still
+        this H, γ and κ among its parameters; gradient and hessian are derived, and errors are of every component by
+        itself: such coordinates are angles beside lengths more often than not.  In p = M(q) q' the damping is still
         −γ p: the friction −γ M(q) q' is proportional to the mass.
     parameters
         Numbers by name that the functions take.
@@ -379,9 +380,22 @@ class Mechanical(Canonical):
         return State(self.velocity(x.p), force, s)
 
     def sizes(self, x: OwnState, end: float) -> Sizes:
-        far, fast = reach(self, x, end)
-        momenta: list[Any] = [fast * (1 / each) for each in self.velocity((1.0,) * len(x.p))]
-        return [far] * len(x.q) + momenta, float(in_order(far) * in_order(np.max(momenta)))
+        far, fast = reach(self, x, end, self.alike[: len(self.alike) // 2])
+        if self.mixed:
+            momenta = fast / np.array(self.velocity((1.0,) * len(x.p)))
+            return [*far, *momenta], float(np.nanmax(far * momenta))
+        over_mass: Any = self.velocity((1.0,) * len(x.p))[0]
+        q, p = float(far[0]), float(fast[0]) * (1 / over_mass)
+        return [q] * len(x.q) + [p] * len(x.p), float(in_order(q) * in_order(p))
+
+    @property
+    def mixed(self) -> bool:  # type: ignore[override]
+        return isinstance(self.mass, tuple)
+
+    @property
+    def alike(self) -> Sequence[int]:
+        n = len(self.q)
+        return [1] * 2 * n if self.mixed else [n, n]
 
     def energy_terms(self, x: OwnState) -> Arithmetic:
         return self.kinetic(x.p) + abs(self.potential_at(x))

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.checks import finite, real_array, vector
+from contactbench.checks import finite, real_array, switch, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import Arithmetic, Namespace
@@ -199,6 +199,9 @@ class RigidBody(Scene):
     R
         Attitude at the start: 1, a quaternion (w, x, y, z) or a rotation matrix; the nearest one where it is off by
         10⁻⁶ at most.
+    attitude
+        Whether R is part of the motion: carried, and judged with M, wherever methods are raced.  False where M alone
+        is asked for.
     gamma
         Isotropic damping, D = γ 1: a contact system with H = ½ M·I⁻¹M + γ s.
     damping
@@ -215,6 +218,7 @@ class RigidBody(Scene):
     gamma: Any = None
     damping: Any = None
     R: Any = 1
+    attitude: bool = True  # type: ignore[misc]
     #: eigenvalues of an anisotropic D, and the matrix of its eigenvectors, row by row (None when D is diagonal)
     rates: Vector = field(init=False, repr=False, default=())
     axes: Vector | None = field(init=False, repr=False, default=None)
@@ -232,6 +236,7 @@ class RigidBody(Scene):
         "inertia": moments,
         "M": lambda name, value: vector(name, value, 3),
         "R": lambda name, value: quaternion_of(value),
+        "attitude": switch,
         "gamma": optional(one_rate),
         "damping": optional(damping_matrix),
     }
@@ -300,6 +305,12 @@ class RigidBody(Scene):
 
     def orders(self) -> list[tuple[int, int, bool]]:
         return super().orders() + [(i, j, False) for i, j in pairwise(self.by_inertia)]
+
+    mixed = False
+
+    @property
+    def alike(self) -> Sequence[int]:
+        return [3]
 
     def sizes(self, x: BodyState, end: float) -> Sizes:
         most = float(np.linalg.norm(np.array(x.M, dtype=float), axis=0))

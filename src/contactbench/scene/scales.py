@@ -1,25 +1,41 @@
-"""How large a motion becomes, from its start alone: what divergence and absolute tolerances are measured against."""
+"""Units: which components share one, how large each becomes, and what an error is in parts of that.
+
+From its start alone a motion's sizes bound absolute tolerances and divergence; with its truth they are what errors are
+measured against, everywhere.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Vector
+from contactbench.scene.algebra import rotation_matrix
 
 #: a size between these counts as 1: a scene in sensible units keeps them
 LEAST, MOST = 1e-2, 1e3
 #: spans that are tried, each so many times as long as the one before
 SPANS, RATIO = 18, 8.0
+#: what moves less than this part of what the energy would let it is measured against that part
+FAINT = 1e-3
+
+
+def known(sizes: np.ndarray) -> np.ndarray:
+    """Return sizes, 1 where they are not known."""
+    return np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
 
 
 def in_order(sizes: object) -> np.ndarray:
     """Return sizes, 1 where they are of order one or not known."""
     sizes = np.asarray(sizes, dtype=float)
-    known = np.isfinite(sizes) & (sizes > 0) & ~((sizes >= LEAST) & (sizes <= MOST))
-    return np.where(known, sizes, 1.0)
+    other = np.isfinite(sizes) & (sizes > 0) & ~((sizes >= LEAST) & (sizes <= MOST))
+    return np.where(other, sizes, 1.0)
 
 
 def size(vector: Vector) -> float:
@@ -29,12 +45,18 @@ def size(vector: Vector) -> float:
     return float(largest) if total == total else math.nan
 
 
-def reach(scene: Any, x: Any, end: float) -> tuple[float, float]:
-    """Return how large coordinates and velocities become.
+def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return how large the parts of the coordinates, of these lengths, and their velocities become.
 
     A body is thrown from x with its first acceleration, over the longest of some spans up to `end` in which the
     change of the force does not outweigh what it has: a fraction of a period, or all the time of a free body.
     """
+
+    ends = [*accumulate(lengths)]
+    cuts = [slice(end - n, end) for n, end in zip(lengths, ends, strict=True)]
+
+    def sizes(v: Vector) -> list[float]:
+        return [size(v[cut]) for cut in cuts]
 
     def pull(after: float, q: Vector) -> Vector:
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
@@ -45,22 +67,124 @@ def reach(scene: Any, x: Any, end: float) -> tuple[float, float]:
         return accelerations
 
     v, a = scene.velocity(x.p), pull(0.0, x.q)
-    far, fast, force = size(x.q), size(v), size(a)
+    far, fast, force = map(sizes, (x.q, v, a))
     spans = [end / RATIO**k for k in reversed(range(SPANS))]
     if scene.clock is not None:  # a force that is yet to come
-        force = np.fmax.reduce([force, *(size(pull(span, x.q)) for span in spans)])
-
-    def fits(span: float) -> bool:
+        force = np.fmax.reduce([force, *(sizes(pull(span, x.q)) for span in spans)]).tolist()
+    longest, fits = [0.0] * len(cuts), [True] * len(cuts)
+    for span in spans:
         thrown = tuple(c + span * (d + span / 2 * e) for c, d, e in zip(x.q, v, a, strict=True))
         here = a if scene.clock is None else pull(span, x.q)
-        change = size(tuple(there - c for there, c in zip(pull(span, thrown), here, strict=True)))
-        return bool(change * span <= fast + force * span / 2)
-
-    longest = 0.0
-    for span in spans:
-        if not fits(span):
+        change = sizes(tuple(there - c for there, c in zip(pull(span, thrown), here, strict=True)))
+        seen = zip(fits, change, fast, force, strict=True)
+        fits = [fit and bool(c * span <= was + f * span / 2) for fit, c, was, f in seen]
+        if not any(fits):
             break
-        longest = span
-    if not longest > 0:
-        return float(np.fmax(far, 0.0)), fast
-    return float(np.fmax(far, longest * (fast + longest / 2 * force))), fast + longest * force
+        longest = [span if fit else before for fit, before in zip(fits, longest, strict=True)]
+    most, faster = np.fmax(far, 0.0), np.array(fast)
+    for i, span in enumerate(longest):
+        if span > 0:
+            most[i] = np.fmax(far[i], span * (fast[i] + span / 2 * force[i]))
+            faster[i] = fast[i] + span * force[i]
+    return most, faster
+
+
+# -- what an error is measured against -----------------------------------------------------------------
+def curvatures(scene: Any, x: Any) -> np.ndarray:
+    """Return |∂²H/∂y²| along every coordinate and momentum, (2n,): stiffnesses and inverse masses; 0 where unknown."""
+    n = len(x.q)
+    try:
+        rows = scene.jacobian(x)
+        if rows is None:
+            y, carry = scene.pack(x), [name for name in scene.optional if getattr(x, name) is not None]
+            moved = [Dual(c, row) for c, row in zip(y, np.eye(len(y)), strict=True)]
+            found = scene.rhs(scene.unpack(moved, carry))
+            rows = [slope(c) + np.zeros(len(y)) for c in (*found.q, *found.p)]
+        bends = [rows[i + n if i < n else i - n][i] for i in range(2 * n)]
+        return np.nan_to_num(np.abs(np.array(bends, dtype=float)), posinf=0.0)
+    except Exception:  # a user's function, of floats or where it is not defined
+        return np.zeros(2 * n)
+
+
+def at_least(scene: Any, x: Any, sizes: np.ndarray) -> np.ndarray:
+    """Return sizes of coordinates and momenta (2n,), a hardly moving one as what a motion of theirs would let it do.
+
+    That is `FAINT` of √(2E/H''), E the kinetic energy that the momenta come to: √(2E/mω²) and √(2mE).
+    """
+    bends, momenta = curvatures(scene, x), sizes[len(x.q) :]
+    twice = np.nansum(bends[len(x.q) :] * momenta * momenta)
+    room = np.sqrt(np.divide(twice, bends, out=np.zeros(len(sizes)), where=bends > 0))
+    raised: np.ndarray = np.fmax(sizes, FAINT * room)
+    return raised
+
+
+def vectors_of(
+    scene: Any, y: np.ndarray, carry: Sequence[str], whole: bool = False
+) -> tuple[np.ndarray, list[int]]:
+    """Return the motion in packed states (k, d), what errors are taken of, and how long each vector of one unit is.
+
+    The attitude is its nine matrix entries, what a quaternion and its negative have in common.  The time is no part,
+    nor, unless `whole`, s where nothing follows it: a constant in V would make it as large as one likes.
+    """
+    lengths = scene.groups(carry)
+    if scene.clock is not None:
+        y = np.delete(y, scene.clock, axis=1)
+    if "s" in carry and "s" not in scene.carry(()) and not whole:
+        y, lengths = y[:, :-1], lengths[:-1]
+    if "R" in carry:
+        attitude, first = len(scene.vectors), scene.motion
+        entries = np.array(rotation_matrix(tuple(y[:, first : first + lengths[attitude]].T))).reshape(9, -1)
+        y = np.concatenate([y[:, :first], entries.T, y[:, first + lengths[attitude] :]], axis=1)
+        lengths[attitude] = 9
+    return y, lengths
+
+
+def norms(v: np.ndarray, lengths: Sequence[int]) -> np.ndarray:
+    """Return the norms of vectors one beside the other, (k, ·); none underflows, nor overflows before it has to."""
+    if len(lengths) == v.shape[1]:
+        return np.abs(v)
+    firsts = np.cumsum(lengths) - lengths
+    most = np.maximum.reduceat(np.abs(v), firsts, axis=1)
+    most = np.where((most > 0) & (most < np.inf), most, 1.0)
+    return np.asarray(
+        most * np.sqrt(np.add.reduceat((v / np.repeat(most, lengths, axis=1)) ** 2, firsts, axis=1))
+    )
+
+
+def sizes_of(scene: Any, rows: np.ndarray, carry: Sequence[str], whole: bool = False) -> np.ndarray:
+    """Return the scale of each of `vectors_of` in true states (k, d), the start first: its largest size.
+
+    What hardly moves counts as what the energy would let it (`at_least`), what never moves as 1; the user's own rules.
+    """
+    sizes, vectors = norms(*vectors_of(scene, rows, carry, whole)).max(axis=0), scene.vectors
+    motion = len(vectors)
+    if "p" in getattr(scene.state, "_fields", ()) and (scene.mixed or len(sizes) > motion):
+        each = np.repeat(sizes[:motion], vectors)
+        if scene.mixed:
+            each = at_least(scene, scene.unpack(rows[0].tolist(), carry), each)
+            sizes[:motion] = each[np.cumsum(vectors) - 1]
+        if len(sizes) > motion:
+            sizes[-1] = np.fmax(sizes[-1], FAINT * np.multiply(*np.split(each, 2)).max())
+    if scene.scale is not None:
+        sizes[:motion] = scene.scale
+    return known(sizes)
+
+
+def gaps(
+    scene: Any, y: np.ndarray, true: np.ndarray, sizes: np.ndarray, carry: Sequence[str], whole: bool = False
+) -> np.ndarray:
+    """Return the error of packed states (k, d): of every vector in parts of its own size, the largest, (k,)."""
+    (found, lengths), (wanted, _) = (vectors_of(scene, each, carry, whole) for each in (y, true))
+    apart = norms(np.asarray(found - wanted, dtype=float), lengths)
+    return np.asarray((apart / sizes).max(axis=1))
+
+
+def errors(
+    scene: Any, y: np.ndarray, true: np.ndarray, start: ArrayLike, carry: Sequence[str], whole: bool = False
+) -> np.ndarray:
+    """Return the errors (k,) of states (k, d) against the true ones, whose sizes, the start's too, are the scales.
+
+    Both may be arrays of numbers of more digits.
+    """
+    rows = np.asarray(np.vstack([np.asarray(start), true]), dtype=float)
+    return gaps(scene, y, true, sizes_of(scene, rows, carry, whole), carry, whole)

@@ -19,6 +19,7 @@ from contactbench.scene.algebra import State, Vector, cross, dot, norm, times
 from contactbench.scene.base import Check, Sizes, optional
 from contactbench.scene.flow import Constants, Flow, plain
 from contactbench.scene.mechanical import Mechanical, _drift_damp_constants, _pinney, each_positive
+from contactbench.scene.scales import known
 from contactbench.trace.formula import Formula
 
 #: θ² up to which (1 − cos θ)/θ² and sin θ/θ are sums of so many powers, to round-off, and so many halvings at most
@@ -348,6 +349,14 @@ class Spheres(Mechanical):
                     row[n + j] = row[n + j] - 2 * x.q[k] * v[j] / square
         return rows
 
+    @property
+    def mixed(self) -> bool:  # type: ignore[override]
+        return isinstance(self.mass, tuple) or isinstance(self.radius, tuple)
+
+    @property
+    def alike(self) -> Sequence[int]:
+        return [self.dimension] * 2 * self.bodies
+
     def sizes(self, x: State, end: float) -> Sizes:
         """Return the radii, and what a fall through them makes of momenta: √(2 m R ‖∇V‖)."""
         try:
@@ -365,7 +374,7 @@ class Spheres(Mechanical):
 
     def departure(self, x: State, start: State) -> Vector:
         """Return | |q|/R − 1 | of every point, and |q·p|/R relative to the size of its momenta from the start on."""
-        sizes, found = self.sizes(start, self.t_end)[0][len(x.q) :: self.dimension], []
+        sizes, found = known(np.array(self.sizes(start, self.t_end)[0][len(x.q) :: self.dimension])), []
         for i, ((q, p), size) in enumerate(zip(self.pairs(x), sizes, strict=True)):
             R = of(self.radius, i)
             found += [abs(norm(q) / R - 1), abs(dot(q, p)) / (R * size)]

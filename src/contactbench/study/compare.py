@@ -16,6 +16,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.measure.laws import laws_of
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.base import METHODS
+from contactbench.report.race import symbol
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
 from contactbench.solution import Solution
@@ -72,7 +73,9 @@ def compare(
         they cost at most a quarter more than the least, in time or evaluations; beside them `rk4`, DOP853, CVODE's
         Adams method and what plug-ins bring.  Where no tables are installed all race.
     errors :
-        Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs and, of y*, the start.
+        Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs and, of y*, the start: of q, p, M, R
+        and each component with a unit of its own the largest.  `scale=` of the scene says what else they are parts of,
+        `attitude=False` of a body that its R does not count.
     budget :
         Seconds for everything, by default 15, and 50 where `methods` are given; the reference may take five
         whatever it is.
@@ -182,9 +185,9 @@ def motion(solution: Solution | None) -> Runs:
     return Runs(frame.to_dict("records"))
 
 
-def laws_in(scene: Scene) -> dict[str, str]:
-    """Return the laws that have a column, each with its label."""
-    return {law.name: law.label or law.name for law in laws_of(scene) if law.name not in LEFT_OUT}
+def laws_in(scene: Scene) -> list[str]:
+    """Return the laws that have a column."""
+    return [law.name for law in laws_of(scene) if law.name not in LEFT_OUT]
 
 
 def runs_of(search: Search) -> Iterator[Row]:
@@ -207,10 +210,10 @@ def row(race: Schedule, search: Search, error: float) -> Row:
     row = {"scene": race.question.scene.name, "method": search.method.name, "family": search.method.family}
     row |= {"engine": search.engine, "kind": search.kind, "error_asked": error, **known}
     row |= {"time_s": clock.get("time_min_s", math.nan), "at_least": at_least}
-    labels = laws_in(race.question.scene)
-    row |= {name: laws.get(name, math.nan) for name in (*labels, "map_growth")}
+    own_laws = laws_in(race.question.scene)
+    row |= {name: laws.get(name, math.nan) for name in (*own_laws, "map_growth")}
     for known_as in ("kept", "undecided"):
-        found = (label for law, label in labels.items() if laws.get(f"{law}_{known_as}"))
+        found = (symbol(law) for law in own_laws if laws.get(f"{law}_{known_as}"))
         row[f"laws_{known_as}"] = ", ".join(found)
     return row | {"time_halves_ratio": clock.get("time_halves_ratio", math.nan)}
 

@@ -9,18 +9,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 import contactbench as cb
-from contactbench.measure.order import error_at, fit_order
+from contactbench.measure.order import DIGITS, fit_order, march
 from contactbench.methods.base import Method
 from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
+from contactbench.scene.scales import errors
 from contactbench.solution import keywords
 from contactbench.study.choice import key, outcome, pairs
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.settings import halving_steps, times
 from contactbench.tables.declared import CONVERGENCE
+from contactbench.truth import decimal_context
 
 POINTS = 9
 #: below this, relative to the solution, an error is round-off
@@ -47,10 +51,11 @@ def in_double_precision(scene: Scene, method: Method) -> Iterator[tuple[Row, flo
 def at_fifty_digits(
     scene: Scene, method: FixedStep | Logarithmic, counts: Sequence[int]
 ) -> Iterator[tuple[Row, float, float]]:
-    """Yield rows of runs on mpmath numbers: the error at the end, relative to the larger of the start and the truth."""
+    """Yield rows of runs on mpmath numbers: the error at the end, in parts of the larger of the start and the truth."""
     end = ITERATED_TIME if method.iterates else EXTENDED_TIME
-    truth = cb.reference(scene, [end], scene.optional).y[0]
-    size = max(math.hypot(*scene.pack(scene.initial(scene.optional))), math.hypot(*truth))
+    carry, context = scene.optional, decimal_context(DIGITS)
+    truth = [context.mpf(c) for c in cb.reference(scene, [end], carry).decimals[0]]
+    start = scene.pack(scene.initial(carry))
     for n in counts:
         h = end / n
         row = key(scene.name, method.name, "mpmath", "step", h)
@@ -59,7 +64,8 @@ def at_fifty_digits(
         count = None if method.follows or method.iterates else method.counts(scene, n)
         row |= {"steps": None if method.follows else n, "evaluations": count}
         try:
-            error = float(error_at(method, scene, end, n)) / size
+            found = march(method, scene, context.mpf(repr(end)) / n, n, context)
+            error = float(errors(scene, np.array([found]), np.array([truth]), start, carry)[0])
         except OverflowError as why:  # beyond any scale
             row, error = row | {"status": "diverged", "message": str(why)}, math.nan
         yield row, h, error

@@ -90,15 +90,18 @@ def features(scene: Scene) -> Features:
     def pull(t: float, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a place and the acceleration there, friction left out; of what has no coordinates state and slope."""
         if not scene.separable:
-            return y, slope(t, y)
+            return y / units, slope(t, y) / units
         x: Any = scene.unpack(scene.with_clock(y.tolist(), start + t), carry)
         own: Any = scene
-        return np.array(x.q, dtype=float), np.array(own.velocity(own.gradient_at(x)), dtype=float)
+        acceleration = np.array(own.velocity(own.gradient_at(x)), dtype=float)
+        return np.array(x.q, dtype=float) / units[: len(x.q)], acceleration / units[: len(x.q)]
 
     passed, until = list[tuple[float, float, float]](), process_time() + SECONDS
     with np.errstate(all="ignore"), their_code(f"scene {scene.name!r}"):
-        most = furthest(scene, carry, packed, scene.t_end)
+        most, units = furthest(scene, carry, packed, scene.t_end), np.ones(len(y0))
         scale = max(1e-30, np.abs(y0).max() or scene.scales(begin, scene.t_end).max())
+        if scene.mixed:
+            scale = units = scene.scales(begin, scene.t_end)
         solver = DOP853(attempt, 0.0, y0, scene.t_end, rtol=RTOL, atol=RTOL * scale)
         q, force = pull(0.0, y0)
         while len(passed) < STEPS and solver.status == "running" and process_time() < until:
@@ -109,7 +112,7 @@ def features(scene: Scene) -> Features:
             old_q, old, (q, force) = q, force, pull(solver.t, solver.y)
             way, change = float(np.linalg.norm(q - old_q)), float(np.linalg.norm(force - old))
             passed.append((way, change, solver.t - before))
-        damping = loss(slope, solver.t, solver.y, len(y0) // 2 if scene.canonical else len(y0))
+        damping = loss(slope, solver.t, solver.y, units, len(y0) // 2 if scene.canonical else len(y0))
     ways, changes, lengths = np.array(passed or [(0.0, 0.0, 0.0)]).T
     seen = (ways > SHORT * ways.max()) & np.isfinite(changes)
     rates = (changes[seen] / ways[seen]) ** (0.5 if scene.separable else 1.0)
@@ -122,12 +125,12 @@ def features(scene: Scene) -> Features:
     return Features(omega, max(damping, 0.0) / omega, span, spread, cost, size, scene.kind)
 
 
-def loss(slope: Any, t: float, y: np.ndarray, momenta: int) -> float:
+def loss(slope: Any, t: float, y: np.ndarray, units: np.ndarray, momenta: int) -> float:
     """Return the mean rate at which momenta are lost, from the divergence of the field; of many from some of them."""
     there, total = slope(t, y), 0.0
     some = np.unique(np.linspace(0, len(y) - 1, min(len(y), SAMPLE)).round().astype(int))
     for i in some:
         shifted = y.copy()
-        shifted[i] += STEP * max(1.0, abs(y[i]))
+        shifted[i] += STEP * max(units[i], abs(y[i]))
         total += (slope(t, shifted)[i] - there[i]) / (shifted[i] - y[i])
     return -total / momenta * len(y) / len(some)

@@ -11,13 +11,13 @@ from time import perf_counter
 import numpy as np
 
 from contactbench.blame import UserError
-from contactbench.measure.laws import motion_size, observables
 from contactbench.methods.base import ENGINES, METHODS, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import IMPLICIT, Prepared
 from contactbench.methods.prescribed import Elapsed
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
+from contactbench.scene.scales import errors
 from contactbench.solution import Counts, Solution, Status
 from contactbench.study.experiment import Row
 from contactbench.study.settings import ENDS, carry_of, control_of, setting_to, steps, times, tolerances
@@ -125,11 +125,8 @@ class Question:
         carry, labels = carry_of(self.scene), self.scene.labels(self.truth.carry)
         known = self.truth.y[:, [labels.index(name) for name in self.scene.labels(carry)]]
         start = self.scene.pack(self.scene.initial(carry))
-        exact = observables(self.scene, known, carry)
-        found = observables(self.scene, np.array([solution.y[-1] for solution in solutions]), carry)
-        return float(
-            np.linalg.norm(found - exact, axis=1).max() / motion_size(self.scene, start, known, carry)
-        )
+        found = np.array([solution.y[-1] for solution in solutions])
+        return float(errors(self.scene, found, known, start, carry).max())
 
 
 @dataclass(frozen=True)

@@ -77,5 +77,5 @@ def times(scene: Scene, count: int = SAVES) -> np.ndarray:
 
 
 def carry_of(scene: Scene) -> tuple[str, ...]:
-    """Return the optional fields that a run needs where only the motion counts: R where J = R M, s if it acts."""
-    return scene.carry(("R",) if "R" in scene.optional and scene.conformal_rate is not None else ())
+    """Return the optional fields that are part of the motion: R unless a body's user says no, and s if it acts."""
+    return scene.carry(("R",) if "R" in scene.optional and scene.attitude else ())

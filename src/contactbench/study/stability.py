@@ -26,6 +26,7 @@ from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
+from contactbench.scene.scales import sizes_of
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import controlled, key, left_to_full, outcome, small, step_budget
@@ -188,10 +189,13 @@ def stability_row(name: str, method: str, engine: str, kind: str, value: float, 
 
 
 def end_error(solution: Solution) -> float:
-    """Return ‖y − y*‖ / ‖y*‖ at the end, of (q, p) or M; 0 where both have underflowed."""
-    size = len(solution.scene.labels(()))
-    truth = cb.reference(solution.scene, solution.elapsed[-1:], solution.carry).y[0, :size]
-    return float(np.linalg.norm(solution.y[-1, :size] - truth) / max(np.linalg.norm(truth), MEANINGFUL))
+    """Return the error of (q, p) or M at the end in parts of what is left, each in its unit; 0 where both underflow."""
+    scene, carry = solution.scene, solution.carry
+    truth = cb.reference(scene, solution.elapsed, carry).y
+    sizes = sizes_of(scene, np.vstack([solution.y0, truth]), carry)[: len(scene.vectors)]
+    units = np.repeat(sizes, scene.vectors)
+    found, left = (scene.without_clock(y[-1])[: scene.motion] / units for y in (solution.y, truth))
+    return float(np.linalg.norm(found - left) / max(np.linalg.norm(left), MEANINGFUL))
 
 
 # -- overdamped ------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import Elapsed
 from contactbench.peers.heyoka import SHARED
 from contactbench.scene import Scene
+from contactbench.scene.scales import errors
 from contactbench.solution import Solution, Status, keywords
 from contactbench.study.experiment import Row
 from contactbench.study.features import Features
@@ -62,7 +63,7 @@ def is_short(scene: Scene, known: Features) -> bool:
 
 def agreed(scene: Scene, carry: tuple[str, ...], one: Solution, other: Solution) -> Reference:
     """Return the states of one run as the truth, to the digits on which another agrees."""
-    gap = float(np.abs(one.y - other.y).max() / (np.abs(one.y).max() or 1.0))  # 1: at rest
+    gap = float(errors(scene, other.y, one.y, one.y0, carry).max())
     digits = max(0, math.floor(-math.log10(max(gap, 1e-16))))
     return Reference(scene, carry, np.asarray(one.elapsed), one.y, [], digits, "two solvers")
 

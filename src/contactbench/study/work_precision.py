@@ -12,14 +12,14 @@ from time import perf_counter
 
 import contactbench as cb
 from contactbench.measure.clock import Call, Part
-from contactbench.measure.laws import absolute_error
+from contactbench.measure.laws import errors_of
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
 from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
-from contactbench.solution import EXACT, GROWING, PILOTS, Solution
+from contactbench.solution import EXACT, GROWING, PILOTS
 from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.study.settings import (
@@ -76,12 +76,6 @@ def by_pilots(scene: Scene, method: Method, engine: str) -> bool:
     return contact and explicit and first and method.refuses(scene) is None
 
 
-def error(solutions: Sequence[Solution]) -> float:
-    """Return max ‖y − y*‖ / max ‖y*‖ over the saved times of several runs."""
-    pairs = [absolute_error(solution) for solution in solutions]
-    return float(max(error.max() for error, _ in pairs) / max(size for _, size in pairs))
-
-
 def passes_through(method: Method, engine: str, control: str) -> bool:
     """Return whether one run saved at all ends is, but for roundings, the runs to each, and slow enough to matter.
 
@@ -124,7 +118,7 @@ def errors(cell: Cell, profile: Profile) -> Row:
     earlier = times(scene, ENDS)[:-1].tolist()
     saves = [earlier] if passes_through(method, engine, control) else [[t] for t in earlier]
     others = [prepared(cell, budget, ends)() for ends in saves]
-    row["solution_error"] = error([*others, solution])
+    row["solution_error"] = float(errors_of([*others, solution]).max())
     if method.adaptive and method.order is None:
         row["evaluations_spread"] = evaluations_spread(run, solution.counts.evaluations or 0)
     return outcome(solution, variant) | row

@@ -14,7 +14,9 @@ from time import perf_counter
 import numpy as np
 
 from contactbench.errors import BadInput
+from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Scene
+from contactbench.scene.scales import errors
 from contactbench.truth.engines import (
     BlowUp,
     OutOfTime,
@@ -54,7 +56,14 @@ def doubles(
     stops : times at which a step ends.  blur : how exact slopes are.
     """
     tightest = max(TIGHTEST, blur)
-    slope, start, origin = initial_value_problem(scene, carry)
+    of_motion, start, origin = initial_value_problem(scene, carry)
+    #: both solvers know one scale for all components
+    units = scene.scales(scene.initial(carry), float(t[-1]))
+    start = start / units
+
+    def slope(time: Arithmetic, y: np.ndarray) -> np.ndarray:
+        return np.asarray(of_motion(time, y * units) / units)
+
     times = sorted({*t.tolist(), *stops})
     saved, breaks = np.searchsorted(times, t), scene.breaks_until(times[-1])
     with np.errstate(all="ignore"):
@@ -86,10 +95,10 @@ def doubles(
                     found.append(rows(partial(solve, least=FAINT * np.abs(found[0]).max())))
             except OutOfTime as why:
                 raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
-        lost = lost_at_breaks(slope, breaks, times, found[0])
-        one, other = (every[saved] for every in found)
-        size = max(np.abs(one).max(), np.finfo(float).tiny)  # at rest both are zero
-        gap = min((np.abs(one - other).max() + lost) / size, 1.0)
+        lost = lost_at_breaks(slope, breaks, times, found[0]) / (np.abs(found[0]).max() or 1.0)
+        one, other = (scene.insert_clock(every[saved] * units, float(origin), t) for every in found)
+        packed = scene.pack(scene.initial(carry))
+        gap = min(float(errors(scene, other, one, packed, carry, whole=True).max()) + lost, 1.0)
         return one, math.floor(-math.log10(max(gap, 1e-15)))
 
     explicit, implicit = PAIRS
@@ -102,7 +111,7 @@ def doubles(
             raise late from None
     if not digits:
         raise BadInput(no_reference(scene, f"two solvers agree on no digit at t = {t[-1]:g}"))
-    return y if scene.clock is None else np.insert(y, scene.clock, float(origin) + t, axis=1), digits
+    return y, digits
 
 
 def jumps(slope: Slope, y: np.ndarray, time: float, end: float) -> bool:
