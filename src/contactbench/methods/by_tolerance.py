@@ -27,7 +27,6 @@ from contactbench.methods.runge_kutta import (
     Factors,
     Tableau,
     Undamped,
-    combine,
     damped,
     explicit_slope,
     explicit_step,
@@ -123,7 +122,7 @@ class Explicit[S: Scene]:
         """Return the state after a step, the slope there where the pair evaluates it, and the error."""
         tableau = self.tableau
         after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first=first)
-        error = rebuild(y, combine(tableau.estimate[0], slopes, xp))
+        error = rebuild(y, slopes(tableau.estimate[0]))
         return after, None, scene.without_clock(scene.pack(error))
 
     def rate(
@@ -170,7 +169,7 @@ class Nystrom(Explicit[Mechanical]):
         stages = len(tableau.nodes)
         after, slopes, slope = nystrom_step(tableau, scene, y, h, xp, stages, None, first, factors)
         keep, half = 1 - factors.loss, scene.damping_at(self.leave(scene, after)) / 2
-        way, change = (combine(row, slopes, xp) for row in tableau.estimate)
+        way, change = map(slopes, tableau.estimate)
         q, v = scaled(keep * h, way[:d]), scaled(keep, change[:d])
         p = (m * (b - half * a) for m, a, b in zip(masses(scene, y.q), q, v, strict=True))
         action = [] if y.action is None else [keep * keep * change[d]]
