@@ -31,6 +31,7 @@ from contactbench.methods.runge_kutta import (
     explicit_slope,
     explicit_step,
     factors_of,
+    looped,
     masses,
     nystrom_step,
     pull,
@@ -117,11 +118,18 @@ class Explicit[S: Scene]:
         return None
 
     def attempt(
-        self, scene: S, y: OwnState, h: Arithmetic, xp: Namespace, first: Slope, factors: Factors | None
+        self,
+        scene: S,
+        y: OwnState,
+        h: Arithmetic,
+        xp: Namespace,
+        first: Slope,
+        factors: Factors | None,
+        loop: Repeat | None = None,
     ) -> tuple[OwnState, Slope, Sequence[Arithmetic]]:
         """Return the state after a step, the slope there where the pair evaluates it, and the error."""
         tableau = self.tableau
-        after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first=first)
+        after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), loop, first)
         error = rebuild(y, slopes(tableau.estimate[0]))
         return after, None, scene.without_clock(scene.pack(error))
 
@@ -163,17 +171,18 @@ class Nystrom(Explicit[Mechanical]):
         xp: Namespace,
         first: Slope,
         factors: Factors | None,
+        loop: Repeat | None = None,
     ) -> tuple[Undamped, Slope, Sequence[Arithmetic]]:
         tableau, d = self.tableau, len(y.q)
         factors = factors or factors_of(tableau, scene, y.t, h, xp)
         stages = len(tableau.nodes)
-        after, slopes, slope = nystrom_step(tableau, scene, y, h, xp, stages, None, first, factors)
+        after, slopes, slope = nystrom_step(tableau, scene, y, h, xp, stages, loop, first, factors)
         keep, half = 1 - factors.loss, scene.damping_at(self.leave(scene, after)) / 2
         way, change = map(slopes, tableau.estimate)
         q, v = scaled(keep * h, way[:d]), scaled(keep, change[:d])
         p = (m * (b - half * a) for m, a, b in zip(masses(scene, y.q), q, v, strict=True))
         action = [] if y.action is None else [keep * keep * change[d]]
-        return after, tuple(slope), [*q, *p, *action]
+        return after, slope and tuple(slope), [*q, *p, *action]
 
     def rate(
         self, scene: Mechanical, y: Undamped, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
@@ -224,11 +233,12 @@ def march[S: Scene](
     most: Arithmetic,
     tolerances: Sequence[Arithmetic],
     xp: ChoosingNamespace,
+    repeat: Repeat,
 ) -> tuple[OwnState, list[Any]]:
     """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run."""
     rtol, *atol = tolerances
     tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
-    reuses = tableau.first_same_as_last
+    reuses, loop = tableau.first_same_as_last, looped(repeat, len(tableau.nodes), scene, x)
     #: the square of the error below which a step grows
     grows = (AIM * STAY ** (-1 / power)) ** 2
 
@@ -267,7 +277,7 @@ def march[S: Scene](
         def attempt(row: EqualSteps) -> EqualSteps:
             _, _, y, first, before, _, left, tried, _, _ = row
             try:
-                after, slope, error = form.attempt(scene, y, h, xp, first, factors)
+                after, slope, error = form.attempt(scene, y, h, xp, first, factors, loop)
             except NO_NUMBER:
                 if not abilities(xp).branch:
                     raise
@@ -481,7 +491,6 @@ class RungeKuttaPair(Adaptive):
     form: Explicit[Any]
     engines: tuple[str, ...] = ("llvm", "python")
     family: str = "established"
-    largest: int = 32
     failure = "the step became too small"
 
     @property
@@ -513,7 +522,7 @@ class RungeKuttaPair(Adaptive):
     def march(
         self, scene: Any, x: Any, beside: Any, span: Any, most: Any, settings: Any, xp: Any, repeat: Any
     ) -> tuple[OwnState, list[Any]]:
-        return march(self.form, scene, x, beside, span, most, settings, xp)
+        return march(self.form, scene, x, beside, span, most, settings, xp, repeat)
 
 
 _pair = "explicit Runge–Kutta pair by tolerance"

@@ -136,7 +136,7 @@ def run_stages(
             slope, own = evaluate(i, combine(row, slopes, xp))
             slopes.append(settle(slope, xp))
         return lambda weights: combine(weights, slopes, xp), own
-    given, own, nothing, last = len(base), None, (Fraction(0),) * stages, base[-1][1]
+    given, own, none, last = len(base), None, (Fraction(0),), base[-1][1]
     rows, size, begun = loop.rows(given + stages, last), given + stages, 0
     for k, (_, row) in enumerate(base):
         rows[k] = row
@@ -149,15 +149,17 @@ def run_stages(
     def plus(total: Sequence[Arithmetic], weight: Arithmetic, row: Sequence[Arithmetic]) -> list[Arithmetic]:
         return [a + weight * b for a, b in zip(total, row, strict=True)]
 
-    matrix = [(*row, *nothing)[:stages] for row in tableau.matrix[:stages]]
-    others = [[*(w[i] for w, _ in base), *row[: max(i - 1, 0)], *nothing] for i, row in enumerate(matrix)]
-    square = column(w for row in others for w in row[:size])
-    latest = column(row[max(i - 1, 0)] for i, row in enumerate(matrix))
+    matrix = tableau.matrix[:stages]
+    padded = ((*(w[i] for w, _ in base), *row, *none * stages)[:size] for i, row in enumerate(matrix))
+    square, latest = (
+        column(w for row in padded for w in row),
+        column([*none, *(row[-1] for row in matrix[1:])]),
+    )
 
     # the latest row is added apart and kept after that: the sum of the others need not wait for it
     def another(carried: tuple[Count, Sequence[Arithmetic], Own]) -> tuple[Count, Sequence[Arithmetic], Own]:
         i, last, own = carried
-        total = rows.combine(square, size * i, given)
+        total = rows.combine(square, size * i, given - 1 + i, given)
         rows[given - 1 + i] = last
         slope, new = evaluate(i, plus(total, latest[i], last))
         return i + 1, slope, None if own is None else new
@@ -166,9 +168,7 @@ def run_stages(
 
     def slopes(weights: Row) -> Sequence[Arithmetic]:
         *others, end = weights[:stages]
-        return plus(
-            rows.combine(column((*nothing[:given], *others, nothing[0])), 0, given), number(end, xp), last
-        )
+        return plus(rows.combine(column((*none * given, *others)), 0, size - 1, given), number(end, xp), last)
 
     return slopes, own
 
@@ -388,9 +388,9 @@ def nystrom_step(
     return Undamped(q, u, t, action), slopes, own
 
 
-def looped(repeat: Repeat, scene: Scene, x: OwnState) -> Repeat | None:
-    """Return what makes the stages of a step one loop, where it can and a state is no small one."""
-    return repeat if len(scene.pack(x)) > SMALL and repeat.rows is not None else None
+def looped(repeat: Repeat, stages: int, scene: Scene, x: OwnState) -> Repeat | None:
+    """Return what makes the stages of a step one loop, where it can and neither they nor the numbers of x are few."""
+    return repeat if repeat.rows is not None and stages > 4 and len(scene.pack(x)) > SMALL else None
 
 
 @dataclass(frozen=True)
@@ -406,7 +406,7 @@ class RungeKutta(FixedStep):
         self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> OwnState:
         tableau, stages = self.tableau, self.tableau.used
-        loop = looped(repeat, scene, x)
+        loop = looped(repeat, stages, scene, x)
         if not tableau.nystrom:
             return repeat(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages, loop)[0], x)
         factors = stage = None

@@ -34,12 +34,12 @@ class Iteration(Protocol):
 
 
 class Rows(Protocol):
-    """Rows of numbers, zeros at first, which a loop may number."""
+    """Rows of numbers, which a loop may number."""
 
     def __getitem__(self, i: Count, /) -> Sequence[Arithmetic]: ...
     def __setitem__(self, i: Count, row: Sequence[Arithmetic], /) -> None: ...
-    def combine(self, weights: Column, first: Count = 0, late: int = 0) -> Sequence[Arithmetic]:
-        """Return Σ weights[first + j] times row j; so many of the first rows are added last."""
+    def combine(self, weights: Column, first: Count, count: Count, late: int = 0) -> Sequence[Arithmetic]:
+        """Return Σ weights[first + j] times row j, j < count; so many of the first rows are added last."""
 
 
 @dataclass(frozen=True)

@@ -90,11 +90,8 @@ class Lowering:
                     for name, value in zip(variables, list(map(self.value, values)), strict=True):
                         self.update(name, value)
                 case form.Allocate(array, size):
-                    kind = self.ir.ArrayType(self.double, size)
                     with self.builder.goto_entry_block():
-                        space = self.builder.alloca(kind)
-                    self.builder.store(kind(None), space)
-                    self.arrays[array] = Array(self.builder.bitcast(space, self.double.as_pointer()))
+                        self.arrays[array] = Array(self.builder.alloca(self.double, size))
                 case form.Combine():
                     self.combine(statement)
                 case form.Loop(counter, times, inner):
@@ -147,7 +144,7 @@ class Lowering:
                     term = builder.fmul(all_, row, flags=self.flags)
                     builder.store(builder.fadd(builder.load(total), term, flags=self.flags), total)
 
-            with self.counted(self.whole(sum_.count - sum_.late)) as j:
+            with self.counted(builder.sub(self.value(sum_.count), self.whole(sum_.late))) as j:
                 add(builder.add(j, self.whole(sum_.late)))
             for j in range(sum_.late):
                 add(self.whole(j))

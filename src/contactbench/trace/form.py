@@ -61,7 +61,7 @@ class Store(NamedTuple):
 
 
 class Allocate(NamedTuple):
-    """An array of a function's own, of so many zeros."""
+    """An array of a function's own, of so many numbers, none of which is read before it is stored."""
 
     array: str
     size: int
@@ -76,7 +76,7 @@ class Combine(NamedTuple):
     into: str
     weights: Element
     rows: str
-    count: int
+    count: Operand
     width: int
     late: int
 
@@ -238,7 +238,7 @@ def lines(body: Sequence[Statement], forms: Mapping[str, str] = FORMS, indent: s
             case Combine(into, weights, rows, count, width, late):
                 yield f"{indent}for c in range({width}):"
                 yield f"{within}{into}[c] = 0.0"
-                yield f"{within}for r in (*range({late}, {count}), *range({late})):"
+                yield f"{within}for r in (*range({late}, {text(count)}), *range({late})):"
                 yield f"{within}    {into}[c] += {place(weights)[:-1]} + r] * {rows}[r * {width} + c]"
             case Loop(index, times, inner):
                 yield f"{indent}for {index} in range({text(times)}):"

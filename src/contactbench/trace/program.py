@@ -129,7 +129,7 @@ class KeptRows:
     """Rows in an array of the program's own; like : numbers like those of a row."""
 
     def __init__(self, tape: Tape, count: int, like: Sequence[Arithmetic]) -> None:
-        self.tape, self.count, self.like, self.width = tape, count, like, len(leaves(like))
+        self.tape, self.like, self.width = tape, like, len(leaves(like))
         self.array, self.total = tape.name("rows"), tape.name("total")
         self.add(Allocate(self.array, count * self.width), Allocate(self.total, self.width))
 
@@ -158,9 +158,10 @@ class KeptRows:
         values = [self.tape.read(v, self.tape.block) for v in whole]
         self.add(*(Store(Element(self.array, (start,), c), v) for c, v in enumerate(values)))
 
-    def combine(self, weights: Vector, first: Count = 0, late: int = 0) -> Sequence[Arithmetic]:
-        whole = weights.place(weights.rows, self.tape.read(first, self.tape.block, "i"))
-        self.add(Combine(self.total, whole, self.array, self.count, self.width, late))
+    def combine(self, weights: Vector, first: Count, count: Count, late: int = 0) -> Sequence[Arithmetic]:
+        shift, times = (self.tape.read(number, self.tape.block, "i") for number in (first, count))
+        element = weights.place(weights.rows, shift)
+        self.add(Combine(self.total, element, self.array, times, self.width, late))
         return self.load(self.total, 0)
 
 
