@@ -38,6 +38,7 @@ from contactbench.methods.runge_kutta import (
     read_tableau,
     refusal,
     undamped,
+    undamped_twin,
 )
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import leaves, rebuild, value
@@ -55,6 +56,7 @@ from contactbench.numbers.protocol import (
 from contactbench.scene import Cache, Mechanical, Scene, State, key
 from contactbench.scene.algebra import DrivenState, scaled
 from contactbench.scene.base import OwnState
+from contactbench.scene.flow import damped_time
 from contactbench.solution import DIVERGENCE, Counts, Status
 from contactbench.trace.form import Assign, Element, Statement, Update, execute
 from contactbench.trace.native_call import Native
@@ -321,6 +323,31 @@ def march[S: Scene](
     return form.leave(scene, y), [step, past, tried, rejected, lag]
 
 
+def march_by_the_clock(
+    form: Explicit[Any],
+    scene: Any,
+    x: OwnState,
+    beside: Sequence[Arithmetic],
+    span: Arithmetic,
+    most: Arithmetic,
+    tolerances: Sequence[Arithmetic],
+    xp: ChoosingNamespace,
+    repeat: Repeat,
+) -> tuple[OwnState, list[Any]]:
+    """Do as `march` in the time that damping leaves of a clock; the step and what is left are of the span's own."""
+    gamma, lag = scene.gamma, beside[-1]
+    whole = damped_time(gamma, span, xp)
+    x, (step, *counts, left) = march(
+        form, undamped_twin(scene), x, beside, whole, most, tolerances, xp, repeat
+    )
+    left = xp.where(lag > 0, whole, left)
+    factor = xp.where(left > 0, 1 - gamma * (whole - left), xp.exp(-gamma * span))
+    slower = xp.maximum(factor, TINY)
+    passed = xp.where(gamma == 0, whole - left, -xp.log(slower) / xp.where(gamma == 0, 1.0, gamma))
+    late = xp.where(left > 0, lag + span - passed, 0.0)
+    return scene.decayed(x, factor), [step / slower, *counts, late]
+
+
 # -- the run -------------------------------------------------------------------------------------------
 def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: int) -> Program:
     """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`."""
@@ -522,7 +549,8 @@ class RungeKuttaPair(Adaptive):
     def march(
         self, scene: Any, x: Any, beside: Any, span: Any, most: Any, settings: Any, xp: Any, repeat: Any
     ) -> tuple[OwnState, list[Any]]:
-        return march(self.form, scene, x, beside, span, most, settings, xp, repeat)
+        run = march_by_the_clock if scene.slows_its_clock and not self.form.tableau.nystrom else march
+        return run(self.form, scene, x, beside, span, most, settings, xp, repeat)
 
 
 _pair = "explicit Runge–Kutta pair by tolerance"

@@ -1,6 +1,7 @@
 """Explicit Runge–Kutta and Runge–Kutta–Nyström methods, each a file of coefficients in `tableaux`.
 
-Runge–Kutta methods step y' = f(y), whatever the scene is.  Runge–Kutta–Nyström methods step z'' = f(t, z), which a
+Runge–Kutta methods step y' = f(y), whatever the scene is; where damping only slows the clock of a motion (isotropic, of
+a body), e^{γt} M in the time τ = (1 − e^{−γt})/γ, which knows no damping.  Runge–Kutta–Nyström methods step z'' = f(t, z), which a
 motion with damping Γ = γ(t) s is in z = e^{G/2} q, G = ∫γ from the start of the step:
 
     z'' = (γ²/4 + γ'/2) z − e^{G/2} ∇V(e^{−G/2} z, t)/m,   z' = e^{G/2} u,   u = q' + γ q/2.
@@ -30,6 +31,7 @@ from contactbench.numbers.protocol import Arithmetic, Count, Namespace, Vector
 from contactbench.scene import Scene, State, System
 from contactbench.scene.algebra import DrivenState, dot, scaled
 from contactbench.scene.base import OwnState
+from contactbench.scene.flow import damped_time
 from contactbench.scene.mechanical import Mechanical
 from contactbench.splitting.composition import number
 from contactbench.trace.formula import Formula, formula
@@ -206,6 +208,11 @@ def explicit_step[X](
     base = [((Fraction(1),) * stages, y)]
     slopes, _ = run_stages(tableau, stages, evaluate, base, xp, loop, start)
     return rebuild(x, [a + d for a, d in zip(y, slopes(tableau.weights[0]), strict=True)]), slopes
+
+
+def undamped_twin(scene: Any) -> Any:
+    """Return the scene without the damping that only slows its clock."""
+    return scene._replaced(gamma=0.0)
 
 
 # -- z'' = f(t, z) -------------------------------------------------------------------------------------
@@ -408,7 +415,11 @@ class RungeKutta(FixedStep):
         tableau, stages = self.tableau, self.tableau.used
         loop = looped(repeat, stages, scene, x)
         if not tableau.nystrom:
-            return repeat(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages, loop)[0], x)
+            free, step = scene, h
+            if scene.slows_its_clock:  # equal steps of that clock, whose time starts anew with every interval
+                free, step = undamped_twin(scene), damped_time(scene.gamma, h * n, xp) / n
+            x = repeat(n, lambda x: explicit_step(tableau, free, x, step, xp, stages, loop)[0], x)
+            return scene.decayed(x, xp.exp(-scene.gamma * h * n)) if scene.slows_its_clock else x
         factors = stage = None
         if not scene.rate_changes:
             factors = factors_of(tableau, scene, None, h, xp)
