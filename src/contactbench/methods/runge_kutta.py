@@ -1,7 +1,8 @@
 """Explicit Runge–Kutta and Runge–Kutta–Nyström methods, each a file of coefficients in `tableaux`.
 
-Runge–Kutta methods step y' = f(y), whatever the scene is; where damping only slows the clock of a motion (isotropic, of
-a body), e^{γt} M in the time τ = (1 − e^{−γt})/γ, which knows no damping.  Runge–Kutta–Nyström methods step z'' = f(t, z), which a
+Runge–Kutta methods step y' = f(y), whatever the scene is; where damping only slows the clock of a motion (isotropic,
+of a body), they step e^{γt} M in the time τ = (1 − e^{−γt})/γ, which knows no damping.  Runge–Kutta–Nyström methods
+step z'' = f(t, z), which a
 motion with damping Γ = γ(t) s is in z = e^{G/2} q, G = ∫γ from the start of the step:
 
     z'' = (γ²/4 + γ'/2) z − e^{G/2} ∇V(e^{−G/2} z, t)/m,   z' = e^{G/2} u,   u = q' + γ q/2.
