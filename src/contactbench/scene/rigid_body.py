@@ -261,7 +261,7 @@ class RigidBody(Scene):
 
     @property
     def slows_its_clock(self) -> bool:  # type: ignore[override]
-        return self.isotropic
+        return "free_damp" in self.flows
 
     def decayed(self, x: BodyState, factor: Arithmetic) -> BodyState:
         """Return x with M and s times a factor."""
