@@ -376,9 +376,11 @@ def nystrom_step(
         own = pull(scene, q, t, acts)
         return scale(i, own), own
 
-    over = 1 / h
-    beside: list[Any] = [*([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
-    base = [((Fraction(1),) * stages, [over * c for c in y.q] + beside), (tableau.nodes, [*y.u, *beside])]
+    base = []
+    if loop:
+        over = 1 / h
+        beside: list[Any] = [*([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
+        base = [((Fraction(1),) * stages, [over * c for c in y.q] + beside), (tableau.nodes, [*y.u, *beside])]
     known = None if first is None else (scale(0, first), first)
     slopes, own = run_stages(tableau, stages, evaluate, base, xp, loop, known)
     position, change = map(slopes, tableau.weights)
