@@ -246,3 +246,60 @@ def test_a_step_as_long_as_the_decay_is_no_trouble():
     scene = BODY.with_(gamma=50.0, t_end=100.0, M=(0.1, 0.2, 0.3))
     solution = cb.solve(scene, "contact-o8", step=50.0, save_at=[50.0, 100.0], engine="python")
     assert cb.LAWS["solution_error"](solution) < 1e-12
+
+
+# -- Runge–Kutta methods on the clock of a damped body -------------------------------------------------
+@pytest.mark.parametrize("carry", [(), ("R", "s")], ids=["momentum", "all"])
+@pytest.mark.parametrize(("method", "setting"), [("rk4", 40), ("rk8", 20), ("rk8-7", 1e-8)])
+def test_isotropic_damping_costs_a_runge_kutta_method_nothing(method, setting, carry):
+    """Times e^{−γT} they are the runs of the free body over (1 − e^{−γT})/γ."""
+    gamma, end = 0.1, 20.0
+    passed = -math.expm1(-gamma * end) / gamma
+    by_step = method != "rk8-7"
+    runs = [
+        cb.solve(
+            BODY.with_(gamma=rate, t_end=time),
+            method,
+            save_at=[time],
+            carry=carry,
+            **({"step": time / setting} if by_step else {"rtol": setting}),
+        )
+        for rate, time in ((gamma, end), (0.0, passed))
+    ]
+    damped, free = (run.y[-1] for run in runs)
+    kept = np.ones(len(free))
+    kept[:3] = math.exp(-gamma * end)
+    kept[7:] = math.exp(-gamma * end)
+    assert runs[0].counts.evaluations == runs[1].counts.evaluations
+    assert damped == pytest.approx(kept * free, rel=1e-12, abs=1e-14)
+
+
+#: evaluations with which 10⁻⁶, 10⁻⁹ and 10⁻¹² are reached; in t they take 96, 204, 492
+@pytest.mark.parametrize(("steps", "error"), [(6, 1e-6), (13, 1e-9), (29, 1e-12)])
+def test_rk8_takes_few_steps_on_a_damped_body(steps, error):
+    true = cb.reference(BODY, [20.0]).y[0]
+    found = cb.solve(BODY, "rk8", step=20.0 / steps, save_at=[20.0]).y[-1]
+    assert np.abs(found[:7] - true[:7]).max() < error * 1.5
+
+
+@pytest.mark.parametrize("engine", ["llvm", "python"])
+@pytest.mark.parametrize(("method", "setting"), [("rk8", {"step": 10.0}), ("rk8-7", {"rtol": 1e-9})])
+def test_nothing_overflows_where_everything_has_decayed(method, setting, engine):
+    body = BODY.with_(gamma=50.0, t_end=100.0)
+    found = cb.solve(body, method, save_at=[0.01, 50.0, 100.0], engine=engine, **setting)
+    assert found.ok
+    assert found.y == pytest.approx(cb.reference(body, [0.01, 50.0, 100.0]).y, abs=1e-8)
+
+
+def test_a_pair_says_when_its_steps_were_spent():
+    spent = cb.solve(BODY, "rk8-7", rtol=1e-10, save_at=[10.0, 20.0], max_steps=8)
+    assert spent.status is cb.Status.budget
+    reached = float(spent.message.rpartition("t = ")[2].rstrip(")"))
+    true = cb.reference(BODY, [reached]).y[0]
+    assert 0 < reached < 20
+    assert spent.stopped_at == pytest.approx(reached, rel=1e-5) if hasattr(spent, "stopped_at") else len(true)
+
+
+def test_other_damping_and_weight_have_no_such_clock():
+    for scene in ("rigid_body_anisotropic", "heavy_top"):
+        assert not cb.SCENES[scene].slows_its_clock

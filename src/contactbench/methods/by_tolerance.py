@@ -30,17 +30,18 @@ from contactbench.methods.runge_kutta import (
     Factors,
     Tableau,
     Undamped,
-    combine,
     damped,
     explicit_slope,
     explicit_step,
     factors_of,
+    looped,
     masses,
     nystrom_step,
     pull,
     read_tableau,
     refusal,
     undamped,
+    undamped_twin,
 )
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import leaves, rebuild, value
@@ -58,6 +59,7 @@ from contactbench.numbers.protocol import (
 from contactbench.scene import Cache, Mechanical, Scene, State, key
 from contactbench.scene.algebra import DrivenState, scaled
 from contactbench.scene.base import OwnState
+from contactbench.scene.flow import damped_time
 from contactbench.solution import DIVERGENCE, Counts, Status
 from contactbench.trace.form import Assign, Element, Statement, Update, execute
 from contactbench.trace.native_call import Native
@@ -121,12 +123,19 @@ class Explicit[S: Scene]:
         return None
 
     def attempt(
-        self, scene: S, y: OwnState, h: Arithmetic, xp: Namespace, first: Slope, factors: Factors | None
+        self,
+        scene: S,
+        y: OwnState,
+        h: Arithmetic,
+        xp: Namespace,
+        first: Slope,
+        factors: Factors | None,
+        loop: Repeat | None = None,
     ) -> tuple[OwnState, Slope, Sequence[Arithmetic]]:
         """Return the state after a step, the slope there where the pair evaluates it, and the error."""
         tableau = self.tableau
-        after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), first=first)
-        error = rebuild(y, combine(tableau.estimate[0], slopes, xp))
+        after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), loop, first)
+        error = rebuild(y, slopes(tableau.estimate[0]))
         return after, None, scene.without_clock(scene.pack(error))
 
     def rate(
@@ -167,17 +176,18 @@ class Nystrom(Explicit[Mechanical]):
         xp: Namespace,
         first: Slope,
         factors: Factors | None,
+        loop: Repeat | None = None,
     ) -> tuple[Undamped, Slope, Sequence[Arithmetic]]:
         tableau, d = self.tableau, len(y.q)
         factors = factors or factors_of(tableau, scene, y.t, h, xp)
         stages = len(tableau.nodes)
-        after, slopes, slope = nystrom_step(tableau, scene, y, h, xp, stages, None, first, factors)
+        after, slopes, slope = nystrom_step(tableau, scene, y, h, xp, stages, loop, first, factors)
         keep, half = 1 - factors.loss, scene.damping_at(self.leave(scene, after)) / 2
-        way, change = (combine(row, slopes, xp) for row in tableau.estimate)
+        way, change = map(slopes, tableau.estimate)
         q, v = scaled(keep * h, way[:d]), scaled(keep, change[:d])
         p = (m * (b - half * a) for m, a, b in zip(masses(scene, y.q), q, v, strict=True))
         action = [] if y.action is None else [keep * keep * change[d]]
-        return after, tuple(slope), [*q, *p, *action]
+        return after, slope and tuple(slope), [*q, *p, *action]
 
     def rate(
         self, scene: Mechanical, y: Undamped, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
@@ -233,11 +243,12 @@ def march[S: Scene](
     most: Arithmetic,
     tolerances: Sequence[Arithmetic],
     xp: ChoosingNamespace,
+    repeat: Repeat,
 ) -> tuple[OwnState, list[Any]]:
     """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run."""
     rtol, *atol = tolerances
     tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
-    reuses = tableau.first_same_as_last
+    reuses, loop = tableau.first_same_as_last, looped(repeat, len(tableau.nodes), scene, x)
     #: the square of the error below which a step grows
     grows = (AIM * STAY ** (-1 / power)) ** 2
 
@@ -280,7 +291,7 @@ def march[S: Scene](
             if scene.dated:
                 y = y._replace(t=span - left)
             try:
-                after, slope, error = form.attempt(scene, y, h, xp, first, factors)
+                after, slope, error = form.attempt(scene, y, h, xp, first, factors, loop)
             except NO_NUMBER:
                 if not abilities(xp).branch:
                     raise
@@ -322,6 +333,31 @@ def march[S: Scene](
     y, _, _, _, left, step, past, tried, rejected = repeat_while(going, turn, before, xp)
     lag = xp.where(lag > 0, lag + span, left)
     return form.leave(scene, y), [step, past, tried, rejected, lag]
+
+
+def march_by_the_clock(
+    form: Explicit[Any],
+    scene: Any,
+    x: OwnState,
+    beside: Sequence[Arithmetic],
+    span: Arithmetic,
+    most: Arithmetic,
+    tolerances: Sequence[Arithmetic],
+    xp: ChoosingNamespace,
+    repeat: Repeat,
+) -> tuple[OwnState, list[Any]]:
+    """Do as `march` in the time that damping leaves of a clock; the step and what is left are of the span's own."""
+    gamma, lag = scene.gamma, beside[-1]
+    whole = damped_time(gamma, span, xp)
+    x, (step, *counts, left) = march(
+        form, undamped_twin(scene), x, beside, whole, most, tolerances, xp, repeat
+    )
+    left = xp.where(lag > 0, whole, left)
+    factor = xp.where(left > 0, 1 - gamma * (whole - left), xp.exp(-gamma * span))
+    slower = xp.maximum(factor, TINY)
+    passed = xp.where(gamma == 0, whole - left, -xp.log(slower) / xp.where(gamma == 0, 1.0, gamma))
+    late = xp.where(left > 0, lag + span - passed, 0.0)
+    return scene.decayed(x, factor), [step / slower, *counts, late]
 
 
 # -- the run -------------------------------------------------------------------------------------------
@@ -536,7 +572,6 @@ class RungeKuttaPair(Adaptive):
     form: Explicit[Any]
     engines: tuple[str, ...] = ("llvm", "python")
     family: str = "established"
-    largest: int = 32
     failure = "the step became too small"
 
     @property
@@ -568,7 +603,8 @@ class RungeKuttaPair(Adaptive):
     def march(
         self, scene: Any, x: Any, beside: Any, span: Any, most: Any, settings: Any, xp: Any, repeat: Any
     ) -> tuple[OwnState, list[Any]]:
-        return march(self.form, scene, x, beside, span, most, settings, xp)
+        run = march_by_the_clock if scene.slows_its_clock and not self.form.tableau.nystrom else march
+        return run(self.form, scene, x, beside, span, most, settings, xp, repeat)
 
 
 _pair = "explicit Runge–Kutta pair by tolerance"

@@ -4,8 +4,7 @@
 
 the β exact on polynomials of the highest degree; with symmetric α the energy of z has no drift.  Quinlan, Tremaine,
 Astron. J. 100, 1694 (1990), doi:10.1086/115629.  Every interval starts afresh: its K points before are found going
-back, by extrapolated Strang steps (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9); the
-action is s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V).
+back, by steps of a Nyström method; the action is s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V).
 """
 
 from __future__ import annotations
@@ -14,23 +13,31 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import accumulate
-from math import prod
 from typing import Any, NoReturn
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.numbers.control import Repeat, repeat
+from contactbench.methods.runge_kutta import (
+    RKN8,
+    RKN12,
+    Tableau,
+    factors_by_stage,
+    factors_of,
+    looped,
+    nystrom_step,
+    pull,
+    undamped,
+)
+from contactbench.numbers.control import Repeat, Rows, repeat
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import Scene, State, Vector, dot, scaled
 from contactbench.scene.base import OwnState
-from contactbench.splitting import composition
 from contactbench.splitting.composition import number
-from contactbench.splitting.tables import STRANG
 
 #: γt beyond which e^{γt/2} is no longer a double
 LONGEST = 1400.0
-#: what a step carries: z, increments, z'' and ψ of the points before, the fading sum of ψ, e^{−γt/2} and e^{γt/2}
-Carried = tuple[Vector, tuple[Vector, ...], tuple[Vector, ...], Vector, Arithmetic, Arithmetic, Arithmetic]
+#: what a step carries: z, the last increments, z'', those before, ψ, the fading sum of ψ, e^{−γt/2}
+Carried = tuple[Vector, Any, Vector, Any, Vector, Arithmetic, Arithmetic]
 
 
 def weights(nodes: Sequence[int], moments: Iterable[Fraction]) -> list[Fraction]:
@@ -53,7 +60,6 @@ class Multistep(FixedStep):
     alpha: tuple[int, ...] = field(kw_only=True)
     forces: int = field(kw_only=True)
     one_step = False
-    largest = 32
 
     @property
     def beta(self) -> list[Fraction]:
@@ -84,10 +90,14 @@ class Multistep(FixedStep):
             return f"{self.name} takes γ t up to {LONGEST:g}; scene {scene.name!r} goes on for longer"
         return None
 
+    @property
+    def starter(self) -> Tableau:
+        """Return the Nyström method of at least this order whose steps lead to the points before the start."""
+        return RKN8 if self.order <= RKN8.order else RKN12
+
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        """Return n, one for the momentum, and those of the points before the start."""
-        each = sum(divisions + 1 for divisions in range(1, self.order // 2 + 1)) + 1
-        return self.forces * each + n + 1
+        """Return n, one for the momentum, and those of the points before the start, each known to the next step."""
+        return self.forces * self.starter.used + n + 1
 
     def advance(
         self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
@@ -99,75 +109,111 @@ class Multistep(FixedStep):
         loss, gain = -xp.expm1(-gamma * h / 2), xp.expm1(gamma * h / 2)
         fading = -xp.expm1(-gamma * h)
         one, nothing = xp.exp(0 * h), 0 * h
+        q, p = (tuple(a + nothing for a in v) for v in (x.q, x.p))
+        d, acts, loop = len(q), x.s is not None, looped(repeat, K, scene, x)
+        rates, increments = (past_of(K, q, xp, loop) for _ in range(2))
+        back = self.starter
+        factors = factors_of(back, scene, None, -h, xp)
+        stage = factors_by_stage(back, factors, -h, xp, loop)
 
-        def force(z: Vector, shrunk: Arithmetic, grown: Arithmetic) -> tuple[Vector, Arithmetic]:
-            """Return z'' and ψ = ½ q·∇V − V."""
-            q = scaled(shrunk, z)
-            gradient = scene.dV(q)
-            pull = scaled(over_m, gradient)
-            rate = tuple(gamma * gamma / 4 * a - grown * b for a, b in zip(z, pull, strict=True))
-            return rate, nothing if x.s is None else dot(q, gradient) / 2 - scene.V(q)
+        def force(q: Vector) -> tuple[Vector, Arithmetic]:
+            """Return e^{−γt/2} z'' and ψ = ½ q·∇V − V."""
+            own = pull(scene, q, None, acts)
+            return tuple(own[:d]), own[d] if acts else nothing
 
         def before(carried: Any) -> Any:
             """Go back by one step; the oldest point comes last."""
-            at, z, shrunk, grown, increments, rates, psis = carried
-            at = self.back(scene, at, h, xp, repeat)
-            shrunk, grown = shrunk + gain * shrunk, grown - loss * grown
-            older = scaled(grown, at.q)
-            rate, psi = force(older, shrunk, grown)
-            newest = tuple(a - b for a, b in zip(z, older, strict=True)), rate, psi
-            histories = (
-                (*past[1:], new) for past, new in zip((increments, rates, psis), newest, strict=True)
-            )
-            return at, older, shrunk, grown, *histories
+            y, own, z, shrunk, steps, slopes, psis = carried
+            y, _, _ = nystrom_step(back, scene, y, -h, xp, back.used, loop, own, factors, stage)
+            shrunk = shrunk + gain * shrunk
+            older, (own, psi) = scaled(1 / shrunk, y.q), force(y.q)
+            steps = increments.append(steps, tuple(a - b for a, b in zip(z, older, strict=True)))
+            slopes = rates.append(slopes, scaled(1 / shrunk, own))
+            return y, own, older, shrunk, steps, slopes, (*psis[1:], psi)
 
         def step(carried: Carried) -> Carried:
-            z, increments, rates, psis, total, shrunk, grown = carried
-            increment = tuple(
-                h * h * combine(beta, [rate[i] for rate in rates])
-                - combine(alpha, [w[i] for w in increments])
-                for i in range(len(z))
-            )
+            z, steps, rate, slopes, psis, total, shrunk = carried
+            moved = zip(rate, rates.sum(slopes, beta[1:]), increments.sum(steps, alpha), strict=True)
+            increment = tuple(h * h * (beta[0] * a + b) - c for a, b, c in moved)
+            steps, slopes = increments.push(steps, increment), rates.push(slopes, rate)
             z = tuple(a + b for a, b in zip(z, increment, strict=True))
-            shrunk, grown = shrunk - loss * shrunk, grown + gain * grown
-            rate, psi = force(z, shrunk, grown)
-            rates, psis, total = (rate, *rates[:-1]), (psi, *psis[:-1]), total - fading * total + psi
-            return z, (increment, *increments[:-1]), rates, psis, total, shrunk, grown
+            # one number and its reciprocal: updated apart, their product leaves 1, which shifts the frequency
+            shrunk = shrunk - loss * shrunk
+            own, psi = force(scaled(shrunk, z))
+            total = total - fading * total + psi
+            return z, steps, scaled(1 / shrunk, own), slopes, (psi, *psis[:-1]), total, shrunk
 
-        q, p = (tuple(a + nothing for a in v) for v in (x.q, x.p))
-        rate, psi = force(q, one, one)
-        rates, psis = (rate,) * (K + 1), (psi + nothing,) * (K + 1)
-        *_, increments, rates, psis = repeat(K, before, (State(q, p), q, one, one, (q,) * K, rates, psis))
-        first = combine(ends, psis)
-        start = q, increments, rates, psis, 0 * psi, one, one
-        z, increments, rates, psis, total, shrunk, _ = repeat(n, step, start)
-        q = scaled(shrunk, z)
-        v = tuple(
-            increments[0][i] / h + h * combine(velocity, [rate[i] for rate in rates]) for i in range(len(q))
-        )
+        start = undamped(scene, State(q, p))
+        own, psi = force(q)
+        known = start, own, q, one, increments.none, rates.none, (psi + nothing,) * (K + 1)
+        *_, steps, slopes, (_, *psis) = repeat(K, before, known)
+        psis = (psi, *psis)
+        begun = combine(ends, psis)
+        carried = q, increments.newest(steps), own, rates.newest(slopes), psis, 0 * psi, one
+        z, steps, rate, slopes, psis, total, shrunk = repeat(n, step, carried)
+        q, latest = scaled(shrunk, z), increments.sum(steps, (1.0,))
+        pulls = zip(latest, rate, rates.sum(slopes, velocity[1:]), strict=True)
+        v = tuple(a / h + h * (velocity[0] * b + c) for a, b, c in pulls)
         v = tuple(shrunk * a - gamma / 2 * b for a, b in zip(v, q, strict=True))
         masses = tuple(1 / w for w in over_m) if isinstance(over_m, tuple) else 1 / over_m
         p = scaled(masses, v)
-        if x.s is None:
+        if not acts:
             return State(q, p)
-        s = shrunk * shrunk * (x.s - dot(x.q, x.p) / 2 - h * first)
+        s = shrunk * shrunk * (x.s - dot(x.q, x.p) / 2 - h * begun)
         return State(q, p, s + dot(q, p) / 2 + h * (total + combine(ends, psis)))
 
-    def back(self, scene: Scene, x: State, h: Arithmetic, xp: Namespace, repeat: Repeat) -> State:
-        """Return x one step before, extrapolated from Strang's method to the order of this one."""
-        divisions = range(1, self.order // 2 + 1)
-        shares = [prod(Fraction(m * m, m * m - k * k) for k in divisions if k != m) for m in divisions]
-        found = [composition.advance(STRANG, scene, x, -h / m, m, xp, repeat) for m in divisions]
-        by_share = [number(Fraction(c), xp) for c in shares]
-        return State(
-            *(
-                tuple(
-                    a + combine(by_share, [getattr(y, name)[i] - a for y in found])
-                    for i, a in enumerate(getattr(x, name))
-                )
-                for name in ("q", "p")
-            )
+
+class Shifted:
+    """Vectors of some points before, the newest first, which move on by one where another comes."""
+
+    def __init__(self, count: int, like: Vector) -> None:
+        self.none = (like,) * count
+
+    def append(self, past: tuple[Vector, ...], oldest: Vector) -> tuple[Vector, ...]:
+        return *past[1:], oldest
+
+    def newest(self, past: tuple[Vector, ...]) -> tuple[Vector, ...]:
+        return past
+
+    def push(self, past: tuple[Vector, ...], newest: Vector) -> tuple[Vector, ...]:
+        return newest, *past[:-1]
+
+    def sum(self, past: tuple[Vector, ...], weights: Sequence[Arithmetic | int]) -> list[Arithmetic]:
+        return [combine(weights, [vector[i] for vector in past]) for i in range(len(past[0]))]
+
+
+class Ring:
+    """The same in rows that stay where they are: the newest takes the place of the oldest; past : its place."""
+
+    def __init__(self, count: int, rows: Rows, xp: Any) -> None:
+        self.count, self.none, self.rows, self.xp = count, count, rows, xp
+
+    def append(self, past: Count, oldest: Vector) -> Count:
+        self.rows[past - 1] = oldest
+        return past - 1
+
+    def newest(self, past: Count) -> Count:
+        return self.count - 1 + 0 * past
+
+    def push(self, past: Count, newest: Vector) -> Count:
+        following = past + 1
+        past = self.xp.where(following < self.count, following, following - self.count)
+        self.rows[past] = newest
+        return past
+
+    def sum(self, past: Count, weights: Sequence[Arithmetic | int]) -> Sequence[Arithmetic]:
+        by_age = [float(c) for c in (*weights, *[0] * self.count)[: self.count]]
+        places = self.xp.asarray(
+            [by_age[(self.count - 1 - k) % self.count] for k in range(2 * self.count - 1)]
         )
+        return self.rows.combine(places, self.count - 1 - past, self.count)
+
+
+def past_of(count: int, like: Vector, xp: Any, loop: Repeat | None) -> Any:
+    """Return what keeps vectors of some points before: rows where a loop has them."""
+    if loop is None or loop.rows is None:
+        return Shifted(count, like)
+    return Ring(count, loop.rows(count, like), xp)
 
 
 def single_step(*_: object) -> NoReturn:

@@ -1,6 +1,8 @@
 """Explicit Runge–Kutta and Runge–Kutta–Nyström methods, each a file of coefficients in `tableaux`.
 
-Runge–Kutta methods step y' = f(y), whatever the scene is.  Runge–Kutta–Nyström methods step z'' = f(t, z), which a
+Runge–Kutta methods step y' = f(y), whatever the scene is; where damping only slows the clock of a motion (isotropic,
+of a body), they step e^{γt} M in the time τ = (1 − e^{−γt})/γ, which knows no damping.  Runge–Kutta–Nyström methods
+step z'' = f(t, z), which a
 motion with damping Γ = γ(t) s is in z = e^{G/2} q, G = ∫γ from the start of the step:
 
     z'' = (γ²/4 + γ'/2) z − e^{G/2} ∇V(e^{−G/2} z, t)/m,   z' = e^{G/2} u,   u = q' + γ q/2.
@@ -12,7 +14,7 @@ Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.1 and 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, lru_cache
@@ -26,19 +28,23 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers import quadrature
 from contactbench.numbers.control import Repeat, repeat, settle
 from contactbench.numbers.dual import leaves, rebuild
-from contactbench.numbers.protocol import Arithmetic, Column, Count, Namespace, Vector
+from contactbench.numbers.protocol import Arithmetic, Count, Namespace, Vector
 from contactbench.scene import Scene, State, System
 from contactbench.scene.algebra import DrivenState, dot, scaled
 from contactbench.scene.base import OwnState
+from contactbench.scene.flow import damped_time
 from contactbench.scene.mechanical import Mechanical
 from contactbench.splitting.composition import number
 from contactbench.trace.formula import Formula, formula
 
 Row = tuple[Fraction, ...]
-Slopes = Sequence[Sequence[Arithmetic]]
+#: a sum of the slopes of all stages by their weights
+Slopes = Callable[[Row], Sequence[Arithmetic]]
+#: what the last stage evaluated, where it is asked for
+Own = Sequence[Arithmetic] | None
 FOLDER = Path(__file__).parent / "tableaux"
-#: numbers of a state beyond which compiled code has the stages as a loop
-LARGE = 24
+#: numbers of a state up to which the stages of a step are written out one after the other, as is fastest
+SMALL = 24
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,9 @@ def read_tableau(name: str) -> Tableau:
     )
 
 
-def combine(weights: Sequence[Fraction | Arithmetic], slopes: Slopes, xp: Namespace) -> list[Arithmetic]:
+def combine(
+    weights: Sequence[Fraction | Arithmetic], slopes: Sequence[Sequence[Arithmetic]], xp: Namespace
+) -> list[Arithmetic]:
     """Return Σ w k, entry by entry; weights of later stages may be left out."""
     used = [
         (number(w, xp) if isinstance(w, Fraction) else w, k)
@@ -111,39 +119,61 @@ def combine(weights: Sequence[Fraction | Arithmetic], slopes: Slopes, xp: Namesp
 def run_stages(
     tableau: Tableau,
     stages: int,
-    evaluate: Callable[[Count, list[Arithmetic] | None], list[Arithmetic]],
-    x: Sequence[Arithmetic],
+    evaluate: Callable[[Count, Sequence[Arithmetic] | None], tuple[Sequence[Arithmetic], Own]],
+    base: Sequence[tuple[Row, Sequence[Arithmetic]]],
     xp: Any,
     loop: Repeat | None = None,
-    first: list[Arithmetic] | None = None,
-) -> list[list[Arithmetic]]:
-    """Return the slopes of all stages, ``evaluate(i, Σ a k)`` at stage i, None for Σ a k where there are none.
+    first: tuple[Sequence[Arithmetic], Own] | None = None,
+) -> tuple[Slopes, Own]:
+    """Return sums of the slopes of all stages by their weights, and what else the last one gives.
 
-    loop : makes them one loop, whose code is short where states are large; x : leaves like those of a slope.
+    ``evaluate(i, Σ a k)`` is the slope of stage i and what else there is, None for Σ a k where there are no k;
+    first : those of the first stage, where they are known.  loop : makes the stages one loop over rows, whose code is
+    short and fast where states are large; then Σ a k has base in it, rows like a slope, each with its weight at every
+    stage.
     """
-    if loop is None:
-        slopes = [evaluate(0, None) if first is None else first]
+    if loop is None or loop.rows is None:
+        slope, own = evaluate(0, None) if first is None else first
+        slopes = [slope]
         for i, row in enumerate(tableau.matrix[1:stages], start=1):
-            slopes.append(settle(evaluate(i, combine(row, slopes, xp)), xp))
-        return slopes
-    # the latest slope comes first: column r has what stage i takes of the stage i − 1 − r
-    columns = [
-        [row[i - 1 - r] if r < i else Fraction(0) for i, row in enumerate(tableau.matrix[:stages])]
-        for r in range(stages - 1)
-    ]
-    weights = [xp.asarray([number(w, xp) for w in column]) if any(column) else None for column in columns]
+            slope, own = evaluate(i, combine(row, slopes, xp))
+            slopes.append(settle(slope, xp))
+        return lambda weights: combine(weights, slopes, xp), own
+    given, own, none, last = len(base), None, (Fraction(0),), base[-1][1]
+    rows, size, begun = loop.rows(given + stages, last), given + stages, 0
+    for k, (_, row) in enumerate(base):
+        rows[k] = row
+    if first is not None:
+        begun, (last, own) = 1, first
 
-    def another(carried: tuple[int, Slopes]) -> tuple[int, Slopes]:
-        i, slopes = carried
-        pairs = [(w[i], k) for w, k in zip(weights, slopes, strict=False) if w is not None]
-        moved = [
-            sum((w * c[j] for w, c in pairs[1:]), pairs[0][0] * pairs[0][1][j]) for j in range(len(slopes[0]))
-        ]
-        return i + 1, (tuple(evaluate(i, moved)), *slopes[:-1])
+    def column(weights: Iterable[Fraction]) -> Any:
+        return xp.asarray([number(w, xp) for w in weights])
 
-    # in the place of stages to come any numbers do, as their weights are 0
-    start: Slopes = tuple(tuple((2.0 + r) * c for c in x) for r in range(stages))
-    return [*map(list, loop(stages, another, (0, start))[1][::-1])]
+    def plus(total: Sequence[Arithmetic], weight: Arithmetic, row: Sequence[Arithmetic]) -> list[Arithmetic]:
+        return [a + weight * b for a, b in zip(total, row, strict=True)]
+
+    matrix = tableau.matrix[:stages]
+    padded = ((*(w[i] for w, _ in base), *row, *none * stages)[:size] for i, row in enumerate(matrix))
+    square, latest = (
+        column(w for row in padded for w in row),
+        column([*none, *(row[-1] for row in matrix[1:])]),
+    )
+
+    # the latest row is added apart and kept after that: the sum of the others need not wait for it
+    def another(carried: tuple[Count, Sequence[Arithmetic], Own]) -> tuple[Count, Sequence[Arithmetic], Own]:
+        i, last, own = carried
+        total = rows.combine(square, size * i, given - 1 + i, given)
+        rows[given - 1 + i] = last
+        slope, new = evaluate(i, plus(total, latest[i], last))
+        return i + 1, slope, None if own is None else new
+
+    _, last, own = loop(stages - begun, another, (begun, last, own))
+
+    def slopes(weights: Row) -> Sequence[Arithmetic]:
+        *others, end = weights[:stages]
+        return plus(rows.combine(column((*none * given, *others)), 0, size - 1, given), number(end, xp), last)
+
+    return slopes, own
 
 
 def table(values: Sequence[Fraction], xp: Any, loop: Repeat | None) -> Any:
@@ -165,18 +195,25 @@ def explicit_step[X](
     stages: int,
     loop: Repeat | None = None,
     first: Sequence[Arithmetic] | None = None,
-) -> tuple[X, list[list[Arithmetic]]]:
+) -> tuple[X, Slopes]:
     """Return the state after a step, and h times the slopes of all stages; first : the slope at its beginning."""
     y = leaves(x)
 
-    def evaluate(i: Count, moved: list[Arithmetic] | None) -> list[Arithmetic]:
-        at = x if moved is None else rebuild(x, [a + d for a, d in zip(y, moved, strict=True)])
-        return [h * c for c in explicit_slope(scene, at)]
+    def evaluate(i: Count, moved: Sequence[Arithmetic] | None) -> tuple[list[Arithmetic], None]:
+        at = x
+        if moved is not None:
+            at = rebuild(x, moved if loop else [a + d for a, d in zip(y, moved, strict=True)])
+        return [h * c for c in explicit_slope(scene, at)], None
 
-    start = None if first is None else [h * c for c in first]
-    slopes = run_stages(tableau, stages, evaluate, y, xp, loop, start)
-    change = combine(tableau.weights[0], slopes, xp)
-    return rebuild(x, [a + d for a, d in zip(y, change, strict=True)]), slopes
+    start = None if first is None else ([h * c for c in first], None)
+    base = [((Fraction(1),) * stages, y)]
+    slopes, _ = run_stages(tableau, stages, evaluate, base, xp, loop, start)
+    return rebuild(x, [a + d for a, d in zip(y, slopes(tableau.weights[0]), strict=True)]), slopes
+
+
+def undamped_twin(scene: Any) -> Any:
+    """Return the scene without the damping that only slows its clock."""
+    return scene._replaced(gamma=0.0)
 
 
 # -- z'' = f(t, z) -------------------------------------------------------------------------------------
@@ -192,11 +229,11 @@ class Undamped(NamedTuple):
 class Factors(NamedTuple):
     """e^{G/2} at every stage of a step of size h, times h; e^{−G/2}, times h, and ch; 1 − e^{−G/2} at the end."""
 
-    grown: Column
-    pushed: Column
-    shrunk: Column
-    way: Column
-    far: Column
+    grown: Vector
+    pushed: Vector
+    shrunk: Vector
+    way: Vector
+    far: Vector
     loss: Arithmetic
 
 
@@ -229,17 +266,12 @@ def damped(scene: Mechanical, y: Undamped) -> OwnState:
     return x._replace(p=p, s=None if y.action is None else y.action + dot(y.q, p) / 2)
 
 
-def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any, loop: Repeat | None = None) -> Factors:
+def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any) -> Factors:
     """Return the factors of a step from t, which does not matter where γ is constant."""
     nodes = (*tableau.nodes, Fraction(1))
     if not scene.rate_changes:
         whole = scene.gamma * h / 2
-        if loop is None:
-            pairs = exponentials(nodes, whole, xp)
-        else:
-            column = table(tableau.nodes, xp, loop)
-            grown = xp.exp(column * whole)
-            return Factors(grown, h * grown, 1 / grown, h / grown, column * (h / grown), -xp.expm1(-whole))
+        pairs = exponentials(nodes, whole, xp)
     else:
         if scene.span is not None:
             spent = [scene.spent(t, number(c, xp) * h, xp)[0] for c in nodes]
@@ -292,6 +324,24 @@ def pull(scene: Any, q: Vector, t: Arithmetic | None, acts: bool) -> list[Arithm
     return [*rate, *action, *turn]
 
 
+def by_stage(columns: Sequence[Vector], loop: Repeat | None) -> Callable[[Count], Sequence[Arithmetic]]:
+    """Return the function of a stage's number that gives its entry of every column."""
+    stages = list(zip(*columns, strict=True))
+    if loop is None or loop.rows is None:
+        return stages.__getitem__
+    rows = loop.rows(len(stages), stages[0])
+    for i, row in enumerate(stages):
+        rows[i] = row
+    return rows.__getitem__
+
+
+def factors_by_stage(
+    tableau: Tableau, factors: Factors, h: Arithmetic, xp: Namespace, loop: Repeat | None
+) -> Callable[[Count], Sequence[Arithmetic]]:
+    """Return the factors of a stage by its number, and the time from the beginning of the step to it."""
+    return by_stage([*factors[:-1], tuple(number(c, xp) * h for c in tableau.nodes)], loop)
+
+
 def nystrom_step(
     tableau: Tableau,
     scene: Mechanical,
@@ -302,31 +352,39 @@ def nystrom_step(
     loop: Repeat | None = None,
     first: Sequence[Arithmetic] | None = None,
     factors: Factors | None = None,
-) -> tuple[Undamped, list[list[Arithmetic]], list[Arithmetic]]:
+    stage: Callable[[Count], Sequence[Arithmetic]] | None = None,
+) -> tuple[Undamped, Slopes, Own]:
     """Return the state after a step, and h times what its stages are worth: z'', e^{G} (½ q·∇V − V), γ'/2.
 
-    first : `pull` at its beginning; that of its last stage comes last.
+    first : `pull` at its beginning; then that of its last stage comes last.  stage : `factors_by_stage`.
     """
-    grown, pushed, shrunk, way, far, loss = factors or factors_of(tableau, scene, y.t, h, xp, loop)
-    acts, nodes, d = y.action is not None, table(tableau.nodes, xp, loop), len(y.q)
-    seen: list[list[Arithmetic]] = []
+    factors = factors or factors_of(tableau, scene, y.t, h, xp)
+    stage, loss = stage or factors_by_stage(tableau, factors, h, xp, loop), factors.loss
+    acts, d = y.action is not None, len(y.q)
 
     def scale(i: Count, own: Sequence[Arithmetic]) -> list[Arithmetic]:
-        rest = [pushed[i] * grown[i] * own[d]] if acts else []
-        return [*scaled(pushed[i], own[:d]), *rest, *(h * c for c in own[d + acts :])]
+        grown, pushed, *_ = stage(i)
+        rest = [pushed * grown * own[d]] if acts else []
+        return [*scaled(pushed, own[:d]), *rest, *(h * c for c in own[d + acts :])]
 
-    def evaluate(i: Count, moved: list[Arithmetic] | None) -> list[Arithmetic]:
-        if moved is None:
-            seen.append(pull(scene, y.q, y.t, acts))
-        else:
-            parts = zip(y.q, y.u, moved[:d], strict=True)
-            q = tuple(shrunk[i] * a + far[i] * b + way[i] * c for a, b, c in parts)
-            seen.append(pull(scene, q, None if y.t is None else y.t + nodes[i] * h, acts))
-        return scale(i, seen[-1])
+    def evaluate(i: Count, moved: Sequence[Arithmetic] | None) -> tuple[list[Arithmetic], list[Arithmetic]]:
+        q, t = y.q, y.t
+        if moved is not None:
+            _, _, shrunk, way, far, passed = stage(i)
+            parts = zip(y.q, y.u, moved, strict=False)
+            q = tuple(way * c if loop else shrunk * a + far * b + way * c for a, b, c in parts)
+            t = None if t is None else t + passed
+        own = pull(scene, q, t, acts)
+        return scale(i, own), own
 
-    like: list[Any] = [*y.q, *([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
-    slopes = run_stages(tableau, stages, evaluate, like, xp, loop, None if first is None else scale(0, first))
-    position, change = (combine(row, slopes, xp) for row in tableau.weights)
+    base = []
+    if loop:
+        over = 1 / h
+        beside: list[Any] = [*([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
+        base = [((Fraction(1),) * stages, [over * c for c in y.q] + beside), (tableau.nodes, [*y.u, *beside])]
+    known = None if first is None else (scale(0, first), first)
+    slopes, own = run_stages(tableau, stages, evaluate, base, xp, loop, known)
+    position, change = map(slopes, tableau.weights)
     z = (a + h * (b + c) for a, b, c in zip(y.q, y.u, position[:d], strict=True))
     velocity = (a + b for a, b in zip(y.u, change[:d], strict=True))
     q, u = (tuple(a - loss * a for a in part) for part in (z, velocity))
@@ -338,7 +396,12 @@ def nystrom_step(
         before, after = (scene.damping_at(at(scene, y.q, time)) / 2 for time in (y.t, t))
         jump = after - before - change[-1]
         u = tuple(a + jump * c for a, c in zip(u, q, strict=True))
-    return Undamped(q, u, t, action), slopes, seen[-1]
+    return Undamped(q, u, t, action), slopes, own
+
+
+def looped(repeat: Repeat, stages: int, scene: Scene, x: OwnState) -> Repeat | None:
+    """Return what makes the stages of a step one loop, where it can and neither they nor the numbers of x are few."""
+    return repeat if repeat.rows is not None and stages > 4 and len(scene.pack(x)) > SMALL else None
 
 
 @dataclass(frozen=True)
@@ -354,12 +417,21 @@ class RungeKutta(FixedStep):
         self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> OwnState:
         tableau, stages = self.tableau, self.tableau.used
-        large = len(leaves(x)) > LARGE
-        loop = repeat if repeat.over_stages and large and stages > 4 and not scene.rate_changes else None
+        loop = looped(repeat, stages, scene, x)
         if not tableau.nystrom:
-            return repeat.steps(n, lambda x: explicit_step(tableau, scene, x, h, xp, stages, loop)[0], x, h)
-        factors = None if scene.rate_changes else factors_of(tableau, scene, None, h, xp, loop)
-        another = lambda y: nystrom_step(tableau, scene, y, h, xp, stages, loop, factors=factors)[0]  # noqa: E731
+            free, step = scene, h
+            if scene.slows_its_clock:  # equal steps of that clock, whose time starts anew with every interval
+                free, step = undamped_twin(scene), damped_time(scene.gamma, h * n, xp) / n
+            x = repeat.steps(n, lambda x: explicit_step(tableau, free, x, step, xp, stages, loop)[0], x, h)
+            return scene.decayed(x, xp.exp(-scene.gamma * h * n)) if scene.slows_its_clock else x
+        factors = stage = None
+        if not scene.rate_changes:
+            factors = factors_of(tableau, scene, None, h, xp)
+            stage = factors_by_stage(tableau, factors, h, xp, loop)
+
+        def another(y: Undamped) -> Undamped:
+            return nystrom_step(tableau, scene, y, h, xp, stages, loop, None, factors, stage)[0]
+
         return damped(scene, repeat.steps(n, another, undamped(scene, x), h))
 
 

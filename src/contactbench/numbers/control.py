@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -13,6 +13,7 @@ from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import (
     Abilities,
     Arithmetic,
+    Column,
     Condition,
     Count,
     Namespace,
@@ -32,15 +33,29 @@ class Iteration(Protocol):
     def __call__[X](self, n: Count, body: Callable[[X], X], x: X, /) -> X: ...
 
 
+class Rows(Protocol):
+    """Rows of numbers, which a loop may number."""
+
+    def __getitem__(self, i: Count, /) -> Sequence[Arithmetic]: ...
+    def __setitem__(self, i: Count, row: Sequence[Arithmetic], /) -> None: ...
+    def combine(self, weights: Column, first: Count, count: Count, late: int = 0) -> Sequence[Arithmetic]:
+        """Return Σ weights[first + j] times row j, j < count; so many of the first rows are added last."""
+
+
 @dataclass(frozen=True)
 class Repeat:
     """Apply a body n times, ``repeat(n, body, x)``, by the loop that an engine has.
 
-    over_stages : the stages of a step are a loop, too, not written out one after the other.
+    rows : ``rows(count, like)`` makes so many rows; then the stages of a step are a loop, too, not written out one
+    after the other.
     """
 
     loop: Iteration
-    over_stages: bool = False
+    rows: Callable[[int, Sequence[Arithmetic]], Rows] | None = None
+
+    @property
+    def over_stages(self) -> bool:
+        return self.rows is not None
 
     def __call__[X](self, n: Count, body: Callable[[X], X], x: X) -> X:
         return self.loop(n, body, x)

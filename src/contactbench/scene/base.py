@@ -499,6 +499,8 @@ class Scene(System):
     decided: ClassVar[tuple[Hashable, ...]] = ()
     #: φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant
     rate_changes: ClassVar[bool] = False
+    #: what is damped moves, times e^{γt}, as if undamped in the time τ = (1 − e^{−γt})/γ: see `RigidBody.decayed`
+    slows_its_clock: ClassVar[bool] = False
     #: J' = −Γ'(s) J
     has_momentum_law: ClassVar[bool] = False
     #: R, where it has one, is part of the motion that runs are raced on

@@ -266,6 +266,15 @@ class RigidBody(Scene):
         return self.damping is None
 
     @property
+    def slows_its_clock(self) -> bool:  # type: ignore[override]
+        return "free_damp" in self.flows
+
+    def decayed(self, x: BodyState, factor: Arithmetic) -> BodyState:
+        """Return x with M and s times a factor."""
+        s = None if x.s is None else factor * x.s
+        return BodyState(tuple(factor * m for m in x.M), x.R, s)
+
+    @property
     def flows(self) -> Mapping[str, Flow]:  # type: ignore[override]
         """Its subflows; compositions of higher order leave out `free`, which is costly."""
         return ISOTROPIC if self.isotropic else BODY

@@ -298,8 +298,7 @@ def advance_by_the_clock(
     x, clock = repeat(n, step, (rotation(x, smallest, opening, xp), one))
     x = rotation(x, smallest, -clock * opening, xp)
     x = spin(x, damped_time(gamma, h * n, xp) * scene.inverse_inertia[middle], xp)
-    total = xp.exp(-gamma * h * n)
-    return BodyState(tuple(total * m for m in x.M), x.R, None if x.s is None else total * x.s)
+    return scene.decayed(x, xp.exp(-gamma * h * n))
 
 
 def scale(coefficients: Iterable[Fraction], factor: Arithmetic, xp: Namespace) -> Any:

@@ -146,9 +146,13 @@ class Run:
         return row
 
     def prepare(self, task: Task, timetable: Timetable) -> Entry | None:
-        """Return a cell's entry of a timetable; None where its run ends badly, which leaves nothing to time."""
+        """Return a cell's entry of a timetable; None where there is no row, or its run ends badly: nothing to time."""
         assert task.experiment.timing is not None
         row = self.untimed(task)
+        timetable.ahead.discard(task.key)
+        if row is None:
+            self.cells.save([], task.key)
+            return None
         timing = task.experiment.timing(task.cell, self.profile, row)
         call: Call | None = None
         if row["status"] == "ok":
@@ -159,7 +163,6 @@ class Run:
         def keep(columns: Row) -> None:
             self.cells.save([(timing.table, self.complete(task, timing.table, row | columns))], task.key)
 
-        timetable.ahead.discard(task.key)
         if call is None:
             keep({})
             return None
@@ -168,13 +171,14 @@ class Run:
         timetable.entries.append(Entry(call, again, keep))
         return timetable.entries[-1]
 
-    def untimed(self, task: Task) -> Row:
-        """Return the row that a timed cell adds its times to, as measured in this run or now."""
+    def untimed(self, task: Task) -> Row | None:
+        """Return the row that a timed cell adds its times to, as measured in this run or now; None for no row."""
         errors = task.experiment.errors
         assert errors is not None
         if known := self.cells.rows(Task(errors, task.cell, task.name).key):
             return dict(known[0][1])
-        return dict(next(errors.rows(task.cell, self.profile))[1])
+        row = next(errors.rows(task.cell, self.profile), None)
+        return None if row is None else dict(row[1])
 
     def timetable(self, tasks: Iterable[Task]) -> Timetable:
         engines = {task.key: next((part for part in task.cell if part in ENGINES), "") for task in tasks}

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Method
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.multistep import Multistep
 from contactbench.methods.prescribed import geometric_steps
 from contactbench.scene import Scene
@@ -19,6 +20,8 @@ SAVES = 25
 ENDS = 5
 #: coarsest step; below it a ladder halves
 COARSEST = 0.8
+#: evaluations that a run of a ladder may cost below its last step
+DEAREST = 2**18
 RTOLS = [10.0**-k for k in range(3, 15)]
 #: beside the tolerances of `RTOLS`: some methods are a thousand times more accurate than asked
 LOOSEST = 1e-1
@@ -37,8 +40,8 @@ def halving_steps(scene: Scene, count: int) -> list[float]:
 def steps(scene: Scene, method: Method) -> list[float]:
     """Return about ten steps t_end/n, n a multiple of 5: halving from 0.8 or 4, from order 6 on by about √2 from 3.2.
 
-    That is from errors of 10⁻² or 10⁻³ on; high orders go not as far down, because finer steps meet round-off.  Steps
-    of one evaluation are an eighth of theirs.
+    That is from errors of 10⁻² or 10⁻³ on; high orders need not go as far down, and go on by `finer_steps` where they
+    do.  Steps of one evaluation are an eighth of theirs.
     """
     if (method.order or 1) < 6:
         fine = halving_steps(scene, 9)
@@ -47,6 +50,15 @@ def steps(scene: Scene, method: Method) -> list[float]:
     coarse = halving_steps(scene, 1)[0] * (0.5 if isinstance(method, Multistep) else 4)
     counts = [ENDS * max(1, round(scene.t_end / coarse / ENDS * 2 ** (k / 2))) for k in range(11)]
     return [scene.t_end / n for n in dict.fromkeys(counts)]
+
+
+def finer_steps(scene: Scene, method: Method) -> list[float]:
+    """Return steps that halve below those, as long as a run costs no more than `DEAREST` evaluations."""
+    each = method.per_step(scene) if isinstance(method, FixedStep) else 1
+    halved = [steps(scene, method)[-1]]
+    while scene.t_end / halved[-1] * 2 * each <= DEAREST:
+        halved.append(halved[-1] / 2)
+    return halved[1:]
 
 
 def tolerances(method: Method) -> list[float]:

@@ -6,8 +6,9 @@ out.  The error is the largest over five end times, each the end of a run of its
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from functools import partial
+from functools import cache, partial
 from time import perf_counter
 
 import contactbench as cb
@@ -22,22 +23,26 @@ from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, GROWING, PILOTS
 from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
+from contactbench.study.search import STILL_BETTER
 from contactbench.study.settings import (
     BETWEEN,
     ENDS,
     LOOSEST,
     carry_of,
     control_of,
+    finer_steps,
     setting_to,
     steps,
     times,
     tolerances,
 )
-from contactbench.tables.contest import CONTACT
+from contactbench.tables.contest import CONTACT, TARGETS
 from contactbench.tables.declared import WORK_PRECISION
 
 #: of tolerances down to this a profile chooses some; tighter ones are all run
 TIGHT = 1e-13
+#: steps of a ladder that do not lessen the error before it ends: they show round-off
+PATIENCE = 2
 #: contact methods from this order on are given tolerances too
 HIGH_ORDER = 4
 PILOTED = [10.0**-k for k in range(3, 13)]
@@ -62,10 +67,41 @@ def ladder(profile: Profile) -> list[Cell]:
                     values.append(rungs[-1])
             else:
                 values = profile.choose(steps(scene, method))
+                if goes_on(engine, method, profile):
+                    values = [*values, *finer_steps(scene, method)]
             rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
             if by_pilots(scene, method, engine) and (not profile.brief or scene.name == SMOKE):
                 rows += [(scene.name, name, engine, "rtol", rtol) for rtol in profile.choose(PILOTED)]
     return rows
+
+
+def goes_on(engine: str, method: Method, profile: Profile) -> bool:
+    """Return whether a ladder of steps goes on to the end of what a method can do: on its first engine."""
+    return engine == method.engines[0] and not profile.brief
+
+
+def is_past_the_end(cell: Cell) -> bool:
+    """Return whether coarser steps of a ladder have passed every error asked for, or two of them were of no help."""
+    name, *own, control, value = cell
+    scene, method = cb.SCENES[name], cb.METHODS[own[0]]
+    if control not in ("step", GROWING) or value >= (last := steps(scene, method)[-1]):
+        return False
+    least, idle = math.inf, 0
+    for step in (last, *(step for step in finer_steps(scene, method) if step > value)):
+        found = error_of((name, *own, control, step))
+        idle = 0 if found <= STILL_BETTER * least else idle + 1
+        least = min(least, found)
+        if least <= TARGETS[-1] or idle == PATIENCE:
+            return True
+    return False
+
+
+@cache
+def error_of(cell: Cell) -> float:
+    """Return the largest error at the ends, inf where a run ends badly."""
+    ends = times(cb.SCENES[cell[0]], ENDS).tolist()
+    solutions = [prepared(cell, None, [end])() for end in ends]
+    return error(solutions) if all(solution.ok for solution in solutions) else math.inf
 
 
 def by_pilots(scene: Scene, method: Method, engine: str) -> bool:
@@ -166,7 +202,8 @@ def evaluations_spread(run: Prepared, own: int) -> float:
 
 @experiment(ladder)
 def work_precision_errors(cell: Cell, profile: Profile) -> Recorded:
-    yield WORK_PRECISION, errors(cell, profile)
+    if not is_past_the_end(cell):
+        yield WORK_PRECISION, errors(cell, profile)
 
 
 @timed_experiment(ladder, errors=work_precision_errors)

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -41,6 +41,9 @@ INTRINSICS = {
 }
 ARITHMETIC = ("add", "sub", "mul", "div")
 COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+#: entries of a row that one instruction adds, no more: next to longer vectors some processors halve their plain
+#: arithmetic; and entries that are added at once: few enough for the registers of any processor
+VECTOR, WIDE = 4, 32
 #: products and sums may be fused
 CONTRACT = ("contract",)
 
@@ -86,6 +89,11 @@ class Lowering:
                 case form.Update(variables, values):
                     for name, value in zip(variables, list(map(self.value, values)), strict=True):
                         self.update(name, value)
+                case form.Allocate(array, size):
+                    with self.builder.goto_entry_block():
+                        self.arrays[array] = Array(self.builder.alloca(self.double, size))
+                case form.Combine():
+                    self.combine(statement)
                 case form.Loop(counter, times, inner):
                     with self.counted(self.value(times)) as self.values[counter]:
                         self.run(inner)
@@ -107,6 +115,41 @@ class Lowering:
         index.add_incoming(builder.add(index, self.whole(1)), builder.block)
         builder.branch(test)
         builder.position_at_end(after)
+
+    def combine(self, sum_: form.Combine) -> None:
+        """Add rows, `WIDE` entries at a time, which stay in registers from the first row to the last."""
+        builder, ir, weights = self.builder, self.ir, self.place(sum_.weights)
+        rows, into = self.arrays[sum_.rows].first, self.arrays[sum_.into].first
+
+        def part(array: Value, at: Value, kind: Any) -> Value:
+            return builder.bitcast(builder.gep(array, [at], inbounds=True), kind.as_pointer())
+
+        for begin in range(0, sum_.width, WIDE):
+            parts = range(begin, min(begin + WIDE, sum_.width), VECTOR)
+            kinds = [ir.VectorType(self.double, min(VECTOR, sum_.width - first)) for first in parts]
+            with builder.goto_entry_block():
+                totals = [builder.alloca(kind) for kind in kinds]
+            pieces = list(zip(parts, kinds, totals, strict=True))
+            for _, kind, total in pieces:
+                builder.store(kind(None), total)
+
+            def add(j: Value, pieces: Any = pieces) -> None:
+                weight = builder.load(builder.gep(weights, [j], inbounds=True), align=8)
+                start = builder.mul(j, self.whole(sum_.width))
+                for first, kind, total in pieces:
+                    row = builder.load(part(rows, builder.add(start, self.whole(first)), kind), align=8)
+                    all_ = kind(ir.Undefined)
+                    for k in range(kind.count):
+                        all_ = builder.insert_element(all_, weight, ir.IntType(32)(k))
+                    term = builder.fmul(all_, row, flags=self.flags)
+                    builder.store(builder.fadd(builder.load(total), term, flags=self.flags), total)
+
+            with self.counted(builder.sub(self.value(sum_.count), self.whole(sum_.late))) as j:
+                add(builder.add(j, self.whole(sum_.late)))
+            for j in range(sum_.late):
+                add(self.whole(j))
+            for first, kind, total in pieces:
+                builder.store(builder.load(total), part(into, self.whole(first), kind), align=8)
 
     def update(self, name: str, value: Value) -> None:
         if name not in self.variables:

@@ -60,6 +60,27 @@ class Store(NamedTuple):
     value: Operand
 
 
+class Allocate(NamedTuple):
+    """An array of a function's own, of so many numbers, none of which is read before it is stored."""
+
+    array: str
+    size: int
+
+
+class Combine(NamedTuple):
+    """``into[c] = Σ weights[shift + j] rows[j·width + c]`` over j < count, for every c < width.
+
+    late : so many of the first rows are added last.
+    """
+
+    into: str
+    weights: Element
+    rows: str
+    count: Operand
+    width: int
+    late: int
+
+
 class Loop(NamedTuple):
     """Statements repeated for counter = 0, 1, …, times − 1."""
 
@@ -83,7 +104,7 @@ class Unpack(NamedTuple):
     sequence: str
 
 
-type Statement = Assign | Update | Store | Loop | While | Unpack
+type Statement = Assign | Update | Store | Allocate | Combine | Loop | While | Unpack
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +233,13 @@ def lines(body: Sequence[Statement], forms: Mapping[str, str] = FORMS, indent: s
             case Store(element, stored):
                 number = f"1.0 if {text(stored)} else 0.0" if element.kind == "b" else text(stored)
                 yield f"{indent}{place(element)} = {number}"
+            case Allocate(array, size):
+                yield f"{indent}{array} = [0.0] * {size}"
+            case Combine(into, weights, rows, count, width, late):
+                yield f"{indent}for c in range({width}):"
+                yield f"{within}{into}[c] = 0.0"
+                yield f"{within}for r in (*range({late}, {text(count)}), *range({late})):"
+                yield f"{within}    {into}[c] += {place(weights)[:-1]} + r] * {rows}[r * {width} + c]"
             case Loop(index, times, inner):
                 yield f"{indent}for {index} in range({text(times)}):"
                 yield from lines(inner, forms, within)

@@ -17,16 +17,19 @@ import math
 import sys
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
-from functools import reduce
+from functools import partial, reduce
 from operator import and_
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from contactbench.numbers.control import Repeat
+from contactbench.numbers.dual import Dual, leaves, rebuild, slope, value
 from contactbench.numbers.protocol import Abilities, Arithmetic, CannotRecord, Count
 from contactbench.trace.form import (
+    Allocate,
     Assign,
+    Combine,
     Element,
     Function,
     Loop,
@@ -114,10 +117,55 @@ class Vector(Recorded):
         if known and np.ndim(key):
             return Vector(tape, self.name, column, [self.rows[row] for row in key])
         rows = [self.rows[key]] if known else self.rows
-        element = Element("w", ("u", tape.place(column, self.name, column.pick(rows)).name))
         if known:
-            return tape.assign(element, "f", tape.main)
-        return tape.assign(element._replace(shift=tape.read(key, key.block, "i")), "f", key.block)
+            return tape.assign(self.place(rows), "f", tape.main)
+        return tape.assign(self.place(rows, tape.read(key, key.block, "i")), "f", key.block)
+
+    def place(self, rows: Sequence[int], shift: Operand = 0) -> Element:
+        tape, column = self.tape, self.block
+        assert isinstance(tape, ProgramTape)
+        assert isinstance(column, Column)
+        return Element("w", ("u", tape.place(column, self.name, column.pick(rows)).name), shift)
+
+
+class KeptRows:
+    """Rows in an array of the program's own; like : numbers like those of a row."""
+
+    def __init__(self, tape: Tape, count: int, like: Sequence[Arithmetic]) -> None:
+        self.tape, self.like, self.width = tape, like, len(leaves(like))
+        self.array, self.total = tape.name("rows"), tape.name("total")
+        self.add(Allocate(self.array, count * self.width), Allocate(self.total, self.width))
+
+    def add(self, *statements: Statement) -> None:
+        self.tape.block.statements += statements
+
+    def start(self, i: Count) -> Operand:
+        return self.tape.read(i * self.width, self.tape.block, "i")
+
+    def __getitem__(self, i: Count) -> Sequence[Arithmetic]:
+        return self.load(self.array, self.start(i))
+
+    def load(self, array: str, start: Operand) -> Sequence[Arithmetic]:
+        names = [self.tape.name() for _ in range(self.width)]
+        self.add(*(Assign(name, Element(array, (start,), c)) for c, name in enumerate(names)))
+        return rebuild(self.like, [Recorded(self.tape, name, "f", self.tape.block) for name in names])
+
+    def __setitem__(self, i: Count, row: Sequence[Arithmetic]) -> None:
+        start = self.start(i)
+        whole = leaves(
+            [
+                Dual(value(v), slope(v)) if isinstance(a, Dual) else v
+                for a, v in zip(self.like, row, strict=True)
+            ]
+        )
+        values = [self.tape.read(v, self.tape.block) for v in whole]
+        self.add(*(Store(Element(self.array, (start,), c), v) for c, v in enumerate(values)))
+
+    def combine(self, weights: Vector, first: Count, count: Count, late: int = 0) -> Sequence[Arithmetic]:
+        shift, times = (self.tape.read(number, self.tape.block, "i") for number in (first, count))
+        element = weights.place(weights.rows, shift)
+        self.add(Combine(self.total, element, self.array, times, self.width, late))
+        return self.load(self.total, 0)
 
 
 class ProgramTape(Tape):
@@ -226,7 +274,7 @@ def record(
     tape = ProgramTape()
     given, h, n = tape.given(numbers)
     state = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(d)]
-    loop = Repeat(tape.repeat, over_stages=True)
+    loop = Repeat(tape.repeat, partial(KeptRows, tape))
     dates = () if clock is None else (f"start{clock}", *DATES)
     dated = [Recorded(tape, name, "f", tape.main) for name in dates]
     end = attempt(lambda: advance(given, h, n, state, RecordedArrays(tape), loop, *dated))
@@ -270,8 +318,8 @@ def looks(
     size = xp.sqrt(sum((c * c for c in start[1:bounded]), start[0] * start[0]))
     bound: Any = factor * xp.where(size > 1.0, size, 1.0)
     if watch is not None:
-        slope = attempt(lambda: sum(map(abs, watch.slope(numbers, start))))
-        bound = xp.where(slope <= sys.float_info.max, bound, math.nan)
+        rate = attempt(lambda: sum(map(abs, watch.slope(numbers, start))))
+        bound = xp.where(rate <= sys.float_info.max, bound, math.nan)
     bound = Recorded(tape, bound.name, "f", tape.whole)  # known from the head on
     most = [bound if i < bounded else sys.float_info.max for i in range(d)]
     healthy = reduce(and_, (abs(x) <= end for x, end in zip(state, most, strict=True)))

@@ -293,7 +293,8 @@ class RecordedNumbers(ChoosingNumbers):
             return DualNumbers(self).where(condition, a, b)
         if not isinstance(condition, Recorded):
             return a if condition else b
-        return self.tape.operation("where", "f", condition, a, b)
+        kind = "i" if all(isinstance(x, Recorded) and x.kind == "i" for x in (a, b)) else "f"
+        return self.tape.operation("where", kind, condition, a, b)
 
     def logical_not(self, a: Condition) -> Condition:
         return ~a if isinstance(a, Recorded) else not a
