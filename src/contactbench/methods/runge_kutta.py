@@ -150,8 +150,8 @@ def run_stages(
     given, none = len(base), (Fraction(0),)
     size, begin = given + stages, Carried(0, base[-1][1], None)
     rows = loop.rows(size, begin.last)
-    for k, (_, given_row) in enumerate(base):
-        rows[k] = given_row
+    for k, (_, given_by) in enumerate(base):
+        rows[k] = given_by
     if first is not None:
         begin = Carried(1, *first)
 
