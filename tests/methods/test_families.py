@@ -168,6 +168,22 @@ def test_a_long_run_takes_one_gradient_a_step(name, n, bound):
     assert starts.counts.evaluations - n == 4 * (solution.counts.evaluations - n)
 
 
+#: a step that is a binary number; three times the error measured
+@pytest.mark.parametrize(("name", "bound"), [("quinlan-tremaine8", 1e-13), ("quinlan-tremaine12", 3e-13)])
+def test_a_damped_run_has_no_more_than_round_off_for_an_error(name, bound):
+    """The factors that carry the history, e^{γt/2} and its reciprocal, stay each other's."""
+    scene = cb.SCENES["particle_long"]
+    error, size = absolute_error(cb.solve(scene, name, step=2.0**-6, save_at=[scene.t_end]))
+    assert error.max() / size < bound
+
+
+@pytest.mark.parametrize(
+    ("name", "each", "points"), [("quinlan-tremaine8", 8, 7), ("quinlan-tremaine12", 17, 11)]
+)
+def test_the_points_before_the_start_cost_a_step_each(name, each, points):
+    assert cb.METHODS[name].counts(cb.SCENES["particle"], 1) == each * points + 2
+
+
 def test_the_energy_of_a_symmetric_method_has_no_drift():
     scene, errors = cb.SCENES["central"].with_(gamma=0.0, t_end=2000.0), []
     for t in np.linspace(100, 2000, 20):

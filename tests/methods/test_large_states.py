@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from chains import chain
 
 import contactbench as cb
+from chains import chain
 from contactbench.methods.by_tolerance import loop_program
 from contactbench.methods.loops import program_of
 from contactbench.trace.form import lines

@@ -14,13 +14,13 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.paper import CLAIMS
 from contactbench.paper.curves import FIGURES
 from contactbench.scenes import scenes_of
-from contactbench.study import choice
+from contactbench.study import choice, work_precision
 from contactbench.study.choice import DEAR, SMOKE
 from contactbench.study.claims import LONG
 from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
 from contactbench.study.experiment import PROFILES, Timing, experiments
 from contactbench.study.search import step_at, tolerance_at
-from contactbench.study.settings import ENDS, steps
+from contactbench.study.settings import DEAREST, ENDS, finer_steps, steps
 from contactbench.study.timetable import SAMPLE, SPARED, Entry, Timetable
 from contactbench.study.work_precision import error, errors, evaluations_spread, ladder, passes_through, runs
 from contactbench.tables.declared import DEFINITIONS, WORK_PRECISION
@@ -284,3 +284,36 @@ def test_steps_end_at_the_saved_times_and_rotations_count_half():
         n = round(body.t_end / h)
         assert n % SAVES == 0
         assert method.counts(body, n) / 2 == pytest.approx(600, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("falls_by", "floor", "rungs"),
+    [
+        (256.0, 1e-16, 5),  # 10⁻¹² is passed by the fifth
+        (256.0, 1e-10, 6),  # two steps below that at which round-off shows are tried
+        (1.2, 1e-16, 99),
+    ],
+    ids=["passes every error", "meets round-off", "costs too much"],
+)
+def test_a_ladder_goes_on_to_the_end_of_what_a_method_can_do(monkeypatch, falls_by, floor, rungs):
+    scene, method = cb.SCENES["thermostat"], cb.METHODS["rk8"]
+    every = [steps(scene, method)[-1], *finer_steps(scene, method)]
+
+    def measured(cell):
+        return (
+            max(1e-3 * falls_by ** -every.index(cell[-1]), floor)
+            if rungs < 99
+            else 0.5 ** every.index(cell[-1])
+        )
+
+    monkeypatch.setattr(work_precision, "error_of", measured)
+    run = [h for h in every if not work_precision.is_past_the_end(("thermostat", "rk8", "llvm", "step", h))]
+    assert run == every[: min(rungs, len(every))]
+    assert scene.t_end / every[-1] * method.per_step(scene) > DEAREST / 2
+
+
+def test_ladders_of_the_standard_profile_reach_every_error_where_steps_can():
+    cells = [c for c in ladder(PROFILES["standard"]) if c[:2] == ("thermostat", "rk8") and c[3] == "step"]
+    reached = [work_precision.error_of(cell) for cell in cells if not work_precision.is_past_the_end(cell)]
+    assert min(reached) < 1e-12
+    assert len(reached) < len(cells)

@@ -187,7 +187,7 @@ class Nystrom(Explicit[Mechanical]):
         q, v = scaled(keep * h, way[:d]), scaled(keep, change[:d])
         p = (m * (b - half * a) for m, a, b in zip(masses(scene, y.q), q, v, strict=True))
         action = [] if y.action is None else [keep * keep * change[d]]
-        return after, slope and tuple(slope), [*q, *p, *action]
+        return after, None if slope is None else tuple(slope), [*q, *p, *action]
 
     def rate(
         self, scene: Mechanical, y: Undamped, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace

@@ -146,8 +146,8 @@ class Multistep(FixedStep):
         start = undamped(scene, State(q, p))
         own, psi = force(q)
         known = start, own, q, one, increments.none, rates.none, (psi + nothing,) * (K + 1)
-        *_, steps, slopes, (_, *psis) = repeat(K, before, known)
-        psis = (psi, *psis)
+        *_, steps, slopes, psis = repeat(K, before, known)
+        psis = (psi, *psis[1:])
         begun = combine(ends, psis)
         carried = q, increments.newest(steps), own, rates.newest(slopes), psis, 0 * psi, one
         z, steps, rate, slopes, psis, total, shrunk = repeat(n, step, carried)

@@ -116,6 +116,14 @@ def combine(
     return total
 
 
+class Carried(NamedTuple):
+    """What a loop over stages carries: the number of the next, the slope of the last, and what else that gives."""
+
+    stage: Count
+    last: Sequence[Arithmetic]
+    own: Own
+
+
 def run_stages(
     tableau: Tableau,
     stages: int,
@@ -134,17 +142,18 @@ def run_stages(
     """
     if loop is None or loop.rows is None:
         slope, own = evaluate(0, None) if first is None else first
-        slopes = [slope]
+        known = [slope]
         for i, row in enumerate(tableau.matrix[1:stages], start=1):
-            slope, own = evaluate(i, combine(row, slopes, xp))
-            slopes.append(settle(slope, xp))
-        return lambda weights: combine(weights, slopes, xp), own
-    given, own, none, last = len(base), None, (Fraction(0),), base[-1][1]
-    rows, size, begun = loop.rows(given + stages, last), given + stages, 0
-    for k, (_, row) in enumerate(base):
-        rows[k] = row
+            slope, own = evaluate(i, combine(row, known, xp))
+            known.append(settle(slope, xp))
+        return lambda weights: combine(weights, known, xp), own
+    given, none = len(base), (Fraction(0),)
+    size, begin = given + stages, Carried(0, base[-1][1], None)
+    rows = loop.rows(size, begin.last)
+    for k, (_, given_by) in enumerate(base):
+        rows[k] = given_by
     if first is not None:
-        begun, (last, own) = 1, first
+        begin = Carried(1, *first)
 
     def column(weights: Iterable[Fraction]) -> Any:
         return xp.asarray([number(w, xp) for w in weights])
@@ -160,14 +169,14 @@ def run_stages(
     )
 
     # the latest row is added apart and kept after that: the sum of the others need not wait for it
-    def another(carried: tuple[Count, Sequence[Arithmetic], Own]) -> tuple[Count, Sequence[Arithmetic], Own]:
+    def another(carried: Carried) -> Carried:
         i, last, own = carried
         total = rows.combine(square, size * i, given - 1 + i, given)
         rows[given - 1 + i] = last
         slope, new = evaluate(i, plus(total, latest[i], last))
-        return i + 1, slope, None if own is None else new
+        return Carried(i + 1, slope, None if own is None else new)
 
-    _, last, own = loop(stages - begun, another, (begun, last, own))
+    _, last, own = loop(stages - (first is not None), another, begin)
 
     def slopes(weights: Row) -> Sequence[Arithmetic]:
         *others, end = weights[:stages]
@@ -326,9 +335,9 @@ def pull(scene: Any, q: Vector, t: Arithmetic | None, acts: bool) -> list[Arithm
 
 def by_stage(columns: Sequence[Vector], loop: Repeat | None) -> Callable[[Count], Sequence[Arithmetic]]:
     """Return the function of a stage's number that gives its entry of every column."""
-    stages = list(zip(*columns, strict=True))
+    stages: Any = list(zip(*columns, strict=True))
     if loop is None or loop.rows is None:
-        return stages.__getitem__
+        return stages.__getitem__  # type: ignore[no-any-return]
     rows = loop.rows(len(stages), stages[0])
     for i, row in enumerate(stages):
         rows[i] = row

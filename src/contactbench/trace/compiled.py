@@ -144,7 +144,7 @@ class Lowering:
                     term = builder.fmul(all_, row, flags=self.flags)
                     builder.store(builder.fadd(builder.load(total), term, flags=self.flags), total)
 
-            with self.counted(builder.sub(self.value(sum_.count), self.whole(sum_.late))) as j:
+            with self.counted(builder.sub(self.value(sum_.terms), self.whole(sum_.late))) as j:
                 add(builder.add(j, self.whole(sum_.late)))
             for j in range(sum_.late):
                 add(self.whole(j))

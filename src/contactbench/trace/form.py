@@ -68,7 +68,7 @@ class Allocate(NamedTuple):
 
 
 class Combine(NamedTuple):
-    """``into[c] = Σ weights[shift + j] rows[j·width + c]`` over j < count, for every c < width.
+    """``into[c] = Σ weights[shift + j] rows[j·width + c]`` over j < terms, for every c < width.
 
     late : so many of the first rows are added last.
     """
@@ -76,7 +76,7 @@ class Combine(NamedTuple):
     into: str
     weights: Element
     rows: str
-    count: Operand
+    terms: Operand
     width: int
     late: int
 
@@ -235,10 +235,10 @@ def lines(body: Sequence[Statement], forms: Mapping[str, str] = FORMS, indent: s
                 yield f"{indent}{place(element)} = {number}"
             case Allocate(array, size):
                 yield f"{indent}{array} = [0.0] * {size}"
-            case Combine(into, weights, rows, count, width, late):
+            case Combine(into, weights, rows, terms, width, late):
                 yield f"{indent}for c in range({width}):"
                 yield f"{within}{into}[c] = 0.0"
-                yield f"{within}for r in (*range({late}, {text(count)}), *range({late})):"
+                yield f"{within}for r in (*range({late}, {text(terms)}), *range({late})):"
                 yield f"{within}    {into}[c] += {place(weights)[:-1]} + r] * {rows}[r * {width} + c]"
             case Loop(index, times, inner):
                 yield f"{indent}for {index} in range({text(times)}):"

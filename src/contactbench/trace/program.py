@@ -161,7 +161,7 @@ class KeptRows:
         values = [self.tape.read(v, self.tape.block) for v in whole]
         self.add(*(Store(Element(self.array, (start,), c), v) for c, v in enumerate(values)))
 
-    def combine(self, weights: Vector, first: Count, count: Count, late: int = 0) -> Sequence[Arithmetic]:
+    def combine(self, weights: Any, first: Count, count: Count, late: int = 0) -> Sequence[Arithmetic]:
         shift, times = (self.tape.read(number, self.tape.block, "i") for number in (first, count))
         element = weights.place(weights.rows, shift)
         self.add(Combine(self.total, element, self.array, times, self.width, late))
