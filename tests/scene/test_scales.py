@@ -9,6 +9,7 @@ from contactbench.methods.base import METHODS
 from contactbench.scene.scales import FAINT, errors, sizes_of
 from contactbench.study.search import Question, Search
 from contactbench.study.settings import ENDS, times
+from contactbench.truth.two_solvers import doubles
 
 UNITS = (1.0, 1e3, 1e-3)
 #: methods whose steps follow roundings in no way; by how much others' errors and counts change
@@ -139,3 +140,12 @@ def test_a_motion_at_rest_has_no_error_and_warns_of_nothing(kind, method):
         setting = {"rtol": 1e-6} if METHODS[method].adaptive else {"step": 0.1}
         found = cb.solve(scene.with_(t_end=1.0), method, **setting, save_at=[1.0]).laws()
     assert found.loc["solution_error", "deviation"] == 0
+
+
+def test_two_solvers_agree_on_as_many_digits_in_any_unit():
+    """Of a light mass, too: its digits are those of its own swing."""
+    found = [doubles(two_masses(unit).recorded(), np.array([1.0, 2.0]), (), np.inf) for unit in UNITS]
+    (one, digits), *others = found
+    for unit, (y, known) in zip(UNITS[1:], others, strict=True):
+        assert abs(known - digits) <= 1
+        assert y / [1, unit, 1, 1 / unit] == pytest.approx(one, rel=1e-8)
