@@ -405,14 +405,16 @@ class ToleranceRun(RunByTolerance):
         def states(y0: np.ndarray) -> np.ndarray:
             y = briefly(y0)
             if loop is not None and short < most and y[ATTEMPTS] >= short:
-                loop.execute(y0, *rows(most), y := np.empty(size), math.inf)
+                w, shape = rows(most)
+                loop.execute(y0, w, shape, y := np.empty(size), math.inf)
             return y
 
         def bare(y0: np.ndarray) -> np.ndarray:
             """Find out whether the run is short, and leave it alone from then on."""
             y = states(y0)
             if short == most or y[ATTEMPTS] < short:
-                self.bare = dated(part((size - beside, size + d - beside), rows(most)))
+                end = size - beside, size + d - beside
+                self.bare = dated(part(end, rows(most)))  # type: ignore
             return y[-d - beside : -beside]
 
         def dated(bare: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
@@ -425,7 +427,7 @@ class ToleranceRun(RunByTolerance):
 
             return bare if clock is None else call
 
-        self.states, self.bare = states, dated(bare)  # type: ignore[method-assign]
+        self.states, self.bare = states, dated(bare)  # type: ignore
 
     def make(self) -> Loop:
         elapsed = stopwatch()
