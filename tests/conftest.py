@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from mpmath import mp
 
+from cases import Clock, reading
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS
 from contactbench.plugins import GROUPS, LOADED, OWN, VARIABLE
@@ -24,6 +25,13 @@ def pytest_configure():
     """A shell that starts the tests in the background has them ignore Ctrl-C, which some of them send."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def clock():
+    """The clock that contactbench reads in a test."""
+    with reading(Clock()) as clock:
+        yield clock
 
 
 #: the marks of tests that only some systems can run

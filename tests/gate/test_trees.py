@@ -14,6 +14,7 @@ from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import revisions, trees
 from contactbench.study import ending
+from contactbench.tables import provenance
 from contactbench.tables.schema import TABLES
 from contactbench.tables.store import merge
 from made_up import ROWS, commit, folder, fresh, git, project, repository, same, without
@@ -284,6 +285,9 @@ def test_times_are_held_to_a_fresh_run_by_their_ratios(root, tmp_path):
     found = judged("work_precision")
     assert "tree → fresh: time_min_s" in red(found)
     assert {*found.moved["method"][found.moved["measure"] == "time_min_s"]} == {"rk4"}
+    elsewhere = provenance.runs(root / "results")[0] | {"isa": "another"}
+    write(root, RECORD, json.dumps({"runs": [elsewhere]}))
+    assert "tree → fresh: time_min_s" not in red(judged("work_precision"))  # times of two machines
 
 
 def test_errors_are_held_to_older_revisions_of_the_tables(root, judge):

@@ -4,7 +4,6 @@ import math
 import re
 import sys
 from dataclasses import replace
-from time import sleep
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +11,7 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
+from cases import Clock, reading
 from contactbench.methods.base import ENGINES
 from contactbench.report import race
 from contactbench.scene import rotation_matrix
@@ -39,9 +39,15 @@ def double_well():
     )
 
 
+@pytest.fixture(autouse=True)
+def no_machine(clock):
+    """What has a budget reads a clock of the test's."""
+
+
 @pytest.fixture(scope="module")
 def frame():
-    return cb.compare(double_well(), RACED, ERRORS, budget=120.0)  # it needs a tenth of it
+    with reading(Clock()):
+        return cb.compare(double_well(), RACED, ERRORS, budget=120.0)
 
 
 def test_a_row_for_each_method_and_error_typed(frame):
@@ -323,13 +329,13 @@ def test_every_method_has_a_first_run_before_any_has_a_second():
 
 
 @pytest.mark.slow
-def test_where_not_all_can_begin_those_that_have_go_on_and_the_others_are_named_first(monkeypatch):
+def test_where_not_all_can_begin_those_that_have_go_on_and_the_others_are_named_first(monkeypatch, clock):
     """Compiling takes a seventh of the search."""
     attempt = Search.attempt
 
     def slow(search, value):
         if not search.attempts:
-            sleep(1.5)
+            clock.added += 1.5
         return attempt(search, value)
 
     monkeypatch.setattr(Search, "attempt", slow)

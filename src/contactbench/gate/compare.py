@@ -87,9 +87,9 @@ SLOPE, VALUE = 0.05, 0.01
 SHARE, ITERATIONS = 0.1, 0.05
 #: what a claim measures is round-off up to this share of its bound
 OF_BOUND = 1e-3
-#: by what factor the times of a method may move against those of its table: the median of so many rows, and of fewer;
+#: by what factor the times of a method may move against those of its table: the median of at least so many rows;
 #: a table with fewer pairs than `PAIRS` is not judged
-TIMES, ROWS, TIMES_OF_FEW, PAIRS = 2.0, 3, 4.0, 8
+TIMES, ROWS, PAIRS = 2.0, 3, 8
 
 
 def factor(before: np.ndarray, after: np.ndarray, floor: np.ndarray) -> np.ndarray:
@@ -209,8 +209,8 @@ def compare_times(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> pd
             continue
         where = [both.loc[moved.index, key] for key in ("method", "engine")]
         ratios = (moved - moved.median()).groupby(where).agg(["median", "size"])
-        limit = np.log(np.where(ratios["size"] >= ROWS, TIMES, TIMES_OF_FEW))
-        for (method, engine), (ratio, count) in ratios[ratios["median"].abs() > limit].iterrows():
+        moved = (ratios["median"].abs() > math.log(TIMES)) & (ratios["size"] >= ROWS)
+        for (method, engine), (ratio, count) in ratios[moved].iterrows():
             row = {"table": table.name, "method": method, "engine": engine, "measure": name, "before": "×1"}
             found.append(row | {"after": f"×{math.exp(ratio):.2f}", "result": "moved", "rows": int(count)})
     return rows_of(*found)

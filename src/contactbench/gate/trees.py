@@ -151,12 +151,12 @@ def compare_tables(
         reference[name] = tree[~edited] if listed else one
         moved = (
             compare(table, one, tree),
-            compare_times(table, one, tree),
+            *([compare_times(table, one, tree)] if runs.alike else []),  # of another machine they say nothing
             unmade(table, runs, one, tree, made),
         )
         found += between("base → tree", *moved, listed=listed)
         again = compare(table, runs.expected(table, tree[edited], made), made, runs.alike)
-        found += between("tree → fresh", again, compare_times(table, tree, made))
+        found += between("tree → fresh", again, *([compare_times(table, tree, made)] if runs.alike else []))
         if removed.remains(table, tree) or removed.remains(table, made):
             rows.append(row("removed.toml", "removed", "present", "named, but still there", table=name))
         if len(tree) or revisions.ours(root):  # of another project's tables some may not be wanted

@@ -474,7 +474,8 @@ class ToleranceRun(RunByTolerance):
             """Find out whether the run is short, and leave it alone from then on."""
             y = states(y0)
             if short == most or y[ATTEMPTS] < short:
-                self.bare = dated(part((size - beside, size + d - beside), rows(most)))
+                end = size - beside, size + d - beside
+                self.bare = dated(part(end, rows(most)))  # type: ignore
             return y[-d - beside : -beside]
 
         def dated(bare: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
@@ -487,7 +488,7 @@ class ToleranceRun(RunByTolerance):
 
             return bare if clock is None else call
 
-        self.states, self.bare = states, dated(bare)  # type: ignore[method-assign]
+        self.states, self.bare = states, dated(bare)  # type: ignore
 
     def make(self) -> Loop:
         elapsed = stopwatch()

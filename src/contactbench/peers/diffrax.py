@@ -28,7 +28,7 @@ CAPACITIES = (1, 1024)
 _programs: Cache[tuple[Compiled, float]] = Cache(1024)
 
 
-def on_device(x: np.ndarray) -> jax.Array:
+def on_device(x: np.ndarray) -> Any:
     with doubles():
         return jax.device_put(x)
 
