@@ -179,6 +179,6 @@ def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
 def ends_between(spans: np.ndarray, last: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return when each of some spans ends, counted from the last of the times at which the spans `last` end."""
     group, sums = np.searchsorted(last, np.arange(len(spans))), np.cumsum(spans)
-    ends = np.append(0.0, times)[group] + (sums - np.append(0.0, sums[last])[group])
+    ends: np.ndarray = np.append(0.0, times)[group] + (sums - np.append(0.0, sums[last])[group])
     ends[last] = times
     return ends

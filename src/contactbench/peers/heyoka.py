@@ -50,7 +50,7 @@ def taylor_system(
     units = [1.0] * len(names) if units is None else units
     series: list[Any] = [Series(v) for v in variables]
     given = [y if unit == 1 else y * unit for y, unit in zip(series, units, strict=True)]
-    time = Series(heyoka.time)
+    time: Any = Series(heyoka.time)
     if scene.clock is not None:
         time = time + Series(heyoka.par[origin])
     slopes = map(expression_of, scene.slopes(time, given, carry))
