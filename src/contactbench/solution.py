@@ -206,8 +206,8 @@ class Solution:
     @property
     def elapsed(self) -> np.ndarray:
         """Return the saved times since the start."""
-        known = [] if self.run is None else self.run.request.save_at
-        return known if len(known) == len(self.t) else self.t - self.start_time  # type: ignore[return-value]
+        known = None if self.run is None else self.run.request.save_at
+        return self.t - self.start_time if known is None or len(known) != len(self.t) else known
 
     def __repr__(self) -> str:
         setting, n = self.setting, self.counts.evaluations
