@@ -295,9 +295,10 @@ def test_a_definition_is_checked_once(monkeypatch):
 
 
 @pytest.mark.timeout(60)
-@pytest.mark.parametrize("options", [{"step": 1e-300}, {"step": 1e-5, "save_at": [1e300]}, {"step": 1e-20}])
-def test_a_run_of_too_many_steps_ends_as_budget(options):
-    assert cb.solve("particle", "rk4", **options).status is cb.Status.budget
+@pytest.mark.parametrize(("end", "step"), [(20.0, 1e-300), (1e300, 1e-5), (20.0, 1e-20)])
+def test_a_run_of_too_many_steps_ends_as_budget(end, step):
+    scene = PARTICLE.with_(t_end=end)
+    assert cb.solve(scene, "rk4", step=step, save_at=[end]).status is cb.Status.budget
 
 
 @pytest.mark.timeout(60)

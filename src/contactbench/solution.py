@@ -208,7 +208,8 @@ class Solution:
     @property
     def elapsed(self) -> np.ndarray:
         """Return the saved times since the start."""
-        return self.t - self.start_time if self.run is None else self.run.request.save_at
+        known = None if self.run is None else self.run.request.save_at
+        return self.t - self.start_time if known is None or len(known) != len(self.t) else known
 
     def __repr__(self) -> str:
         setting, n = self.setting, self.counts.evaluations

@@ -42,7 +42,7 @@ def test_a_run_is_its_steps_one_after_the_other(method, scene, plateau):
     states = [one.start]
     for h in grid.tolist():
         states.append(one(states[-1], h))
-    solution = cb.solve(scene, method.name, step=grid, save_at=np.cumsum(grid)[[4, 11]])
+    solution = cb.solve(scene, method.name, step=grid, save_at=scene.begins + np.cumsum(grid)[[4, 11]])
     assert solution.ok
     assert solution.counts.steps == 12
     assert gap(solution.y, np.array(states)[[5, 12]]) < ROUND_OFF
@@ -62,7 +62,7 @@ def test_a_constant_grid_is_a_step_bit_for_bit(engine, save_at):
 @pytest.mark.parametrize("scene", [*SCENES, chain(16, "ring")], ids=lambda scene: scene.name)
 def test_engines_agree(scene):
     grid = grid_of(scene, plateau=3)
-    times = [0.0, *np.cumsum(grid)[[3, 11]]]
+    times = scene.begins + np.array([0.0, *np.cumsum(grid)[[3, 11]]])
     for name in (name for name in SHAPES if cb.METHODS[name].refuses(scene) is None):
         runs = [cb.solve(scene, name, step=grid, save_at=times, engine=engine) for engine in ENGINES]
         assert all(gap(run.y, runs[0].y) < ROUND_OFF for run in runs)
@@ -87,7 +87,7 @@ def test_no_two_saved_times_are_one_end_of_a_step():
 )
 def test_growing_steps_on_a_motion_that_slows_down(steps, evaluations, error):
     """Of equal steps five times as many do not reach it."""
-    end = {"save_at": [STAR.t_end]}
+    end = {"save_at": [STAR.begins + STAR.t_end]}
     run = cb.solve(STAR, "contact-rkn6", step=cb.geometric_steps(STAR.t_end, steps, a=0.5), **end)
     assert run.counts.evaluations == evaluations
     assert cb.LAWS["solution_error"](run) == pytest.approx(error, rel=0.02)
@@ -98,7 +98,10 @@ def test_growing_steps_on_a_motion_that_slows_down(steps, evaluations, error):
 @pytest.mark.parametrize(("plateau", "evaluations"), [(1, 24 * 39), (4, 6 * 39 + 18 * 13)])
 def test_a_processor_is_paid_where_the_step_changes(plateau, evaluations):
     grid = cb.geometric_steps(STAR.t_end, 24, 0.5, plateau)
-    assert cb.solve(STAR, "contact-rkn8", step=grid, save_at=[20.0]).counts.evaluations == evaluations
+    assert (
+        cb.solve(STAR, "contact-rkn8", step=grid, save_at=[STAR.begins + 20.0]).counts.evaluations
+        == evaluations
+    )
 
 
 # -- how it ends -------------------------------------------------------------------------------------

@@ -394,7 +394,7 @@ def marched(
     method: Any, scene: Scene, x: OwnState, beside: Any, span: Arithmetic, clock: Any, most: Any, *given: Any
 ) -> tuple[OwnState, list[Any]]:
     """Return what a method's `march` does; clock : an origin and a row of `dates`, of a scene with a time."""
-    origin, *since = clock or (None,)
+    origin, *since = clock or (0.0,)
     if since:
         scene, x = dates.begin(scene, x, given[1], origin, since)
     x, beside = method.march(scene, x, beside, span, most, *given)

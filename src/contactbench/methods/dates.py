@@ -76,7 +76,7 @@ def end(x: OwnState, origin: Arithmetic, begins: Arithmetic) -> OwnState:
 
 def from_origin[Y: (np.ndarray, list[float])](scene: Scene, y: Y, start: Y) -> Y:
     """Return a packed state of a run with the time of its start, from which its dates count."""
-    if not scene.keeps_dates:
+    if not scene.keeps_dates or scene.clock is None:
         return y
     y = y.copy()
     y[scene.clock] = start[scene.clock]

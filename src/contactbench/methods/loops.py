@@ -199,7 +199,7 @@ def advanced(
 
     bounded : by breaks.
     """
-    origin, *since = clock or (None,)
+    origin, *since = clock or (0.0,)
     if since:
         scene, x = dates.begin(scene, x, xp, origin, since, bounded)
     spent: Arithmetic = 0.0
@@ -457,7 +457,7 @@ class Plain(StepLoop[Spans]):
         return rows
 
     def states(self, y0: np.ndarray, spans: Spans) -> Iterator[Sequence[float]]:
-        scene, made = self.scene, 0.0
+        scene, made = self.scene, 0.0  # type: Scene, Any
         x, origin = scene.unpack(scene.entries(y0), self.carry), scene.split_clock(y0)[0]
         for h, n, times in spans:
             clock = (origin, *times) if times else ()

@@ -14,6 +14,8 @@ from contactbench.scene.base import time_between
 #: how far the difference of two saved times may be off, in units of the last place of the later one: both are
 #: rounded, as a product or a sum of two, and so may be the spacing of the grid
 GRID_ULPS = 4
+#: by how much of a span a saved time may be out of it: the sum of many steps
+SLACK = 1e-12
 #: relative differences of steps that are round-off of the times between them
 EQUAL = 1e-9
 #: no grid has more steps
@@ -127,7 +129,7 @@ def saved_times(save_at: object, scene: Scene) -> np.ndarray:
 def within_span(times: np.ndarray, scene: Scene) -> np.ndarray:
     """Return times of the scene's span as those since its start; those a few roundings out of it are at its ends."""
     start, end = scene.begins, scene.begins + scene.t_end
-    slack = GRID_ULPS * np.spacing(max(abs(start), abs(end)))
+    slack = GRID_ULPS * np.spacing(max(abs(start), abs(end))) + SLACK * scene.t_end
     for outside in times[(times < start - slack) | (times > end + slack)][:1].tolist():
         span = f"from {start:.10g} to {end:.10g}"
         raise BadInput(f"save_at contains {outside!r}: must lie in the span of scene {scene.name!r}, {span}")
@@ -177,6 +179,6 @@ def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
 def ends_between(spans: np.ndarray, last: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return when each of some spans ends, counted from the last of the times at which the spans `last` end."""
     group, sums = np.searchsorted(last, np.arange(len(spans))), np.cumsum(spans)
-    ends = np.append(0.0, times)[group] + (sums - np.append(0.0, sums[last])[group])
+    ends: np.ndarray = np.append(0.0, times)[group] + (sums - np.append(0.0, sums[last])[group])
     ends[last] = times
     return ends

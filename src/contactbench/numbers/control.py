@@ -70,12 +70,13 @@ class Repeat:
         if start is None:
             return self.loop(n, step, x)
 
-        def another(carried: tuple[Any, Count]) -> tuple[Any, Count]:
+        def another(carried: tuple[Any, Any]) -> tuple[Any, Any]:
             x, k = carried
             now = start + k * h
             return step(x._replace(t=now) if hasattr(x, "_fields") else (x[0]._replace(t=now), *x[1:])), k + 1
 
-        return self.loop(n, another, (x, 0))[0]
+        begun: tuple[Any, Any] = (x, 0)
+        return self.loop(n, another, begun)[0]
 
 
 def turns[X](n: Any, body: Callable[[X], X], x: X) -> X:

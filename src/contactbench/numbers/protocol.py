@@ -187,7 +187,7 @@ def _refuse(question: str) -> Callable[..., Any]:
 
 
 #: what a function of the time that jumps needs besides
-JUMPS = "and name the times at which it jumps in breaks="
+JUMPS = "and cb.Driven is told the times of jumps by breaks="
 
 
 def _refuse_remainder(self: object, *_: object) -> NoReturn:

@@ -381,7 +381,7 @@ def intermediate_axis(
 def along_kernel(kernel: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """Return M at t = 80 and 8000, damped by 1 − uuᵀ with `kernel` along u; and u."""
     u = np.asarray(kernel) / np.linalg.norm(kernel)
-    scene = body(np.eye(3) - np.outer(u, u))
+    scene = body(np.eye(3) - np.outer(u, u)).with_(t_end=8000.0)
     return solve(scene, "scipy-dop853", rtol=1e-9, save_at=[80.0, 8000.0], carry=()).y, u
 
 

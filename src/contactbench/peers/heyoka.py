@@ -38,11 +38,11 @@ def taylor_system(
     carry: tuple[str, ...],
     heyoka: ModuleType,
     units: Sequence[float] | None = None,
-    origin: int = 0,
+    origin: int | None = None,
 ) -> list[tuple[object, object]]:
     """Return the equations, each component in a unit of its own: heyoka knows one scale for all, one or the largest.
 
-    Its time is that since the start, which is its parameter number `origin`.
+    origin : the number of the parameter that is the start, from which its time counts; None: from 0.
     """
     names = scene.without_clock(scene.labels(carry))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
@@ -50,8 +50,8 @@ def taylor_system(
     units = [1.0] * len(names) if units is None else units
     series: list[Any] = [Series(v) for v in variables]
     given = [y if unit == 1 else y * unit for y, unit in zip(series, units, strict=True)]
-    time = Series(heyoka.time)
-    if scene.clock is not None:
+    time: Any = Series(heyoka.time)
+    if origin is not None and scene.clock is not None:
         time = time + Series(heyoka.par[origin])
     slopes = map(expression_of, scene.slopes(time, given, carry))
     expressions = (heyoka.expression(s) if isinstance(s, float) else s for s in slopes)

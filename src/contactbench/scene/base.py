@@ -215,7 +215,7 @@ class System(metaclass=Kind):
         return []
 
     #: the time that functions take, of the time of a state; None: that itself
-    dated: ClassVar[Callable[[Numeric], Numeric] | None] = None
+    dated: ClassVar[Any] = None
     #: whether its functions take `time` of the time of a state
     keeps_dates: ClassVar[bool] = False
 

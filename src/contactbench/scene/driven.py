@@ -85,9 +85,10 @@ class Driven(Mechanical):
         ``γ(t, **parameters) -> number`` where it is not.
     breaks
         Increasing times at which force or damping changes abruptly or a pulse sits, such as (13.3,); of a pulse its
-        middle and both ends.  No step of any method straddles one: each starts afresh there, a few roundings behind
-        it, so that it does not matter what a function returns at its jump.  Substeps that lead far out of a step do
-        see the other side: a processor (contact-rkn8) is of order two over a jump (measured).
+        middle and both ends.  No step of any method straddles one: each starts afresh there.  Functions are given no
+        time nearer than a few roundings to a break, nor beyond one that a step begins or ends at: it does not matter
+        what they return at a jump.  To substeps that lead out of a step time so stands still at a break: over a jump of
+        a force that depends on time besides, a processor (contact-rkn8) is of lower order.
     span
         ``(t, h, xp, **parameters) -> (G, φ)`` where it is known in closed form: G = ∫_t^{t+h} γ and
         φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.  By default both come

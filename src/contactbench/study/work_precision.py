@@ -101,7 +101,7 @@ def error_of(cell: Cell) -> float:
     """Return the largest error at the ends, inf where a run ends badly."""
     ends = times(cb.SCENES[cell[0]], ENDS).tolist()
     solutions = [prepared(cell, None, [end])() for end in ends]
-    return error(solutions) if all(solution.ok for solution in solutions) else math.inf
+    return float(errors_of(solutions).max()) if all(solution.ok for solution in solutions) else math.inf
 
 
 def by_pilots(scene: Scene, method: Method, engine: str) -> bool:

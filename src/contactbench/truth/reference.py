@@ -124,8 +124,8 @@ def reference(
     scene
         Itself, or the name of a registered one.
     times
-        Times since the start, ≥ 0, in any order, (k,), or one number: a solution's `elapsed`.  A time within 4 units in the last place of a frozen grid time
-        means that grid time.
+        Times since the start, a solution's `elapsed`, ≥ 0 and in any order, (k,), or one number.  A time within 4 units
+        in the last place of a frozen grid time means that grid time.
     carry
         Which of s and R to give; by default all the scene has.
     seconds
