@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.methods.loops import StepLoop, is_fixed, total
-from contactbench.methods.prepared import Outcome, Prepared, furthest
+from contactbench.methods.loops import StepLoop, Watched, is_fixed, total
+from contactbench.methods.prepared import Outcome, Pilot, Prepared, furthest
 from contactbench.methods.prescribed import EQUAL, UNCOUNTED, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
@@ -63,10 +63,13 @@ class FixedStepRun(Prepared):
     def shorten(self, loop: StepLoop[Any]) -> None:
         """Make of the calls for these steps, where nothing else is to be done, closures of all they need."""
         self.bare = loop.last(self.ready)  # type: ignore
+        #: all states, the start first, and whether nothing can be wrong with them, as a function of the start
+        self.watched: Watched | None = None
         simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
         states = loop.watched(self.ready, self.needed, self.saves_start) if simple else None
         if states is None:
             return
+        self.watched = loop.watched(self.ready, self.needed, True)
         of, date, dated, first = Solution.of, self._dated, self._clock is not None, int(self.saves_start)
         ended = self.attributes(Status.ok, "", self.totals, self._end, self.steps_taken)
 
@@ -114,14 +117,6 @@ class FixedStepRun(Prepared):
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, None if self.method_.iterates else evaluations, 0, 0, self.kind)
 
-    def steps_at(self, y0: np.ndarray, step: float) -> int:
-        """Return how many steps not longer than that a run takes."""
-        return total(steps_in(self.marks, self.ends, step))
-
-    def size_at(self, step: float, steps: int) -> float:
-        """Return their size, or the mean of it where saved times shorten them."""
-        return step if math.isclose(steps * step, self._end) else self._end / steps
-
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Return packed states after each interval of n[k] steps of size h[k], (k, d)."""
         return self.loop.take(y0, self.loop.ready(h, n))[0]
@@ -130,6 +125,16 @@ class FixedStepRun(Prepared):
         """Take the steps of this division: packed states after each of its intervals, and the counts."""
         y, made = self.loop.take(y0, self.ready)
         return y, self.totals._replace(evaluations=made) if self.method_.iterates else self.totals
+
+    def pilot(self, y0: np.ndarray) -> Pilot:
+        """Take the steps as a pilot, unless they are more than allowed."""
+        if self.watched is not None:
+            y, fine = self.watched(y0)
+            return Pilot(self, y, self.totals, fine)
+        if self.needed > self.request.max_steps:
+            return Pilot(self, y0[None], Counts(), spent=True)
+        y, counts = self.take(y0)
+        return Pilot(self, np.concatenate([y0[None], y[self.saved]]), counts)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request

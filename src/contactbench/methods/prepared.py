@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -95,6 +95,23 @@ class Outcome:
     end_time: float
     checked: bool = False
     steps: tuple[float, float] | None = None
+
+
+class Pilot(NamedTuple):
+    """A run that is compared with others: packed states, the start first, and its counts.
+
+    fine : nothing can be wrong with it.  spent : it takes more steps than allowed.
+    """
+
+    run: Any
+    y: np.ndarray
+    counts: Counts
+    fine: bool = False
+    spent: bool = False
+
+    @property
+    def sound(self) -> bool:
+        return self.fine or bool(np.isfinite(self.y[-1]).all())
 
 
 @dataclass
