@@ -109,10 +109,6 @@ class Pilot(NamedTuple):
     fine: bool = False
     spent: bool = False
 
-    @property
-    def sound(self) -> bool:
-        return self.fine or bool(np.isfinite(self.y[-1]).all())
-
 
 @dataclass
 class Prepared(ABC):

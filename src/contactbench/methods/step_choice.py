@@ -44,10 +44,13 @@ KEPT = 64
 DAMPED = 8.0
 #: gaps after one as large as the motion are not asymptotic
 LOST = 1.0
-#: the first pilot's step is at most about a period of the motion, as the start has it: longer ones all fly off alike
-PERIOD = 6.0
+#: the first pilot's step is at most about a period of the motion, as the start has it, of high orders, and as much
+#: less as the order is: longer ones all fly off alike, and no error falls as the order says
+PERIOD, HIGH = 6.0, 4
 #: right-hand sides that the period takes, and the distance between them, relative to the motion
 PROBES, BESIDE = 3, 1e-6
+#: gaps are rounding errors where after one below the first of these they do not fall, as slopes, below the other
+ROUNDED, STUCK = 1e-6, 0.7
 #: gaps that differ from the one foretold by this factor at most agree
 AGREE = 2.0
 #: powers of the factor by which a gap is above, or below, the one foretold: so many times the error may be larger
@@ -58,8 +61,8 @@ MOST = 2.0
 MANY = 32
 #: a gap of this size is round-off
 ROUND_OFF = 1e-13
-#: steps of a first pilot at most, and a hundredth of it for every unit of the motion's time
-WILD = 1e4
+#: steps of a first pilot at most, and a hundredth of it for every unit of the motion's time; octaves of more steps
+WILD, SPENT = 1e4, 6
 #: steps that follow the motion are those of another motion if their number grows by another factor, this much off
 OTHER = 1.25
 #: pilots in a row that leave any scale, after which a method with step control is asked whether the motion does
@@ -67,7 +70,7 @@ BLOWN, WITNESS, WITNESS_RTOL = 3, "rk8-7", 1e-8
 #: steps of such a pilot after which there is no other one, and octaves
 LAST, OCTAVES = 10**6, 20
 #: a pilot's step is at most so many times shorter than that of the one before
-REACH = 8.0
+REACH = 32.0
 
 
 class Choice(NamedTuple):
@@ -84,6 +87,10 @@ class Gap(NamedTuple):
     size: float = math.inf
     ratio: float = 2.0
 
+    @property
+    def slope(self) -> float:
+        return self.size / (self.ratio - 1)
+
 
 def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
     """Return the error of the finest of three pilots, relative to the motion, and whether they agree on the order.
@@ -98,9 +105,8 @@ def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
     foretold = wider.size * (finer - 1) / (finer * (coarser - 1))
     off = gap.size / foretold
     error = gap.size / (finer - 1) * (off**ABOVE if off > 1 else off**-BELOW)
-    slope, before = gap.size / (gap.ratio - 1), wider.size / (wider.ratio - 1)
-    if slope <= before / 2:
-        error = min(error, MOST * slope)
+    if gap.slope <= wider.slope / 2:
+        error = min(error, MOST * gap.slope)
     return error, 1 / AGREE <= off <= AGREE
 
 
@@ -194,19 +200,19 @@ class ChosenStep(Prepared):
         last: Pilot | None = None
         # so many states agree only along the motion
         gap = Gap(LOST) if len(self.later) > MANY else Gap()
-        blown, asked = 0, False
+        blown, stuck, asked = 0, 0, False
         while True:
             run = self.run_at(rung)
             # the longest step taken may be far shorter than the one allowed
             rung = max(rung, math.floor(RUNGS * math.log2(self.first / run.steps_taken[1])))
             pilot: Pilot = run.pilot(y0)
             evaluations += pilot.counts.evaluations or 0
-            if pilot.spent and run.request.max_steps >= r.max_steps:
+            if pilot.spent and (run.request.max_steps >= r.max_steps or rung > first + RUNGS * SPENT):
                 return Choice(None, self.beyond(run), evaluations)
-            before, last = last, pilot
-            if not pilot.sound:
+            before, last = last, pilot if self.is_sound(y0, pilot) else None
+            if last is None:
                 blown, gap, rung = blown + 1, Gap(), rung + RUNGS
-                if blown >= BLOWN and not asked:
+                if blown == BLOWN and not asked:
                     asked = True
                     end, more = self.end_of(y0)
                     evaluations += more
@@ -216,18 +222,30 @@ class ChosenStep(Prepared):
                     return Choice(None, self.failed(y0, pilot), evaluations)
                 continue
             blown = 0
-            if before is None or not before.sound:
+            if before is None:
                 rung += RUNGS
                 continue
             wider, gap = gap, self.compare(before, pilot)
             error, agree = error_of(gap, wider, order)
             if error <= enough:
                 return Choice(pilot, None, evaluations)
+            stuck += wider.size <= ROUNDED and gap.slope > STUCK * wider.slope
+            if stuck == BLOWN:
+                return Choice(None, self.rounded(pilot, gap.size), evaluations)
             if agree and error < math.inf:
                 octaves = math.log2(min(max(error / aim, 1.0) ** (1 / order), REACH))
                 rung += max(math.ceil(RUNGS * octaves), 2)
             else:
                 rung += RUNGS // 2 if gap.size <= enough else RUNGS
+
+    def is_sound(self, y0: np.ndarray, pilot: Pilot) -> bool:
+        """Return whether a pilot reaches the end, on the scale of the motion."""
+        if pilot.fine:
+            return True
+        if pilot.spent or not np.isfinite(pilot.y[-1]).all():
+            return False
+        out = self.finish(y0, pilot.y[not self.saves_start :], pilot.counts)
+        return self.audit(y0, out).status is Status.ok
 
     def compare(self, coarse: Pilot, fine: Pilot) -> Gap:
         ratio = (fine.counts.steps or 1) / (coarse.counts.steps or 1)
@@ -247,6 +265,10 @@ class ChosenStep(Prepared):
         r, step = self.request, run.steps_taken[0]
         message = f"rtol = {r.rtol:g} needs a step of {step:.3g} or less, more steps than max_steps = {r.max_steps}"
         return self.nothing(Counts(kind=self.method_.kind_on(r.scene)), Status.budget, message)
+
+    def rounded(self, pilot: Pilot, error: float) -> Outcome:
+        message = f"rounding errors are {error:.2g} of the motion: no step gives rtol = {self.request.rtol:g}"
+        return self.nothing(pilot.counts, Status.failed, message)
 
     def failed(self, y0: np.ndarray, pilot: Pilot) -> Outcome:
         """Return the outcome of the last pilot, of more steps than it is worth to take, in terms of the tolerance."""
@@ -284,7 +306,8 @@ class ChosenStep(Prepared):
 
     # -- the first pilot -------------------------------------------------------------------------------
     def first_rung(self, y0: np.ndarray) -> int:
-        longest = PERIOD * self.time_scale(y0) if self.probes else math.inf
+        share = PERIOD * min(self.method_.order / HIGH, 1.0)
+        longest = share * self.time_scale(y0) if self.probes else math.inf
         return max(math.ceil(RUNGS * math.log2(self.first / longest)), 0) if longest < self.first else 0
 
     def time_scale(self, y0: np.ndarray) -> float:
