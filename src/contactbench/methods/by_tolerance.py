@@ -20,7 +20,15 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive
 from contactbench.methods.loops import Loop
-from contactbench.methods.prepared import NO_NUMBER, Outcome, Pilot, Prepared, Request, RunByTolerance, stopwatch
+from contactbench.methods.prepared import (
+    NO_NUMBER,
+    Outcome,
+    Pilot,
+    Prepared,
+    Request,
+    RunByTolerance,
+    stopwatch,
+)
 from contactbench.methods.runge_kutta import (
     RKN8,
     RKN12,
@@ -349,7 +357,7 @@ class ToleranceRun(RunByTolerance):
     """
 
     #: known before the run, of fixed steps
-    needed, totals, watched = None, Counts(), None
+    needed, totals = None, Counts()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -443,7 +451,10 @@ class ToleranceRun(RunByTolerance):
         """Take the steps as a pilot, nan where they do not lead to."""
         y, counts = self.taken(y0)
         saved = np.where(y[:, -1:] == 0, y[:, : len(y0)], math.nan)[self.saved]
-        return Pilot(self, np.concatenate([y0[None], saved]), counts, spent=self.is_spent(y, counts))
+        return Pilot(self, saved, counts, spent=self.is_spent(y, counts))
+
+    def into(self, start: np.ndarray, after: np.ndarray) -> None:
+        """Return nothing: how many steps there are is known when they are taken."""
 
     def outcome(self, y0: np.ndarray, y: np.ndarray, counts: Counts) -> Outcome:
         return self.finish(y0, self.from_start(y0, y), counts)

@@ -21,71 +21,77 @@ from contactbench.trace.form import (
 )
 
 
-def largest(name: str, value: str) -> tuple[Statement, ...]:
-    """Return what makes of a variable the larger of itself and a value, and of `lost` nan where that is not finite."""
+def widen(most: str, name: str, load: tuple[Statement, ...]) -> tuple[Statement, ...]:
+    """Return what takes the norm of what is loaded as `name` for every component, in units, and keeps the largest.
+
+    The norm is squared; `lost` is nan from then on if it is not finite.
+    """
+    part, square, total = f"{name}_part", f"{name}_square", f"{name}_sum"
+    each = (
+        *load,
+        Assign(f"{name}_unit", Element("units", ("i",))),
+        Assign(part, Operation("div", (name, f"{name}_unit"))),
+        Assign(square, Operation("mul", (part, part))),
+        Assign(f"{total}_more", Operation("add", (total, square))),
+        Update((total,), (f"{total}_more",)),
+    )
     return (
-        Assign(f"{value}_more", Operation("gt", (value, name))),
-        Assign(f"{value}_most", Operation("where", (f"{value}_more", value, name))),
-        Assign(f"{value}_none", Operation("sub", (value, value))),
-        Assign(f"{value}_lost", Operation("add", ("lost", f"{value}_none"))),
-        Update((name, "lost"), (f"{value}_most", f"{value}_lost")),
+        Update((total,), (0.0,)),
+        Loop("i", "motion", each),
+        Assign(f"{name}_larger", Operation("gt", (total, most))),
+        Assign(f"{name}_most", Operation("where", (f"{name}_larger", total, most))),
+        Assign(f"{name}_none", Operation("sub", (total, total))),
+        Assign(f"{name}_lost", Operation("add", ("lost", f"{name}_none"))),
+        Update((most, "lost"), (f"{name}_most", f"{name}_lost")),
     )
 
 
-_component = (
-    Assign("unit", Element("units", ("i",))),
-    Assign("a", Element("coarse", ("at",), "i")),
-    Assign("b", Element("fine", ("at",), "i")),
-    Assign("a_b", Operation("sub", ("a", "b"))),
-    Assign("apart", Operation("div", ("a_b", "unit"))),
-    Assign("away", Operation("div", ("b", "unit"))),
-    Assign("apart_2", Operation("mul", ("apart", "apart"))),
-    Assign("away_2", Operation("mul", ("away", "away"))),
-    Assign("gap_more", Operation("add", ("gap", "apart_2"))),
-    Assign("size_more", Operation("add", ("size", "away_2"))),
-    Update(("gap", "size"), ("gap_more", "size_more")),
+_fine = Assign("fine_c", Element("fine", ("at",), "i"))
+_apart = (
+    Assign("coarse_c", Element("coarse", ("at",), "i")),
+    Assign("fine_d", Element("fine", ("at",), "i")),
+    Assign("apart", Operation("sub", ("coarse_c", "fine_d"))),
 )
-_row = (
-    Assign("at", Operation("mul", ("row", "width"))),
-    Update(("gap", "size"), (0.0, 0.0)),
-    Loop("i", "motion", _component),
-    *largest("widest", "gap"),
-    *largest("longest", "size"),
-)
-#: the squares of max ‖coarse − fine‖ and max ‖fine‖ over rows of states, in units; nan where one is not finite
+#: the squares of max ‖coarse − fine‖ and max ‖fine‖ over rows of states, in units, the start included
 SQUARES = Function(
     "squares",
-    ("coarse", "fine", "units", "shape", "after"),
+    ("start", "coarse", "fine", "units", "after"),
     (
-        Assign("rows", Element("shape", (0,), kind="i")),
-        Assign("width", Element("shape", (1,), kind="i")),
+        Assign("width", Operation("len", ("start",))),
         Assign("motion", Operation("len", ("units",))),
-        Update(("widest", "longest", "lost"), (0.0, 0.0, 0.0)),
-        Loop("row", "rows", _row),
-        Assign("square", Operation("add", ("widest", "lost"))),
-        Store(Element("after", (0,)), "square"),
-        Store(Element("after", (1,)), "longest"),
+        Update(("gap", "size", "lost", "at"), (0.0, 0.0, 0.0, 0)),
+        *widen("size", "first", (Assign("first", Element("start", ("i",))),)),
+        Assign("rows", Element("after", (1,), kind="i")),
+        Loop(
+            "row",
+            "rows",
+            (
+                *widen("gap", "apart", _apart),
+                *widen("size", "fine_c", (_fine,)),
+                Assign("next", Operation("add", ("at", "width"))),
+                Update(("at",), ("next",)),
+            ),
+        ),
+        Assign("gap_or_lost", Operation("add", ("gap", "lost"))),
+        Store(Element("after", (0,)), "gap_or_lost"),
+        Store(Element("after", (2,)), "size"),
     ),
 )
 
 
-class Distance:
-    """Return max ‖coarse − fine‖ / max ‖fine‖ of rows of packed states, (k, d); infinite unless all are finite.
+def distance(
+    start: np.ndarray, coarse: np.ndarray, fine: np.ndarray, units: np.ndarray, compiled: bool
+) -> Callable[[], float]:
+    """Return the function that gives max ‖coarse − fine‖ / max ‖fine‖ of what these arrays hold when it is called.
 
-    units : of the first components, all others are left out.  compiled : by LLVM, in no time.
+    They are packed states, (d,) and (k, d), the start is part of both runs; units : of the first components, all others
+    are left out.  Infinite unless all are finite.
     """
-
-    def __init__(self, rows: int, width: int, units: np.ndarray, compiled: bool) -> None:
-        self.shape, self.units, self.compiled = (rows, width), np.array(units, dtype=float), compiled
-        self.spare: list[tuple[np.ndarray, np.ndarray, Callable[[], object], np.ndarray]] = []
-
-    def memory(self) -> tuple[np.ndarray, np.ndarray, Callable[[], object], np.ndarray]:
-        """Return room for two runs, the call that compares them, and where it writes to."""
-        coarse, fine, after = np.empty(self.shape), np.empty(self.shape), np.empty(2)
-        shape = np.array(self.shape, dtype=np.int64)
-        given = coarse.reshape(-1), fine.reshape(-1), self.units, shape, after
-        if self.compiled:
-            return coarse, fine, compile_function(SQUARES).closed(*given), after
+    after = np.array([0.0, len(fine), 0.0])
+    given = start, coarse.reshape(-1), fine.reshape(-1), units, after
+    if compiled:
+        call: Callable[[], object] = compile_function(SQUARES).closed(*given)
+    else:
         in_python = execute(SQUARES)
 
         def call() -> None:
@@ -93,19 +99,11 @@ class Distance:
             in_python(*read, found)
             after[:] = found
 
-        return coarse, fine, call, after
-
-    def __call__(self, coarse: np.ndarray, fine: np.ndarray) -> float:
-        try:
-            own = self.spare.pop()  # no other thread has it meanwhile
-        except IndexError:
-            own = self.memory()
-        a, b, call, after = own
-        a[...] = coarse
-        b[...] = fine
+    def distance() -> float:
         call()
-        gap, size = after.tolist()
-        self.spare.append(own)
-        if not (gap < math.inf and size < math.inf):
-            return math.inf
-        return math.sqrt(gap / size) if size > 0 else 0.0
+        gap, _, size = after.tolist()
+        if gap < math.inf and size < math.inf:
+            return math.sqrt(gap / size) if size > 0 else 0.0
+        return math.inf
+
+    return distance

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.methods.loops import StepLoop, Watched, is_fixed, total
+from contactbench.methods.loops import StepLoop, is_fixed, total
 from contactbench.methods.prepared import Outcome, Pilot, Prepared, furthest
 from contactbench.methods.prescribed import EQUAL, UNCOUNTED, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
@@ -63,13 +64,10 @@ class FixedStepRun(Prepared):
     def shorten(self, loop: StepLoop[Any]) -> None:
         """Make of the calls for these steps, where nothing else is to be done, closures of all they need."""
         self.bare = loop.last(self.ready)  # type: ignore
-        #: all states, the start first, and whether nothing can be wrong with them, as a function of the start
-        self.watched: Watched | None = None
         simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
         states = loop.watched(self.ready, self.needed, self.saves_start) if simple else None
         if states is None:
             return
-        self.watched = loop.watched(self.ready, self.needed, True)
         of, date, dated, first = Solution.of, self._dated, self._clock is not None, int(self.saves_start)
         ended = self.attributes(Status.ok, "", self.totals, self._end, self.steps_taken)
 
@@ -126,15 +124,17 @@ class FixedStepRun(Prepared):
         y, made = self.loop.take(y0, self.ready)
         return y, self.totals._replace(evaluations=made) if self.method_.iterates else self.totals
 
+    def into(self, start: np.ndarray, after: np.ndarray) -> Callable[[], int] | None:
+        """Return the run on memory for good, see `StepLoop.into`; None where there is more to do."""
+        simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
+        return self.loop.into(self.ready, self.needed, start, after) if simple else None
+
     def pilot(self, y0: np.ndarray) -> Pilot:
         """Take the steps as a pilot, unless they are more than allowed."""
-        if self.watched is not None:
-            y, fine = self.watched(y0)
-            return Pilot(self, y, self.totals, fine)
         if self.needed > self.request.max_steps:
-            return Pilot(self, y0[None], Counts(), spent=True)
+            return Pilot(self, np.full((len(self.later), len(y0)), math.nan), Counts(), spent=True)
         y, counts = self.take(y0)
-        return Pilot(self, np.concatenate([y0[None], y[self.saved]]), counts)
+        return Pilot(self, y[self.saved], counts)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request

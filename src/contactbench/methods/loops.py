@@ -66,7 +66,8 @@ class StepLoop[Ready](ABC):
     3. ``last(ready)`` is the function that gives the last of these states alone, by the fastest way there is.
     4. ``watched(ready, steps, starts)`` is the function that gives all states, after the first one if it `starts`, and
        whether nothing can be wrong with them; None where the loop does not see that, or the steps take long.
-    5. ``tangent(y0, v, h, n)`` is the derivative of the states along v.
+    5. ``into(ready, steps, start, after)`` is the same on memory that is given once.
+    6. ``tangent(y0, v, h, n)`` is the derivative of the states along v.
 
     Parameters
     ----------
@@ -99,6 +100,12 @@ class StepLoop[Ready](ABC):
 
     def watched(self, ready: Ready, steps: int, starts: bool) -> Watched | None:
         """Return the function that gives all states, and whether nothing can be wrong with them."""
+        return None
+
+    def into(
+        self, ready: Ready, steps: int, start: np.ndarray, after: np.ndarray
+    ) -> Callable[[], int] | None:
+        """Return `watched` on memory for good, the states after `start` one after the other; −1 where all is well."""
         return None
 
     @cached_property
@@ -332,9 +339,16 @@ class Recorded(StepLoop[Rows]):
         d = self.loop.program.size
         return self.loop.on(d, rows, (len(n) * d, len(n) * d + d))
 
+    def watches(self, rows: object, steps: int) -> bool:
+        return not (rows is None or self.counted or self.loop.is_long(steps)) and self.loop.program.watched
+
+    def into(self, ready: Rows, steps: int, start: np.ndarray, after: np.ndarray) -> Callable[[], int] | None:
+        _, _, rows = ready
+        return self.loop.run.closed(start, *rows, after) if rows and self.watches(rows, steps) else None
+
     def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
         _, n, rows = ready
-        if rows is None or self.counted or not self.loop.program.watched or self.loop.is_long(steps):
+        if rows is None or not self.watches(rows, steps):
             return None
         d, saves = self.loop.program.size, len(n) + starts
         run = self.loop.on(d, rows, (0 if starts else d, len(n) * d + d), flagged=True)

@@ -98,9 +98,10 @@ class Outcome:
 
 
 class Pilot(NamedTuple):
-    """A run that is compared with others: packed states, the start first, and its counts.
+    """A run that is compared with others: packed states after the start, and its counts.
 
-    fine : nothing can be wrong with it.  spent : it takes more steps than allowed.
+    fine : nothing can be wrong with it.  spent : it takes more steps than allowed.  ended : the attributes of its
+    solution, where it is fine.
     """
 
     run: Any
@@ -108,6 +109,7 @@ class Pilot(NamedTuple):
     counts: Counts
     fine: bool = False
     spent: bool = False
+    ended: dict[str, object] | None = None
 
 
 @dataclass

@@ -15,13 +15,12 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from contactbench.methods.base import METHODS, prepare
-from contactbench.methods.distance import Distance
+from contactbench.methods.distance import distance
 from contactbench.methods.loops import StepLoop
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Pilot, Prepared
 from contactbench.numbers.control import choose
@@ -33,13 +32,13 @@ from contactbench.trace.form import Assign, Element, Function, Store
 from contactbench.trace.formula import argument_names, formula
 
 #: errors that are small enough, and those a step is foretold for, as parts of the tolerance
-ENOUGH, AIM = 0.5, 0.25
+ENOUGH, AIM = 0.7, 0.4
 #: first pilot: this many steps over the whole span, or between breaks
 FIRST = 4
 #: steps are the longest one over powers of 2^(1/8), so that those of other calls are known
 RUNGS = 8
-#: prepared runs that are kept
-KEPT = 64
+#: prepared runs that are kept, and numbers in the states of their pilots
+KEPT, KEPT_NUMBERS = 64, 2**22
 #: of methods without an exact flow of damping, damping times the first step at most
 DAMPED = 8.0
 #: gaps after one as large as the motion are not asymptotic
@@ -74,22 +73,74 @@ REACH = 32.0
 
 
 class Choice(NamedTuple):
-    """How pilots ended: the one that is good enough, or the outcome where none is; evaluations of all of them."""
+    """How pilots ended: the one that is good enough and its states, or the outcome where none is; all evaluations."""
 
-    pilot: Pilot | None
-    outcome: Outcome | None
     evaluations: int
+    pilot: Pilot | None = None
+    y: Any = None
+    outcome: Outcome | None = None
+
+
+class Room:
+    """The memory of pilots from one start, by how many parts of an octave their steps are shorter than the longest.
+
+    One call has it at a time.
+    """
+
+    def __init__(self, chosen: ChosenStep) -> None:
+        self.chosen, self.start = chosen, np.empty(len(chosen.start))
+        self.time_scale = chosen.time_scale_at(self.start)
+        self.pilots: dict[int, Callable[[], Pilot]] = {}
+        self.states: dict[int, np.ndarray] = {}
+        #: the rung from whose next one on steps are shorter: the longest one taken may be far below the one allowed
+        self.rungs: dict[int, int] = {}
+        self.gaps: dict[tuple[int, int], Callable[[], float]] = {}
+
+    def pilot(self, rung: int) -> Pilot:
+        known = self.pilots.get(rung)
+        if known is None:
+            known = self.pilots[rung] = self.prepare(rung)
+        return known()
+
+    def prepare(self, rung: int) -> Callable[[], Pilot]:
+        """Return the pilot as a function of nothing, all it needs in place."""
+        run = self.chosen.run_at(rung)
+        octaves = math.log2(self.chosen.first / run.steps_taken[1])
+        self.rungs[rung] = max(rung, math.floor(RUNGS * octaves))
+        y = self.states[rung] = np.empty((len(self.chosen.later), len(self.start)))
+        call = run.into(self.start, y.reshape(-1))
+        if call is not None:
+            ended = self.chosen.attributes(
+                Status.ok, "", run.totals, float(run.request.save_at[-1]), run.steps_taken
+            )
+            bad, fine = Pilot(run, y, run.totals), Pilot(run, y, run.totals, True, ended=ended)
+            return lambda: fine if call() < 0 else bad
+
+        def take() -> Pilot:
+            pilot: Pilot = run.pilot(self.start.copy())
+            y[:] = pilot.y
+            return pilot
+
+        return take
+
+    def gap(self, coarse: int, fine: int) -> float:
+        known = self.gaps.get((coarse, fine))
+        if known is None:
+            y, z, chosen = self.states[coarse], self.states[fine], self.chosen
+            native = chosen.request.engine == "llvm"
+            known = self.gaps[coarse, fine] = distance(self.start, y, z, chosen.units, native)
+        return known()
 
 
 class Gap(NamedTuple):
-    """Two pilots compared: how far they are apart, and how many times shorter the steps of the finer one are."""
+    """Two pilots compared: how far they are apart, relative to the motion, and the ratio of their steps, > 1.
+
+    slope : the gap over the part by which the steps of the coarser one are longer.
+    """
 
     size: float = math.inf
     ratio: float = 2.0
-
-    @property
-    def slope(self) -> float:
-        return self.size / (self.ratio - 1)
+    slope: float = math.inf
 
 
 def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
@@ -97,16 +148,17 @@ def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
 
     wider : the gap of the two coarser ones; infinite where there are none.
     """
-    if not (gap.size < wider.size <= LOST or gap.size < ROUND_OFF and wider.size <= LOST):
+    size, ratio, slope = gap
+    before, longer, steeper = wider
+    if not before <= LOST or size >= max(before, ROUND_OFF):
         return math.inf, False
-    if gap.size < ROUND_OFF:
-        return gap.size, False
-    finer, coarser = gap.ratio**order, wider.ratio**order
-    foretold = wider.size * (finer - 1) / (finer * (coarser - 1))
-    off = gap.size / foretold
-    error = gap.size / (finer - 1) * (off**ABOVE if off > 1 else off**-BELOW)
-    if gap.slope <= wider.slope / 2:
-        error = min(error, MOST * gap.slope)
+    if size < ROUND_OFF:
+        return size, False
+    finer = ratio**order
+    off = size * finer * (longer**order - 1) / (before * (finer - 1))
+    error = size / (finer - 1) * (off**ABOVE if off > 1 else off**-BELOW)
+    if slope <= steeper / 2:
+        error = min(error, MOST * slope)
     return error, 1 / AGREE <= off <= AGREE
 
 
@@ -131,7 +183,7 @@ class ChosenStep(Prepared):
             # over steps much longer than the damping takes all of such pilots agree, on nothing that is left
             self.first = min(self.first, DAMPED / abs(rate))
         #: steps of the first pilot at most that follow the motion: on a wrong way they may be ever more
-        self.limit = WILD + WILD / 100 * self._end / self.time_scale(self.start)
+        self.limit = WILD + WILD / 100 * self._end / self.time_scale_at(self.start)()
         #: by how many parts of an octave their steps are shorter
         self.runs: Cache[Any] = Cache(KEPT)
         #: the step of a method that follows the motion is no time
@@ -140,9 +192,9 @@ class ChosenStep(Prepared):
         self.run = self.run_at(0)
         self.compile_s, self.sensitivity_source = self.run.compile_s, self.run.sensitivity_source
         #: what the parts of the motion are measured in
-        units, native = self.scales(self.start)[: self._motion], self.request.engine == "llvm"
-        self.distance = Distance(len(self.later) + 1, len(self.start), units, native)
-        if self.run.watched is not None:
+        self.units = np.array(self.scales(self.start)[: self._motion], dtype=float)
+        self.rooms: list[Room] = []
+        if self.request.engine == "llvm" and not self.method_.follows and not self.method_.iterates:
             self.at_once = self.chosen_at_once
 
     def run_at(self, rung: int) -> Any:
@@ -158,14 +210,15 @@ class ChosenStep(Prepared):
 
     def chosen_at_once(self, y0: np.ndarray) -> Solution:
         choice = self.choose(y0)
-        pilot = choice.pilot
-        if pilot is None or not pilot.fine:
+        pilot, y = choice.pilot, choice.y
+        if pilot is None or pilot.ended is None:
             return self.solved(y0, lambda y0: self.ending(y0, choice))
-        counts = pilot.counts
-        spent = Counts(counts.steps, choice.evaluations, 0, 0, counts.kind)
-        ended = self.attributes(Status.ok, "", spent, self._end, pilot.run.steps_taken)
-        y = pilot.y if self.saves_start else pilot.y[1:]
-        return Solution.of(ended, y if self._clock is None else self._dated(y0, y), y0)
+        counts = Counts(pilot.counts.steps, choice.evaluations, 0, 0, pilot.counts.kind)
+        if self.saves_start:
+            y = self.from_start(y0, y)
+        return Solution.of(
+            {**pilot.ended, "counts": counts}, y if self._clock is None else self._dated(y0, y), y0
+        )
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         return self.ending(y0, self.choose(y0))
@@ -174,7 +227,7 @@ class ChosenStep(Prepared):
         """Return the outcome of a choice, with the evaluations of all pilots."""
         pilot, out = choice.pilot, choice.outcome
         if pilot is not None:
-            out = pilot.run.outcome(y0, pilot.y[1:], pilot.counts)
+            out = pilot.run.outcome(y0, choice.y, pilot.counts)
             out.steps = pilot.run.steps_taken
         assert out is not None
         return replace(out, counts=out.counts._replace(evaluations=choice.evaluations))
@@ -192,69 +245,81 @@ class ChosenStep(Prepared):
 
     def choose(self, y0: np.ndarray) -> Choice:
         """Take pilots until one has an error that is small enough, or there is none."""
+        try:
+            room = self.rooms.pop()  # no other thread has it meanwhile
+        except IndexError:
+            room = Room(self)
+        room.start[...] = y0
+        choice = self.choose_in(room, y0)
+        if len(room.states) * self._saves * len(y0) <= KEPT_NUMBERS:
+            self.rooms.append(room)
+        return choice
+
+    def choose_in(self, room: Room, y0: np.ndarray) -> Choice:
         r, order = self.request, self.method_.order
         assert r.rtol is not None
         enough, aim = ENOUGH * r.rtol, AIM * r.rtol
-        evaluations, first = self.probes, self.first_rung(y0)
-        rung = first
-        last: Pilot | None = None
+        evaluations, rung = self.probes, self.first_rung(room.time_scale())
+        first, last = rung, -1
         # so many states agree only along the motion
-        gap = Gap(LOST) if len(self.later) > MANY else Gap()
+        gap = Gap(LOST, slope=LOST) if len(self.later) > MANY else Gap()
         blown, stuck, asked = 0, 0, False
         while True:
-            run = self.run_at(rung)
-            # the longest step taken may be far shorter than the one allowed
-            rung = max(rung, math.floor(RUNGS * math.log2(self.first / run.steps_taken[1])))
-            pilot: Pilot = run.pilot(y0)
+            pilot = room.pilot(rung)
             evaluations += pilot.counts.evaluations or 0
-            if pilot.spent and (run.request.max_steps >= r.max_steps or rung > first + RUNGS * SPENT):
-                return Choice(None, self.beyond(run), evaluations)
-            before, last = last, pilot if self.is_sound(y0, pilot) else None
-            if last is None:
-                blown, gap, rung = blown + 1, Gap(), rung + RUNGS
-                if blown == BLOWN and not asked:
+            if pilot.spent and self.is_over(pilot.run, rung - first):
+                return Choice(evaluations, outcome=self.beyond(pilot.run))
+            before, last = last, rung
+            # one that is watched may be all right in spite of what is seen
+            if not (pilot.fine or ((blown >= BLOWN or not self.at_once) and self.is_sound(y0, pilot))):
+                blown, last, gap, rung = blown + 1, -1, Gap(), rung + RUNGS
+                if blown >= BLOWN and not asked:
                     asked = True
                     end, more = self.end_of(y0)
                     evaluations += more
                     if end is not None:
                         return self.until(y0, end, pilot, evaluations)
                 if (pilot.counts.steps or 0) > LAST or rung > first + RUNGS * OCTAVES:
-                    return Choice(None, self.failed(y0, pilot), evaluations)
+                    return Choice(evaluations, outcome=self.failed(y0, pilot))
                 continue
             blown = 0
-            if before is None:
-                rung += RUNGS
+            rung = room.rungs[rung]
+            if before < 0:
+                coarse, rung = pilot, rung + RUNGS
                 continue
-            wider, gap = gap, self.compare(before, pilot)
+            wider, gap, coarse = gap, self.compare(room, before, last, coarse, pilot), pilot
             error, agree = error_of(gap, wider, order)
             if error <= enough:
-                return Choice(pilot, None, evaluations)
+                return Choice(evaluations, pilot, pilot.y.copy())
             stuck += wider.size <= ROUNDED and gap.slope > STUCK * wider.slope
             if stuck == BLOWN:
-                return Choice(None, self.rounded(pilot, gap.size), evaluations)
+                return Choice(evaluations, outcome=self.rounded(pilot, gap.size))
             if agree and error < math.inf:
                 octaves = math.log2(min(max(error / aim, 1.0) ** (1 / order), REACH))
                 rung += max(math.ceil(RUNGS * octaves), 2)
             else:
                 rung += RUNGS // 2 if gap.size <= enough else RUNGS
 
+    def is_over(self, run: Any, rungs: int) -> bool:
+        """Return whether a run of too many steps, so many rungs below the first one, ends the search."""
+        return run.request.max_steps >= self.request.max_steps or rungs > RUNGS * SPENT
+
     def is_sound(self, y0: np.ndarray, pilot: Pilot) -> bool:
         """Return whether a pilot reaches the end, on the scale of the motion."""
-        if pilot.fine:
-            return True
         if pilot.spent or not np.isfinite(pilot.y[-1]).all():
             return False
-        out = self.finish(y0, pilot.y[not self.saves_start :], pilot.counts)
+        out = self.finish(y0, self.from_start(y0, pilot.y), pilot.counts)
         return self.audit(y0, out).status is Status.ok
 
-    def compare(self, coarse: Pilot, fine: Pilot) -> Gap:
+    def compare(self, room: Room, before: int, rung: int, coarse: Pilot, fine: Pilot) -> Gap:
         ratio = (fine.counts.steps or 1) / (coarse.counts.steps or 1)
         if self.method_.follows:
-            shorter = coarse.run.request.step / fine.run.request.step
+            shorter = 2.0 ** ((rung - before) / RUNGS)
             if not 1 / OTHER < ratio / shorter < OTHER:  # they are on different ways
                 return Gap()
             ratio = shorter
-        return Gap(self.distance(coarse.y, fine.y), ratio)
+        size = room.gap(before, rung)
+        return Gap(size, ratio, size / (ratio - 1))
 
     # -- where no pilot is good enough -----------------------------------------------------------------
     def nothing(self, counts: Counts, status: Status, message: str, end: float = 0.0) -> Outcome:
@@ -263,7 +328,9 @@ class ChosenStep(Prepared):
 
     def beyond(self, run: Any) -> Outcome:
         r, step = self.request, run.steps_taken[0]
-        message = f"rtol = {r.rtol:g} needs a step of {step:.3g} or less, more steps than max_steps = {r.max_steps}"
+        message = (
+            f"rtol = {r.rtol:g} needs a step of {step:.3g} or less, more steps than max_steps = {r.max_steps}"
+        )
         return self.nothing(Counts(kind=self.method_.kind_on(r.scene)), Status.budget, message)
 
     def rounded(self, pilot: Pilot, error: float) -> Outcome:
@@ -299,49 +366,50 @@ class ChosenStep(Prepared):
             found = run.integrate(y0)
             evaluations += found.counts.evaluations or 0
             if found.status is not Status.ok:
-                return Choice(None, found, evaluations)
+                return Choice(evaluations, outcome=found)
             out.y[: len(before)] = found.y
             out.counts, out.steps = found.counts, found.steps
-        return Choice(None, out, evaluations)
+        return Choice(evaluations, outcome=out)
 
     # -- the first pilot -------------------------------------------------------------------------------
-    def first_rung(self, y0: np.ndarray) -> int:
-        share = PERIOD * min(self.method_.order / HIGH, 1.0)
-        longest = share * self.time_scale(y0) if self.probes else math.inf
+    def first_rung(self, time_scale: float) -> int:
+        longest = PERIOD * min(self.method_.order / HIGH, 1.0) * time_scale if self.probes else math.inf
         return max(math.ceil(RUNGS * math.log2(self.first / longest)), 0) if longest < self.first else 0
 
-    def time_scale(self, y0: np.ndarray) -> float:
-        """Return 1/ω of the motion at the start: ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still."""
-        fast, slow = self.curvature(y0)
-        return math.sqrt(slow / fast) if 0 < fast < math.inf and slow > 0 else math.inf
+    def time_scale_at(self, y: np.ndarray) -> Callable[[], float]:
+        """Return the function that gives 1/ω of the motion at what a packed state holds when it is called.
 
-    @cached_property
-    def curvature(self) -> Callable[[np.ndarray], Sequence[float]]:
-        """Return `curvature` as a function of a packed state: compiled where the engine is, else by Python."""
+        ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still.
+        """
         scene, carry, motion = self.request.scene, self.request.carry, self._motion
-        own, d = np.array([scene.numbers()], dtype=float), len(self.start)
+        own, d, found = np.array([scene.numbers()], dtype=float), len(y), np.zeros(2)
 
         def of_numbers(y: Sequence[Arithmetic], *given: Any) -> tuple[Arithmetic, Arithmetic]:
             *numbers, xp = given
             return curvature(scene.with_numbers(numbers), y, carry, motion, xp)
 
-        def in_python(y0: np.ndarray) -> Sequence[float]:
+        def call() -> object:
+            found[:] = 0.0
             with suppress(*NO_NUMBER), np.errstate(all="ignore"):
-                return curvature(scene, scene.entries(y0), carry, motion, math)
-            return 0.0, 0.0
+                found[:] = curvature(scene, scene.entries(y), carry, motion, math)
+            return found
 
-        if self.request.engine != "llvm":
-            return in_python
-        with suppress(CannotRecord):
-            made = formula(of_numbers, (d, *[0] * own.size, "xp"), ())
-            names = argument_names(made.arguments, ())
-            loads = [Assign(name, Element("start", (i,))) for i, name in enumerate(names[:d])]
-            loads += [Assign(name, Element("w", (0, i))) for i, name in enumerate(names[d:])]
-            stores = [Store(Element("after", (i,)), value) for i, value in enumerate(made.results)]
-            whole = Function("curvature", ("start", "w", "shape", "after"), (*loads, *made.body, *stores))
-            call = compile_function(whole).bind(d, own, np.zeros(1, np.int64), 2, slice(d, d + 2), False)
-            return lambda y0: call(y0).tolist()
-        return in_python
+        if self.request.engine == "llvm":
+            with suppress(CannotRecord):
+                made = formula(of_numbers, (d, *[0] * own.size, "xp"), ())
+                names = argument_names(made.arguments, ())
+                loads = [Assign(name, Element("start", (i,))) for i, name in enumerate(names[:d])]
+                loads += [Assign(name, Element("w", (0, i))) for i, name in enumerate(names[d:])]
+                stores = [Store(Element("after", (i,)), value) for i, value in enumerate(made.results)]
+                whole = Function("curvature", ("start", "w", "after"), (*loads, *made.body, *stores))
+                call = compile_function(whole).closed(y, own, found)
+
+        def time_scale() -> float:
+            call()
+            fast, slow = found.tolist()
+            return math.sqrt(slow / fast) if 0 < fast < math.inf and slow > 0 else math.inf
+
+        return time_scale
 
 
 def curvature(

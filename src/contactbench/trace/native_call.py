@@ -66,10 +66,10 @@ class Native:
         result: int = self.program(block_of(block))
         return result
 
-    def closed(self, *arrays: np.ndarray) -> Callable[[], object]:
+    def closed(self, *arrays: np.ndarray) -> Callable[[], int]:
         """Return the call on these arrays, which it keeps: what they hold may change."""
-        program, words_of = self.quiet, zip(arrays, self.kinds, strict=True)
-        block = block_of([word for array, kind in words_of for word in words(array, kind)])
+        program, pairs = self.program, zip(arrays, self.kinds, strict=True)
+        block = block_of([word for array, kind in pairs for word in words(array, kind)])
         return lambda arrays=arrays: program(block)  # type: ignore[misc]
 
     def bind(
