@@ -34,7 +34,7 @@ from contactbench.methods.implicit import (
     otherwise,
     solved,
 )
-from contactbench.numbers.control import Repeat, repeat
+from contactbench.numbers.control import Repeat, choose, repeat
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, Vector
 from contactbench.scene import Scene
@@ -213,7 +213,8 @@ class ContactGauss(FixedStep):
         def another(carried: tuple[OwnState, Arithmetic, Any]) -> tuple[OwnState, Arithmetic, Any]:
             x, spent, slopes = carried
             x, more, slopes = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
-            return x, spent + more, slopes
+            # from a state that is no number nothing is evaluated
+            return x, spent + choose(more > 0, more, 0.0, xp), slopes
 
         x, spent, _ = repeat(n, another, (x, 0 * leaves(x)[0] + 1.0, self.first(scene, x, xp)))
         return x, spent

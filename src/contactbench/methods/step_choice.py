@@ -150,7 +150,7 @@ def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
     """
     size, ratio, slope = gap
     before, longer, steeper = wider
-    if not before <= LOST or size >= max(before, ROUND_OFF):
+    if not before <= LOST or (slope >= steeper and size >= ROUND_OFF):
         return math.inf, False
     if size < ROUND_OFF:
         return size, False
