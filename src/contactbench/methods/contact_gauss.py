@@ -216,7 +216,7 @@ class ContactGauss(FixedStep):
             # from a state that is no number nothing is evaluated
             return x, spent + choose(more > 0, more, 0.0, xp), slopes
 
-        x, spent, _ = repeat(n, another, (x, 0 * leaves(x)[0] + 1.0, self.first(scene, x, xp)))
+        x, spent, _ = repeat(n, another, (x, 1.0 + 0 * h, self.first(scene, x, xp)))
         return x, spent
 
     def composed(self, scene: Scene) -> bool:
