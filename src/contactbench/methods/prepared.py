@@ -100,14 +100,14 @@ class Outcome:
 class Pilot(NamedTuple):
     """A run that is compared with others: packed states after the start, and its counts.
 
-    fine : nothing can be wrong with it.  spent : it takes more steps than allowed.  ended : the attributes of its
-    solution, where it is fine.
+    fine : nothing can be wrong with it, or something is seen to be; None where nobody has looked.  spent : it takes
+    more steps than allowed.  ended : the attributes of its solution, where it is fine.
     """
 
     run: Any
     y: np.ndarray
     counts: Counts
-    fine: bool = False
+    fine: bool | None = None
     spent: bool = False
     ended: dict[str, object] | None = None
 

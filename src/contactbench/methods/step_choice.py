@@ -113,7 +113,7 @@ class Room:
             ended = self.chosen.attributes(
                 Status.ok, "", run.totals, float(run.request.save_at[-1]), run.steps_taken
             )
-            bad, fine = Pilot(run, y, run.totals), Pilot(run, y, run.totals, True, ended=ended)
+            bad, fine = Pilot(run, y, run.totals, False), Pilot(run, y, run.totals, True, ended=ended)
             return lambda: fine if call() < 0 else bad
 
         def take() -> Pilot:
@@ -271,7 +271,7 @@ class ChosenStep(Prepared):
                 return Choice(evaluations, outcome=self.beyond(pilot.run))
             before, last = last, rung
             # one that is watched may be all right in spite of what is seen
-            if not (pilot.fine or ((blown >= BLOWN or not self.at_once) and self.is_sound(y0, pilot))):
+            if not (pilot.fine or ((blown >= BLOWN or pilot.fine is None) and self.is_sound(y0, pilot))):
                 blown, last, gap, rung = blown + 1, -1, Gap(), rung + RUNGS
                 if blown >= BLOWN and not asked:
                     asked = True
@@ -295,10 +295,17 @@ class ChosenStep(Prepared):
             if stuck == BLOWN:
                 return Choice(evaluations, outcome=self.rounded(pilot, gap.size))
             if agree and error < math.inf:
-                octaves = math.log2(min(max(error / aim, 1.0) ** (1 / order), REACH))
-                rung += max(math.ceil(RUNGS * octaves), 2)
+                further = self.rungs_to(error / aim)
+                if (self.run_at(rung + further).needed or 0) > r.max_steps:
+                    further = self.rungs_to(error / enough)
+                rung += further
             else:
                 rung += RUNGS // 2 if gap.size <= enough else RUNGS
+
+    def rungs_to(self, factor: float) -> int:
+        """Return by how many rungs steps are shorter whose error is so many times smaller, within reach."""
+        octaves = math.log2(min(max(factor, 1.0) ** (1 / self.method_.order), REACH))
+        return max(math.ceil(RUNGS * octaves), 2)
 
     def is_over(self, run: Any, rungs: int) -> bool:
         """Return whether a run of too many steps, so many rungs below the first one, ends the search."""
