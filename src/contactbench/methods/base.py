@@ -214,9 +214,11 @@ def prepare(
         processor (contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
     rtol, atol
         Tolerances of an adaptive method.  By default atol is rtol times the scale of the motion, of every component by
-        itself, as force and velocity at the start show it; a scale from 0.01 to 1000 counts as 1.  A fixed-step method
-        given rtol instead of step chooses its step from pilots, which are part of every call and its counts; the
-        solution's `step_chosen` is that step.  An exact method takes neither.
+        itself, as force and velocity at the start show it; a scale from 0.01 to 1000 counts as 1.  They bound the error
+        of a step; that of the run may be larger.  A fixed-step method given rtol instead of step chooses its step from
+        pilots, which are part of every call and its counts; the solution's `step_chosen` is that step.  Then rtol
+        bounds the error of the run, at every saved time, relative to the largest state: it ends as `ok` where pilots
+        agree on it, else as `budget`, `failed` or `diverged`.  An exact method takes neither.
     save_at
         Increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at most 1001 of them, for
         fixed steps, and 201 equally spaced times for others.  The counts of a fixed-step method depend on them,
