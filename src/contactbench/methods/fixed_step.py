@@ -55,7 +55,9 @@ class FixedStep(Method):
     adaptive = False
     #: the step of the first pilot at most
     longest = math.inf
-    tolerance = "the error of the run, the largest over the saved times, relative to the largest state: pilots choose the step"
+    tolerance = (
+        "the error of the run at all saved times, relative to the largest state: pilots choose the step"
+    )
 
     def prepare(self, request: Request) -> Prepared:
         if not is_fixed(self):  # what this package brings has tests of its own
