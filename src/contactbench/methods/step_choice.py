@@ -39,7 +39,7 @@ FIRST = 4
 RUNGS = 8
 #: prepared runs that are kept, and numbers in the states of their pilots
 KEPT, KEPT_NUMBERS = 64, 2**22
-#: of methods without an exact flow of damping, damping times the first step at most
+#: damping times the first step at most
 DAMPED = 8.0
 #: gaps after one as large as the motion are not asymptotic
 LOST = 1.0
@@ -48,8 +48,9 @@ LOST = 1.0
 PERIOD, HIGH = 6.0, 4
 #: right-hand sides that the period takes, and the distance between them, relative to the motion
 PROBES, BESIDE = 3, 1e-6
-#: gaps are rounding errors where after one below the first of these they do not fall, as slopes, below the other
-ROUNDED, STUCK = 1e-6, 0.7
+#: gaps are rounding errors where after one below the first of these they neither fall nor grow, as slopes, beyond the
+#: others
+ROUNDED, STUCK, GROWN = 1e-6, 0.7, 20.0
 #: gaps that differ from the one foretold by this factor at most agree
 AGREE = 2.0
 #: powers of the factor by which a gap is above, or below, the one foretold: so many times the error may be larger
@@ -179,7 +180,7 @@ class ChosenStep(Prepared):
         times = [0.0, *(time for time, _ in self.breaks if 0 < time < self._end), self._end]
         self.first = min(float(np.diff(times).min()) / FIRST, self.method_.longest)
         rate = self.request.scene.conformal_rate
-        if not self.method_.contact and isinstance(rate, float) and rate:
+        if isinstance(rate, float) and rate:
             # over steps much longer than the damping takes all of such pilots agree, on nothing that is left
             self.first = min(self.first, DAMPED / abs(rate))
         #: steps of the first pilot at most that follow the motion: on a wrong way they may be ever more
@@ -262,7 +263,7 @@ class ChosenStep(Prepared):
         evaluations, rung = self.probes, self.first_rung(room.time_scale())
         first, last = rung, -1
         # so many states agree only along the motion
-        gap = Gap(LOST, slope=LOST) if len(self.later) > MANY else Gap()
+        gap = Gap(LOST, math.inf, LOST) if len(self.later) > MANY else Gap()
         blown, stuck, asked = 0, 0, False
         while True:
             pilot = room.pilot(rung)
@@ -291,7 +292,7 @@ class ChosenStep(Prepared):
             error, agree = error_of(gap, wider, order)
             if error <= enough:
                 return Choice(evaluations, pilot, pilot.y.copy())
-            stuck += wider.size <= ROUNDED and gap.slope > STUCK * wider.slope
+            stuck += wider.size <= ROUNDED and STUCK < gap.slope / wider.slope < GROWN
             if stuck == BLOWN:
                 return Choice(evaluations, outcome=self.rounded(pilot, gap.size))
             if agree and error < math.inf:
