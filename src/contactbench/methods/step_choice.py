@@ -69,8 +69,8 @@ OTHER = 1.25
 BLOWN, WITNESS, WITNESS_RTOL = 3, "rk8-7", 1e-8
 #: steps of such a pilot after which there is no other one, and octaves
 LAST, OCTAVES = 10**6, 20
-#: a pilot's step is at most so many times shorter than that of the one before
-REACH = 32.0
+#: a pilot's step is at most so many times shorter than that of the one before, where they agree once, and again
+NEAR, FAR = 4.0, 32.0
 
 
 class Choice(NamedTuple):
@@ -264,7 +264,7 @@ class ChosenStep(Prepared):
         first, last = rung, -1
         # so many states agree only along the motion
         gap = Gap(LOST, math.inf, LOST) if len(self.later) > MANY else Gap()
-        blown, stuck, asked = 0, 0, False
+        blown, stuck, asked, agreed = 0, 0, False, False
         while True:
             pilot = room.pilot(rung)
             evaluations += pilot.counts.evaluations or 0
@@ -296,16 +296,18 @@ class ChosenStep(Prepared):
             if stuck == BLOWN:
                 return Choice(evaluations, outcome=self.rounded(pilot, gap.size))
             if agree and error < math.inf:
-                further = self.rungs_to(error / aim)
+                reach, agreed = FAR if agreed else NEAR, True
+                further = self.rungs_to(error / aim, reach)
                 if (self.run_at(rung + further).needed or 0) > r.max_steps:
-                    further = self.rungs_to(error / enough)
+                    further = self.rungs_to(error / enough, reach)
                 rung += further
             else:
+                agreed = False
                 rung += RUNGS // 2 if gap.size <= enough else RUNGS
 
-    def rungs_to(self, factor: float) -> int:
+    def rungs_to(self, factor: float, reach: float) -> int:
         """Return by how many rungs steps are shorter whose error is so many times smaller, within reach."""
-        octaves = math.log2(min(max(factor, 1.0) ** (1 / self.method_.order), REACH))
+        octaves = math.log2(min(max(factor, 1.0) ** (1 / self.method_.order), reach))
         return max(math.ceil(RUNGS * octaves), 2)
 
     def is_over(self, run: Any, rungs: int) -> bool:
