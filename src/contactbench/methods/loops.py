@@ -339,16 +339,15 @@ class Recorded(StepLoop[Rows]):
         d = self.loop.program.size
         return self.loop.on(d, rows, (len(n) * d, len(n) * d + d))
 
-    def watches(self, rows: object, steps: int) -> bool:
-        return not (rows is None or self.counted or self.loop.is_long(steps)) and self.loop.program.watched
-
     def into(self, ready: Rows, steps: int, start: np.ndarray, after: np.ndarray) -> Callable[[], int] | None:
-        _, _, rows = ready
-        return self.loop.run.closed(start, *rows, after) if rows and self.watches(rows, steps) else None
+        rows = ready[2]
+        if rows is None or self.watched(ready, steps, False) is None:
+            return None
+        return self.loop.run.closed(start, *rows, after)
 
     def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
         _, n, rows = ready
-        if rows is None or not self.watches(rows, steps):
+        if rows is None or self.counted or not self.loop.program.watched or self.loop.is_long(steps):
             return None
         d, saves = self.loop.program.size, len(n) + starts
         run = self.loop.on(d, rows, (0 if starts else d, len(n) * d + d), flagged=True)
