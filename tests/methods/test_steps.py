@@ -1,5 +1,7 @@
 """Steps: prescribed ones, those chosen for a tolerance, and one alone as a pure function."""
 
+import dataclasses
+
 import numba
 import numpy as np
 import pytest
@@ -8,10 +10,12 @@ from scipy.integrate import solve_ivp
 import contactbench as cb
 from cases import mine, pairs
 from chains import chain
+from contactbench.methods.distance import distance
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_until
-from contactbench.methods.step_choice import FIRST, ChosenStep, Pilot
+from contactbench.methods.step_choice import FIRST, ChosenStep, Room
 from contactbench.numbers.protocol import CannotRecord
+from contactbench.scene.scales import errors
 from contactbench.xla import jax, jnp
 
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step]
@@ -147,7 +151,7 @@ def test_a_round_off_gap_of_pilots_does_not_make_their_step_the_one():
     """Pilots of order 12 fall as their order says beside round-off alone; 64 steps were taken for any tolerance."""
     options = {"save_at": [20.0], "carry": ()}
     runs = [cb.solve("particle", "rkn12", rtol=rtol, **options) for rtol in (1e-3, 1e-8, 1e-13)]
-    assert [run.counts.steps for run in runs] == [16, 16, 37]
+    assert [run.counts.steps for run in runs] == [12, 16, 32]
 
 
 PAIR = {"q": (1.0, 0.0), "p": (-0.0647722295317518, -0.02106457787689715), "t_end": 13375.220471761308}
@@ -220,7 +224,7 @@ def test_the_period_that_bounds_pilots_is_that_of_the_undamped_motion(gamma, q, 
         scene = mine(lambda q, k: k * q[0] ** 2 / 2, q, p, t_end=50.0, **given)
         run = cb.prepare(scene, "contact-rkn8", rtol=1e-3, carry=())
         assert isinstance(run, ChosenStep)
-        assert run.time_scale(run.start) == pytest.approx(np.sqrt(mass / stiffness), rel=1e-3)
+        assert run.time_scale_at(run.start)() == pytest.approx(np.sqrt(mass / stiffness), rel=1e-3)
 
 
 # -- one step as a function of its own -------------------------------------------------------------
@@ -285,18 +289,18 @@ def test_jax_compiles_vectorises_and_differentiates_it():
 
 
 def test_a_pilot_that_is_not_finite_is_followed_by_finer_ones(monkeypatch):
-    """The second of pilots at halving steps; the step is no longer than those of finite ones."""
-    pilot, steps = ChosenStep.pilot, []
+    """The second one; the step is shorter."""
+    pilot, steps = Room.pilot, []
 
-    def broken(run, y0, step):
-        steps.append(step)
-        found = pilot(run, y0, step)
-        return found._replace(y=found.y * np.nan) if len(steps) == 3 else found
+    def broken(room, rung):
+        found = pilot(room, rung)
+        steps.append(found.run.steps_taken[0])
+        return found._replace(y=found.y * np.nan) if len(steps) == 2 else found
 
-    monkeypatch.setattr(ChosenStep, "pilot", broken)
+    monkeypatch.setattr(Room, "pilot", broken)
     run = cb.solve("oscillator", "contact-gauss4", rtol=1e-6)
     assert run.ok
-    assert run.step < steps[2]
+    assert run.step < steps[1]
     assert cb.LAWS["solution_error"](run) < 1e-6
 
 
@@ -327,6 +331,22 @@ def test_a_wall_into_which_pilots_fly_is_no_end():
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("size", [np.inf, np.nan])
 def test_pilots_beyond_any_scale_are_infinitely_far_apart(size):
-    pilots = [Pilot(n, 1.0, 1.0, n, np.array([[size, x, 0.0]])) for n, x in ((4, 0.0), (8, size))]
-    run = cb.prepare("oscillator", "contact-gauss4", rtol=1e-6)
-    assert run.distance(*pilots) == np.inf
+    request = cb.prepare("particle", "rk4", rtol=1e-6, carry=()).request
+    start, coarse, fine = np.arange(1.0, 5.0), np.full((1, 4), 0.5), np.full((1, 4), 0.5)
+    coarse[0, 0], fine[0, 1] = size, size
+    for engine in ("llvm", "python"):
+        assert distance(dataclasses.replace(request, engine=engine), start, coarse, fine)() == np.inf
+
+
+@pytest.mark.parametrize("name", ["particle", "forced_oscillator", "rigid_body", "double_pendulum"])
+@pytest.mark.parametrize("engine", ["llvm", "python"])
+def test_the_distance_of_pilots(name, engine):
+    """It is the error of the coarse one against the fine one, of what the arrays hold when it is called."""
+    run = cb.prepare(name, "rk4", rtol=1e-6)
+    request, start = dataclasses.replace(run.request, engine=engine), run.start
+    rng = np.random.default_rng(0)
+    coarse, fine = start + rng.normal(size=(4, len(start))), start + rng.normal(size=(4, len(start)))
+    call = distance(request, start, coarse, fine)
+    coarse[2, 1] += 3.0
+    true = errors(request.scene, coarse, fine, start, request.carry).max()
+    assert call() == pytest.approx(true, rel=1e-14)

@@ -215,9 +215,11 @@ def prepare(
     rtol, atol
         Tolerances of an adaptive method.  By default atol is rtol times the scale of the motion, of every component by
         itself, as force and velocity at the start show it, or the scene's `scale` has it; where all share a unit a
-        scale from 0.01 to 1000 counts as 1.  A fixed-step method
-        given rtol instead of step chooses its step from pilots, which are part of every call and its counts; the
-        solution's `step_chosen` is that step.  An exact method takes neither.
+        scale from 0.01 to 1000 counts as 1.  They bound the error of a step; the error of the run may be larger.  A
+        fixed-step method given rtol instead of step chooses its step from pilots, which are part of every call and its
+        counts; the solution's `step_chosen` is that step.  Then rtol bounds the error of the run, at every saved time:
+        it ends as `ok` where pilots agree on it, else as `budget`, `failed` or `diverged`.  An exact method takes
+        neither.
     save_at
         Increasing times of the scene's span, from its t to t + t_end (0 to t_end where nothing depends on the time);
         by default the start and every k-th step, at most 1001 of them, for fixed steps, and 201 equally spaced times

@@ -23,7 +23,15 @@ from contactbench.methods import dates
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive
 from contactbench.methods.dates import division
 from contactbench.methods.loops import Loop
-from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request, RunByTolerance, stopwatch
+from contactbench.methods.prepared import (
+    NO_NUMBER,
+    Outcome,
+    Pilot,
+    Prepared,
+    Request,
+    RunByTolerance,
+    stopwatch,
+)
 from contactbench.methods.runge_kutta import (
     RKN8,
     RKN12,
@@ -529,23 +537,21 @@ class ToleranceRun(RunByTolerance):
         evaluations = self.method_.evaluations(int(tried), entered)
         return y, Counts(int(tried - rejected), evaluations, 0, int(rejected), self.method_.kind)
 
-    def take(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
-        """Return packed states after each interval, nan where it was not covered, and the counts, of `steps_at`."""
-        y, counts = self.latest
-        return np.where(y[:, -1:] == 0, y[:, : len(y0)], math.nan), counts
+    def pilot(self, y0: np.ndarray) -> Pilot:
+        """Take the steps as a pilot, nan where they do not lead to."""
+        y, counts = self.taken(y0)
+        saved = np.where(y[:, -1:] == 0, y[:, : len(y0)], math.nan)[self.saved]
+        return Pilot(self, saved, counts, spent=self.is_spent(y, counts))
 
-    def steps_at(self, y0: np.ndarray, step: float) -> int:
-        """Return how many steps of a size the run takes, found by taking them."""
-        self.divide(step)
-        self.latest = y, counts = self.taken(y0)
-        return self.request.max_steps + 1 if self.is_spent(y, counts) else counts.steps or 1
+    def into(self, start: np.ndarray, after: np.ndarray) -> None:
+        """Return nothing: how many steps there are is known when they are taken."""
+
+    def outcome(self, y0: np.ndarray, y: np.ndarray, counts: Counts) -> Outcome:
+        return self.finish(y0, self.from_start(y0, y), counts)
 
     def is_spent(self, y: np.ndarray, counts: Counts) -> bool:
         tried = (counts.steps or 0) + (counts.rejected or 0)
         return bool(y[-1, -1] > 0 and tried >= self.request.max_steps)
-
-    def size_at(self, step: float, steps: int) -> float:
-        return step
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r, d = self.request, len(y0)

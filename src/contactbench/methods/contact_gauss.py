@@ -35,7 +35,7 @@ from contactbench.methods.implicit import (
     otherwise,
     solved,
 )
-from contactbench.numbers.control import Repeat, repeat
+from contactbench.numbers.control import Repeat, choose, repeat
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, Vector
 from contactbench.scene import Scene
@@ -217,9 +217,10 @@ class ContactGauss(FixedStep):
         def another(carried: tuple[OwnState, Arithmetic, Any]) -> tuple[OwnState, Arithmetic, Any]:
             x, spent, slopes = carried
             x, more, slopes = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
-            return x, spent + more, slopes
+            # from a state that is no number nothing is evaluated
+            return x, spent + choose(more > 0, more, 0.0, xp), slopes
 
-        start = x, 0 * leaves(x)[0] + 1.0, self.first(scene, x, xp)
+        start = x, 1.0 + 0 * h, self.first(scene, x, xp)
         x, spent, _ = repeat.steps(n, another, start, h)
         return x, spent
 

@@ -56,7 +56,7 @@ class FixedStep(Method):
     #: the step of the first pilot at most
     longest = math.inf
     tolerance = (
-        "the largest error over the saved times, relative to the largest state: pilots choose the step"
+        "the error of the run at all saved times, relative to the largest state: pilots choose the step"
     )
 
     def prepare(self, request: Request) -> Prepared:

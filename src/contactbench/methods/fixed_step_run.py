@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from contactbench.methods.dates import dates, division, from_origin
 from contactbench.methods.loops import StepLoop, is_fixed, total
-from contactbench.methods.prepared import Outcome, Prepared, furthest
+from contactbench.methods.prepared import Outcome, Pilot, Prepared, furthest
 from contactbench.methods.prescribed import EQUAL, UNCOUNTED, ends_between, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
@@ -102,14 +103,6 @@ class FixedStepRun(Prepared):
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, None if self.method_.iterates else evaluations, 0, 0, self.kind)
 
-    def steps_at(self, y0: np.ndarray, step: float) -> int:
-        """Return how many steps not longer than that a run takes."""
-        return total(steps_in(self.marks, self.ends, step))
-
-    def size_at(self, step: float, steps: int) -> float:
-        """Return their size, or the mean of it where saved times shorten them."""
-        return step if math.isclose(steps * step, self._end) else self._end / steps
-
     def intervals(
         self, y0: np.ndarray, y: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None
     ) -> np.ndarray:
@@ -120,6 +113,18 @@ class FixedStepRun(Prepared):
         """Take the steps of this division: packed states after each of its intervals, and the counts."""
         y, made = self.loop.take(y0, self.ready)
         return y, self.totals._replace(evaluations=made) if self.method_.iterates else self.totals
+
+    def into(self, start: np.ndarray, after: np.ndarray) -> Callable[[], int] | None:
+        """Return the run on memory for good, see `StepLoop.into`; None where there is more to do."""
+        simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
+        return self.loop.into(self.ready, self.needed, start, after) if simple else None
+
+    def pilot(self, y0: np.ndarray) -> Pilot:
+        """Take the steps as a pilot, unless they are more than allowed."""
+        if self.needed > self.request.max_steps:
+            return Pilot(self, np.full((len(self.later), len(y0)), math.nan), Counts(), spent=True)
+        y, counts = self.take(y0)
+        return Pilot(self, y[self.saved], counts)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request

@@ -70,7 +70,8 @@ class StepLoop[Ready](ABC):
     3. ``last(ready)`` is the function that gives the last of these states alone, by the fastest way there is.
     4. ``watched(ready, steps, starts)`` is the function that gives all states, after the first one if it `starts`, and
        whether nothing can be wrong with them; None where the loop does not see that, or the steps take long.
-    5. ``tangent(y0, v, h, n, since)`` is the derivative of the states along v.
+    5. ``into(ready, steps, start, after)`` is the same on memory that is given once.
+    6. ``tangent(y0, v, h, n, since)`` is the derivative of the states along v.
 
     Parameters
     ----------
@@ -103,6 +104,12 @@ class StepLoop[Ready](ABC):
 
     def watched(self, ready: Ready, steps: int, starts: bool) -> Watched | None:
         """Return the function that gives all states, and whether nothing can be wrong with them."""
+        return None
+
+    def into(
+        self, ready: Ready, steps: int, start: np.ndarray, after: np.ndarray
+    ) -> Callable[[], int] | None:
+        """Return `watched` on memory for good, the states after `start` one after the other; −1 where all is well."""
         return None
 
     @cached_property
@@ -383,6 +390,12 @@ class Recorded(StepLoop[Rows]):
             return super().last(ready)
         d = self.loop.program.size
         return self.loop.on(d, rows, (len(n) * d, len(n) * d + d))
+
+    def into(self, ready: Rows, steps: int, start: np.ndarray, after: np.ndarray) -> Callable[[], int] | None:
+        rows = ready[3]
+        if rows is None or self.watched(ready, steps, False) is None:
+            return None
+        return self.loop.run.closed(start, *rows, after)
 
     def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
         _, n, _, rows = ready

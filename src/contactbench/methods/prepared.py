@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -90,6 +90,21 @@ class Outcome:
     end_time: float
     checked: bool = False
     steps: tuple[float, float] | None = None
+
+
+class Pilot(NamedTuple):
+    """A run that is compared with others: packed states after the start, and its counts.
+
+    fine : nothing can be wrong with it, or something is seen to be; None where nobody has looked.  spent : it takes
+    more steps than allowed.  ended : the attributes of its solution, where it is fine.
+    """
+
+    run: Any
+    y: np.ndarray
+    counts: Counts
+    fine: bool | None = None
+    spent: bool = False
+    ended: dict[str, object] | None = None
 
 
 @dataclass

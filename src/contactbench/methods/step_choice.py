@@ -1,63 +1,167 @@
-"""A fixed step chosen from a tolerance: pilots at halving steps, then one run at the step they imply.
+"""A fixed step chosen from a tolerance: pilots at ever shorter steps, until one has the error asked for.
 
-The step is the same throughout a run, so that a contact method keeps everything it keeps.  Two pilots
-h and h/2 over the same saved times give the error of the finer one, gap/(2^p − 1) (Richardson); once
-two successive gaps fall about as the order says, e(h) = C h^p is trusted to give the step.  Where the finer pilot
-is good enough it is the run.
+The step is the same throughout a run, so that a contact method keeps everything it keeps.  Two pilots over the same
+saved times, the steps of the coarser r times as long, give the error of the finer one, gap/(r^p − 1) (Richardson), if
+errors fall as the order p says.  They are known to where a third pilot agrees: its gap to the other is the one that p
+foretells.  Where it is not, the error counts as a power of the disagreement larger; and a step is foretold only where
+it is.  The first pilot whose error is small enough is the run.
 
-Saved times shorten steps, so that pilots of different steps may be one and the same run.  It is taken once, and the
-run at the step chosen is one of the pilots.
+Saved times shorten steps: what counts is the number of those that are taken.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from contactbench.methods.base import METHODS, prepare
-from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.distance import distance
 from contactbench.methods.loops import StepLoop
-from contactbench.methods.prepared import Outcome, Prepared
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Pilot, Prepared
 from contactbench.methods.prescribed import Elapsed
-from contactbench.scene.scales import gaps, sizes_of
-from contactbench.solution import Status
+from contactbench.numbers.control import choose
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
+from contactbench.scene import Cache, Scene
+from contactbench.solution import Counts, Solution, Status
+from contactbench.trace.compiled import compile_function
+from contactbench.trace.form import Assign, Element, Function, Store
+from contactbench.trace.formula import argument_names, formula
 
-#: error aimed at, as a part of the tolerance
-AIM = 0.4
+#: errors that are small enough, and those a step is foretold for, as parts of the tolerance
+ENOUGH, AIM = 0.7, 0.4
 #: first pilot: this many steps over the whole span, or between breaks
 FIRST = 4
-#: of methods without an exact flow of damping, damping times the first step at most
+#: steps are the longest one over powers of 2^(1/8), so that those of other calls are known
+RUNGS = 8
+#: prepared runs that are kept, and numbers in the states of their pilots
+KEPT, KEPT_NUMBERS = 64, 2**22
+#: damping times the first step at most
 DAMPED = 8.0
-#: gaps larger than this are not asymptotic; nor are those that follow one as large as the motion
-TRUSTED_GAP, LOST = 0.05, 1.0
-#: the first pilot's step is at most about a period of the motion, as the start has it: longer ones all fly off alike
-PERIOD = 6.0
+#: gaps after one as large as the motion are not asymptotic
+LOST = 1.0
+#: the first pilot's step is at most about a period of the motion, as the start has it, of high orders, and as much
+#: less as the order is: longer ones all fly off alike, and no error falls as the order says
+PERIOD, HIGH = 6.0, 4
 #: right-hand sides that the period takes, and the distance between them, relative to the motion
 PROBES, BESIDE = 3, 1e-6
-#: the observed order from which on gaps are trusted to fall, as a part of the method's, and how far beyond it counts
-FALLING, LEEWAY = 0.6, 0.5
+#: gaps are rounding errors where after one below the first of these they neither fall nor grow, as slopes, beyond the
+#: others
+ROUNDED, STUCK, GROWN = 1e-6, 0.7, 20.0
+#: gaps that differ from the one foretold by this factor at most agree
+AGREE = 2.0
+#: powers of the factor by which a gap is above, or below, the one foretold: so many times the error may be larger
+ABOVE, BELOW = 3, 2
+#: as many times as the gap over the part of the steps by which they are shorter an error is at most, where gaps fall
+MOST = 2.0
+#: saved states from which on two pilots that agree need no third one
+MANY = 32
 #: a gap of this size is round-off
 ROUND_OFF = 1e-13
+#: steps of a first pilot at most, and a hundredth of it for every unit of the motion's time; octaves of more steps
+WILD, SPENT = 1e4, 6
+#: steps that follow the motion are those of another motion if their number grows by another factor, this much off
+OTHER = 1.25
 #: pilots in a row that leave any scale, after which a method with step control is asked whether the motion does
 BLOWN, WITNESS, WITNESS_RTOL = 3, "rk8-7", 1e-8
-#: and after which one is asked where they end; and the part of that time up to which two end at the same
-FAILED, SAME_END = 6, 1e-3
-#: the next pilot's step is at most so many times shorter; one foretold to be good enough may have such a larger error
-REACH, TWICE = 6.0, 2.0
+#: steps of such a pilot after which there is no other one, and octaves
+LAST, OCTAVES = 10**6, 20
+#: a pilot's step is at most so many times shorter than that of the one before, where they agree once, and again
+NEAR, FAR = 4.0, 32.0
 
 
-class Pilot(NamedTuple):
-    """A run: its steps, their size, the least step asked for that makes them, evaluations; states, the start first."""
+class Choice(NamedTuple):
+    """How pilots ended: the one that is good enough and its states, or the outcome where none is; all evaluations."""
 
-    steps: int
-    size: float
-    asked: float
     evaluations: int
-    y: np.ndarray
+    pilot: Pilot | None = None
+    y: Any = None
+    outcome: Outcome | None = None
+
+
+class Room:
+    """The memory of pilots from one start, by how many parts of an octave their steps are shorter than the longest.
+
+    One call has it at a time.
+    """
+
+    def __init__(self, chosen: ChosenStep) -> None:
+        self.chosen, self.start = chosen, np.empty(len(chosen.start))
+        self.time_scale = chosen.time_scale_at(self.start)
+        self.pilots: dict[int, Callable[[], Pilot]] = {}
+        self.states: dict[int, np.ndarray] = {}
+        #: the rung from whose next one on steps are shorter: the longest one taken may be far below the one allowed
+        self.rungs: dict[int, int] = {}
+        self.gaps: dict[tuple[int, int], Callable[[], float]] = {}
+
+    def pilot(self, rung: int) -> Pilot:
+        known = self.pilots.get(rung)
+        if known is None:
+            known = self.pilots[rung] = self.prepare(rung)
+        return known()
+
+    def prepare(self, rung: int) -> Callable[[], Pilot]:
+        """Return the pilot as a function of nothing, all it needs in place."""
+        run = self.chosen.run_at(rung)
+        octaves = math.log2(self.chosen.first / run.steps_taken[1])
+        self.rungs[rung] = max(rung, math.floor(RUNGS * octaves))
+        y = self.states[rung] = np.empty((len(self.chosen.later), len(self.start)))
+        call = run.into(self.start, y.reshape(-1))
+        if call is not None:
+            ended = self.chosen.attributes(
+                Status.ok, "", run.totals, float(run.request.save_at[-1]), run.steps_taken
+            )
+            bad, fine = Pilot(run, y, run.totals, False), Pilot(run, y, run.totals, True, ended=ended)
+            return lambda: fine if call() < 0 else bad
+
+        def take() -> Pilot:
+            pilot: Pilot = run.pilot(self.start.copy())
+            y[:] = pilot.y
+            return pilot
+
+        return take
+
+    def gap(self, coarse: int, fine: int) -> float:
+        known = self.gaps.get((coarse, fine))
+        if known is None:
+            known = self.gaps[coarse, fine] = distance(
+                self.chosen.request, self.start, self.states[coarse], self.states[fine]
+            )
+        return known()
+
+
+class Gap(NamedTuple):
+    """Two pilots compared: how far they are apart, relative to the motion, and the ratio of their steps, > 1.
+
+    slope : the gap over the part by which the steps of the coarser one are longer.
+    """
+
+    size: float = math.inf
+    ratio: float = 2.0
+    slope: float = math.inf
+
+
+def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
+    """Return the error of the finest of three pilots, relative to the motion, and whether they agree on the order.
+
+    wider : the gap of the two coarser ones; infinite where there are none.
+    """
+    size, ratio, slope = gap
+    before, longer, steeper = wider
+    if not before <= LOST or (slope >= steeper and size >= ROUND_OFF):
+        return math.inf, False
+    if size < ROUND_OFF:
+        return size, False
+    finer = ratio**order
+    off = size * finer * (longer**order - 1) / (before * (finer - 1))
+    error = size / (finer - 1) * (off**ABOVE if off > 1 else off**-BELOW)
+    if slope <= steeper / 2:
+        error = min(error, MOST * slope)
+    return error, 1 / AGREE <= off <= AGREE
 
 
 @dataclass
@@ -77,171 +181,272 @@ class ChosenStep(Prepared):
         times = [0.0, *(time for time, _ in self.breaks if 0 < time < self._end), self._end]
         self.first = min(float(np.diff(times).min()) / FIRST, self.method_.longest)
         rate = self.request.scene.conformal_rate
-        if not self.method_.contact and isinstance(rate, float) and rate:
+        if isinstance(rate, float) and rate:
             # over steps much longer than the damping takes all of such pilots agree, on nothing that is left
             self.first = min(self.first, DAMPED / abs(rate))
-        # or a `ToleranceRun` of a method that follows the motion, which is asked the same
-        self.run: FixedStepRun = self.method_.run_of(replace(self.request, step=self.first), self.loop)
-        self.compile_s = self.run.compile_s
-        #: how a motion ends that leaves any scale
-        self.end: Outcome | None = None
+        #: what the components of the motion are measured in
+        self.units = np.array(self.scales(self.start)[: self._motion], dtype=float)
+        #: steps of the first pilot at most that follow the motion: on a wrong way they may be ever more
+        self.limit = WILD + WILD / 100 * self._end / self.time_scale_at(self.start)()
+        #: by how many parts of an octave their steps are shorter
+        self.runs: Cache[Any] = Cache(KEPT)
         #: the step of a method that follows the motion is no time
         self.probes = 0 if self.method_.follows else PROBES
-        self.alone = Lock()  # one run to divide: calls from several threads take turns
-        self.sensitivity_source = self.run.sensitivity_source
-        #: what the components of the motion are measured in
-        self.units = self.scales(self.start)[: self._motion]
+        #: a `FixedStepRun`, or a `ToleranceRun` of a method that follows the motion, which is asked the same
+        self.run = self.run_at(0)
+        self.compile_s, self.sensitivity_source = self.run.compile_s, self.run.sensitivity_source
+        self.rooms: list[Room] = []
+        if self.request.engine == "llvm" and not self.method_.follows and not self.method_.iterates:
+            self.at_once = self.chosen_at_once
+
+    def run_at(self, rung: int) -> Any:
+        """Return the run at the longest step over 2^(rung/8)."""
+
+        def make() -> Any:
+            shorter, r = 2.0 ** (rung / RUNGS), self.request
+            most = min(r.max_steps, int(self.limit * shorter)) if self.method_.follows else r.max_steps
+            request = replace(r, step=self.first / shorter, max_steps=most)
+            return self.method_.run_of(request, self.loop)
+
+        return self.runs.get(rung, make)
+
+    def chosen_at_once(self, y0: np.ndarray) -> Solution:
+        choice = self.choose(y0)
+        pilot, y = choice.pilot, choice.y
+        if pilot is None or pilot.ended is None:
+            return self.solved(y0, lambda y0: self.ending(y0, choice))
+        counts = Counts(pilot.counts.steps, choice.evaluations, 0, 0, pilot.counts.kind)
+        if self.saves_start:
+            y = self.from_start(y0, y)
+        ended = pilot.ended | {"counts": counts}
+        if self._clock is not None:
+            ended["t"], y = self.times_from(y0), self._dated(y0, y)
+        return Solution.of(ended, y, y0)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        with self.alone:
-            step, pilots = self.choose(y0)
-            self.run.divide(step)
-            evaluations = sum(pilot.evaluations for pilot in pilots) + self.probes
-            known = [pilot.y[1:] for pilot in pilots if pilot.steps == self.run.needed]
-            if known:
-                out = self.run.outcome(y0, known[0], self.run.totals)
-            else:  # it takes too many steps
-                out = self.run.integrate(y0)
-                evaluations += out.counts.evaluations or 0
-            message = out.message
-            if out.status is Status.budget:
-                message = f"{message} (step {step:.3g} for rtol = {self.request.rtol:g})"
-            if self.end is not None and out.status is Status.diverged:
-                message, out = self.end.message, replace(out, end_time=self.end.end_time)
-            counts = out.counts._replace(evaluations=evaluations)
-            return replace(out, counts=counts, message=message, steps=self.run.steps_taken)
+        return self.ending(y0, self.choose(y0))
+
+    def ending(self, y0: np.ndarray, choice: Choice) -> Outcome:
+        """Return the outcome of a choice, with the evaluations of all pilots."""
+        pilot, out = choice.pilot, choice.outcome
+        if pilot is not None:
+            out = pilot.run.outcome(y0, choice.y, pilot.counts)
+            out.steps = pilot.run.steps_taken
+        assert out is not None
+        return replace(out, counts=out.counts._replace(evaluations=choice.evaluations))
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        self.run.divide(self.choose(y0)[0])
-        return self.run.sensitivity(y0)
+        pilot = self.choose(y0).pilot
+        run = self.run if pilot is None else pilot.run
+        found: np.ndarray = run.sensitivity(y0)
+        return found
 
     @property
     def composed(self) -> bool:
-        return self.run.composed
+        composed: bool = self.run.composed
+        return composed
 
-    def choose(self, y0: np.ndarray) -> tuple[float, list[Pilot]]:
-        """Return the step to take and the pilots: one of them has it, unless it takes more steps than allowed."""
+    def choose(self, y0: np.ndarray) -> Choice:
+        """Take pilots until one has an error that is small enough, or there is none."""
+        try:
+            room = self.rooms.pop()  # no other thread has it meanwhile
+        except IndexError:
+            room = Room(self)
+        room.start[...] = y0
+        choice = self.choose_in(room, y0)
+        if len(room.states) * self._saves * len(y0) <= KEPT_NUMBERS:
+            self.rooms.append(room)
+        return choice
+
+    def choose_in(self, room: Room, y0: np.ndarray) -> Choice:
         r, order = self.request, self.method_.order
         assert r.rtol is not None
-        enough, gap, finer = AIM * r.rtol, math.inf, 2.0
-        step = min(self.first, PERIOD * self.time_scale(y0)) if self.probes else self.first
-        pilots: list[Pilot] = []
-        while (steps := self.run.steps_at(y0, step)) <= r.max_steps:
-            before = pilots[-1] if pilots else None
-            if before is not None and before.steps == steps:  # one step between saved times: the same pilot
-                pilots[-1] = before._replace(asked=step)
-                step /= 2
+        enough, aim = ENOUGH * r.rtol, AIM * r.rtol
+        evaluations, rung = self.probes, self.first_rung(room.time_scale())
+        first, last = rung, -1
+        # so many states agree only along the motion
+        gap = Gap(LOST, math.inf, LOST) if len(self.later) > MANY else Gap()
+        blown, stuck, asked, agreed = 0, 0, False, False
+        while True:
+            pilot = room.pilot(rung)
+            evaluations += pilot.counts.evaluations or 0
+            if pilot.spent and self.is_over(pilot.run, rung - first):
+                return Choice(evaluations, outcome=self.beyond(pilot.run))
+            before, last = last, rung
+            # one that is watched may be all right in spite of what is seen
+            if not (pilot.fine or ((blown >= BLOWN or pilot.fine is None) and self.is_sound(y0, pilot))):
+                blown, last, gap, rung = blown + 1, -1, Gap(), rung + RUNGS
+                if blown >= BLOWN and not asked:
+                    asked = True
+                    end, more = self.end_of(y0)
+                    evaluations += more
+                    if end is not None:
+                        return self.until(y0, end, pilot, evaluations)
+                if (pilot.counts.steps or 0) > LAST or rung > first + RUNGS * OCTAVES:
+                    return Choice(evaluations, outcome=self.failed(y0, pilot))
                 continue
-            pilots.append(self.pilot(y0, step))
-            self.end = self.end_of(y0, pilots)
-            if self.end is not None:
-                step, others = self.until(self.end.end_time, y0, step)
-                return step, pilots + others
-            if self.fails(y0, pilots):
-                return step, pilots
-            step /= 2
-            if before is None:
+            blown = 0
+            rung = room.rungs[rung]
+            if before < 0:
+                coarse, rung = pilot, rung + RUNGS
                 continue
-            # saved times shorten steps: a pilot may have less than twice as many as the one before
-            coarser, finer = finer, steps / before.steps
-            wider, gap = gap, self.distance(before, pilots[-1])
-            if not math.isfinite(gap):  # nor are its steps, fewer maybe, those of a whole run
-                continue
-            gap /= 1 - finer**-order
-            trusted = wider < LOST or wider == math.inf
-            if gap < ROUND_OFF and trusted:  # exact, or as good as it gets
-                finest = pilots[-1]
-                return next(p.asked for p in pilots if self.distance(p, finest) <= enough), pilots
-            falls = trusted and 0 < gap < TRUSTED_GAP and wider < math.inf
-            if falls and gap <= min(enough, wider / 2):  # at any order: those to come are no more together
-                return pilots[-1].asked, pilots
-            rate = math.log(wider / gap) / math.log(coarser) if falls else 0.0
-            if rate > FALLING * order:
-                # errors do not fall evenly yet: an order seen to be lower, or higher, counts in part
-                seen = min(max(rate, (rate + order) / 2), order + LEEWAY)
-                error = gap / finer**seen
-                if error <= enough:
-                    return pilots[-1].asked, pilots
-                enough = AIM * r.rtol
-                ahead = (enough / error) ** (1 / min(seen, order))
-                if rate < order + LEEWAY:
-                    step = pilots[-1].size * max(ahead, 1 / REACH)
-                    # what was to have the error aimed at may have twice as much
-                    enough *= TWICE if ahead > 1 / REACH else 1.0
-        return step, pilots  # will end as `budget`
+            wider, gap, coarse = gap, self.compare(room, before, last, coarse, pilot), pilot
+            error, agree = error_of(gap, wider, order)
+            if error <= enough:
+                return Choice(evaluations, pilot, pilot.y.copy())
+            stuck += wider.size <= ROUNDED and STUCK < gap.slope / wider.slope < GROWN
+            if stuck == BLOWN:
+                return Choice(evaluations, outcome=self.rounded(pilot, gap.size))
+            if agree and error < math.inf:
+                reach, agreed = FAR if agreed else NEAR, True
+                further = self.rungs_to(error / aim, reach)
+                if (self.run_at(rung + further).needed or 0) > r.max_steps:
+                    further = self.rungs_to(error / enough, reach)
+                rung += further
+            else:
+                agreed = False
+                rung += RUNGS // 2 if gap.size <= enough else RUNGS
 
-    def end_of(self, y0: np.ndarray, pilots: list[Pilot]) -> Outcome | None:
-        """Return how a motion ends that leaves any scale itself, as a solver with step control has it, asked once.
+    def rungs_to(self, factor: float, reach: float) -> int:
+        """Return by how many rungs steps are shorter whose error is so many times smaller, within reach."""
+        octaves = math.log2(min(max(factor, 1.0) ** (1 / self.method_.order), reach))
+        return max(math.ceil(RUNGS * octaves), 2)
+
+    def is_over(self, run: Any, rungs: int) -> bool:
+        """Return whether a run of too many steps, so many rungs below the first one, ends the search."""
+        return run.request.max_steps >= self.request.max_steps or rungs > RUNGS * SPENT
+
+    def is_sound(self, y0: np.ndarray, pilot: Pilot) -> bool:
+        """Return whether a pilot reaches the end, on the scale of the motion."""
+        if pilot.spent or not np.isfinite(pilot.y[-1]).all():
+            return False
+        out = self.finish(y0, self.from_start(y0, pilot.y), pilot.counts)
+        return self.audit(y0, out).status is Status.ok
+
+    def compare(self, room: Room, before: int, rung: int, coarse: Pilot, fine: Pilot) -> Gap:
+        ratio = (fine.counts.steps or 1) / (coarse.counts.steps or 1)
+        if self.method_.follows:
+            shorter = 2.0 ** ((rung - before) / RUNGS)
+            if not 1 / OTHER < ratio / shorter < OTHER:  # they are on different ways
+                return Gap()
+            ratio = shorter
+        size = room.gap(before, rung)
+        return Gap(size, ratio, size / (ratio - 1))
+
+    # -- where no pilot is good enough -----------------------------------------------------------------
+    def nothing(self, counts: Counts, status: Status, message: str, end: float = 0.0) -> Outcome:
+        y = np.full((self._saves, len(self.start)), math.nan)
+        return Outcome(y, counts, status, message, end)
+
+    def beyond(self, run: Any) -> Outcome:
+        r, step = self.request, run.steps_taken[0]
+        message = (
+            f"rtol = {r.rtol:g} needs a step of {step:.3g} or less, more steps than max_steps = {r.max_steps}"
+        )
+        return self.nothing(Counts(kind=self.method_.kind_on(r.scene)), Status.budget, message)
+
+    def rounded(self, pilot: Pilot, error: float) -> Outcome:
+        message = f"rounding errors are {error:.2g} of the motion: no step gives rtol = {self.request.rtol:g}"
+        return self.nothing(pilot.counts, Status.failed, message)
+
+    def failed(self, y0: np.ndarray, pilot: Pilot) -> Outcome:
+        """Return the outcome of the last pilot, of more steps than it is worth to take, in terms of the tolerance."""
+        out: Outcome = pilot.run.integrate(y0)
+        if out.status is Status.failed:
+            step, rtol = pilot.run.steps_taken[0], self.request.rtol
+            out.message = f"no step down to {step:.3g} leads beyond t = {out.end_time:.6g} (rtol = {rtol:g})"
+        return replace(out, steps=pilot.run.steps_taken)
+
+    def end_of(self, y0: np.ndarray) -> tuple[Outcome | None, int]:
+        """Return how a motion ends that leaves any scale itself, as a solver with step control has it, and its cost.
 
         Pilots say too little: into a steep wall they all fly off, at the same time.
         """
-        bad = [not np.isfinite(pilot.y[-1]).all() for pilot in pilots[-BLOWN - 1 :]]
         r, witness = self.request, METHODS[WITNESS]
-        if sum(bad) != BLOWN or not all(bad[-BLOWN:]) or witness.refuses(r.scene) is not None:
-            return None
+        if witness.refuses(r.scene) is not None:
+            return None, 0
         run = prepare(r.scene, witness, rtol=WITNESS_RTOL, save_at=Elapsed([r.save_at[-1]]), carry=r.carry)
         out = run.integrate(y0)
-        return out if out.status is Status.diverged else None
+        return out if out.status is Status.diverged else None, out.counts.evaluations or 0
 
-    def fails(self, y0: np.ndarray, pilots: list[Pilot]) -> bool:
-        """Return whether a method cannot go on from where the motion is: many pilots end there, the last two alike."""
-        if len(pilots) < FAILED or any(np.isfinite(pilot.y[-1]).all() for pilot in pilots[-FAILED:]):
-            return False
-        ended = []
-        for pilot in pilots[-2:]:
-            self.run.divide(pilot.asked)
-            ended.append(self.run.integrate(y0))
-        before, now = (out.end_time for out in ended)
-        return all(out.status is Status.failed for out in ended) and abs(before - now) <= SAME_END * now
+    def until(self, y0: np.ndarray, end: Outcome, pilot: Pilot, evaluations: int) -> Choice:
+        """Return what is saved before a motion ends, to the tolerance, and that it ends."""
+        before = self.request.save_at[self.request.save_at < end.end_time]
+        out = self.nothing(pilot.counts, Status.diverged, end.message, end.end_time)
+        if len(before) and before[-1] > 0:
+            run = self.method_.prepare(replace(self.request, save_at=before))
+            found = run.integrate(y0)
+            evaluations += found.counts.evaluations or 0
+            if found.status is not Status.ok:
+                return Choice(evaluations, outcome=found)
+            out.y[: len(before)] = found.y
+            out.counts, out.steps = found.counts, found.steps
+        return Choice(evaluations, outcome=out)
 
-    def until(self, end: float, y0: np.ndarray, step: float) -> tuple[float, list[Pilot]]:
-        """Return the step for what is saved before a motion ends, if anything is, and the pilots of that."""
-        before = self.request.save_at[self.request.save_at < end]
-        if not len(before) or not before[-1] > 0:
-            return step, []
-        run = self.method_.prepare(replace(self.request, save_at=before))
-        found, pilots = run.choose(y0)
-        return min(found, step), [pilot._replace(steps=0) for pilot in pilots]
+    # -- the first pilot -------------------------------------------------------------------------------
+    def first_rung(self, time_scale: float) -> int:
+        longest = PERIOD * min(self.method_.order / HIGH, 1.0) * time_scale if self.probes else math.inf
+        return max(math.ceil(RUNGS * math.log2(self.first / longest)), 0) if longest < self.first else 0
 
-    def time_scale(self, y0: np.ndarray) -> float:
-        """Return 1/ω of the motion at the start: ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still.
+    def time_scale_at(self, y: np.ndarray) -> Callable[[], float]:
+        """Return the function that gives 1/ω of the motion at what a packed state holds when it is called.
 
-        A constant damping is no part of f: what it leaves is slow, and contact steps may be longer than it takes.
+        ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still.
         """
-        scene, carry, motion = self.request.scene, self.request.carry, self._motion
-        momenta = motion // 2 if hasattr(scene.unpack(scene.entries(y0), carry), "q") else 0
-        damped, rate = np.zeros(len(y0)), scene.conformal_rate
-        damped[momenta:motion] = rate if isinstance(rate, float) else 0.0
+        scene, carry, units = self.request.scene, self.request.carry, self.units.tolist()
+        own, d, found = np.array([scene.numbers()], dtype=float), len(y), np.zeros(2)
 
-        def slope(y: np.ndarray) -> np.ndarray:
-            f: np.ndarray = np.array(scene.pack(scene.rhs(scene.unpack(scene.entries(y), carry))), float)
-            f += damped * y
-            return f
+        def of_numbers(y: Sequence[Arithmetic], *given: Any) -> tuple[Arithmetic, Arithmetic]:
+            *numbers, xp = given
+            return curvature(scene.with_numbers(numbers), y, carry, units, xp)
 
-        def size(w: np.ndarray) -> float:
-            return float(np.linalg.norm(w[:motion] / self.units))
+        def call() -> object:
+            found[:] = 0.0
+            with suppress(*NO_NUMBER), np.errstate(all="ignore"):
+                found[:] = curvature(scene, scene.entries(y), carry, units, math)
+            return found
 
-        def bent(w: np.ndarray) -> np.ndarray:
-            near = BESIDE * (size(y0) or 1.0) / (size(w) or 1.0)
-            change: np.ndarray = slope(y0 + near * w) - first
-            return change / near
+        if self.request.engine == "llvm":
+            with suppress(CannotRecord):
+                made = formula(of_numbers, (d, *[0] * own.size, "xp"), ())
+                names = argument_names(made.arguments, ())
+                loads = [Assign(name, Element("start", (i,))) for i, name in enumerate(names[:d])]
+                loads += [Assign(name, Element("w", (0, i))) for i, name in enumerate(names[d:])]
+                stores = [Store(Element("after", (i,)), value) for i, value in enumerate(made.results)]
+                whole = Function("curvature", ("start", "w", "after"), (*loads, *made.body, *stores))
+                call = compile_function(whole).closed(y, own, found)
 
-        with np.errstate(all="ignore"):
-            first = slope(y0)
-            fast, slow = size(bent(bent(first))), size(first)
-        return math.sqrt(slow / fast) if 0 < fast < math.inf and slow > 0 else math.inf
+        def time_scale() -> float:
+            call()
+            fast, slow = found.tolist()
+            return math.sqrt(slow / fast) if 0 < fast < math.inf and slow > 0 else math.inf
 
-    def pilot(self, y0: np.ndarray, step: float) -> Pilot:
-        run = self.run
-        run.divide(step)
-        y, counts = run.take(y0)
-        steps, saved = counts.steps or 1, np.vstack([y0, y[run.saved]])
-        return Pilot(steps, run.size_at(step, steps), step, counts.evaluations or 0, saved)
+        return time_scale
 
-    def distance(self, coarse: Pilot, fine: Pilot) -> float:
-        """Return the error of the coarse one against the fine one; infinite unless finite."""
-        r = self.request
-        with np.errstate(all="ignore"):
-            sizes = sizes_of(r.scene, fine.y, r.carry)
-            gap = float(gaps(r.scene, coarse.y, fine.y, sizes, r.carry).max())
-        return gap if math.isfinite(gap) and np.isfinite(fine.y).all() else math.inf
+
+def curvature(
+    scene: Scene, y: Sequence[Arithmetic], carry: Sequence[str], units: Sequence[float], xp: Namespace
+) -> tuple[Arithmetic, Arithmetic]:
+    """Return ‖J²f‖ and ‖f‖ of the motion at a packed state, in units.
+
+    A constant damping is no part of f: what it leaves is slow, and contact steps may be longer than it takes.
+    """
+    rate, motion = scene.conformal_rate, len(units)
+    momenta = motion // 2 if hasattr(scene.unpack(y, carry), "q") else 0
+    damped = range(momenta, 0 if rate is None else motion)
+
+    def slope(y: Sequence[Arithmetic]) -> list[Arithmetic]:
+        f = scene.pack(scene.rhs(scene.unpack(y, carry)))
+        return [c + rate * y[i] if i in damped else c for i, c in enumerate(f)]
+
+    def size(w: Sequence[Arithmetic]) -> Arithmetic:
+        first, *others = (c / unit for c, unit in zip(w, units, strict=False))
+        return xp.sqrt(sum((c * c for c in others), first * first))
+
+    def bent(w: Sequence[Arithmetic]) -> list[Arithmetic]:
+        near = BESIDE * choose(whole > 0, whole, 1.0, xp) / choose(size(w) > 0, size(w), 1.0, xp)
+        there = slope([a + near * b for a, b in zip(y, w, strict=True)])
+        return [(a - b) / near for a, b in zip(there, first, strict=True)]
+
+    whole, first = size(y), slope(y)
+    return size(bent(bent(first))), size(first)

@@ -66,6 +66,12 @@ class Native:
         result: int = self.program(block_of(block))
         return result
 
+    def closed(self, *arrays: np.ndarray) -> Callable[[], int]:
+        """Return the call on these arrays, which it keeps: what they hold may change."""
+        program, pairs = self.program, zip(arrays, self.kinds, strict=True)
+        block = block_of([word for array, kind in pairs for word in words(array, kind)])
+        return lambda arrays=arrays: program(block)  # type: ignore[misc]
+
     def bind(
         self, d: int, given: Sequence[np.ndarray], size: int, part: slice, flagged: bool
     ) -> Callable[[np.ndarray], Any]:

@@ -1,0 +1,178 @@
+"""`rtol=` of fixed-step methods: the error of the run, or an end that says why."""
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import mine
+from contactbench.methods import step_choice
+from contactbench.methods.distance import distance
+from contactbench.methods.step_choice import LOST, Gap, error_of
+
+FIXED = [m for m in cb.METHODS.values() if m.control == "step" and (m.one_step or m.follows)]
+exp, sqrt = cb.math.exp, cb.math.sqrt
+
+
+def error(solution):
+    """Of the motion, in the units of the choice, the start included."""
+    run = solution.run
+    true = cb.solve(solution.scene, "rk8-7", rtol=1e-13, save_at=solution.t, carry=solution.carry)
+    return distance(solution.y0, solution.y, true.y, run.units, False)()
+
+
+# -- what is believed --------------------------------------------------------------------------------
+def gaps(errors, ratio=2.0):
+    """Of pilots whose errors have one sign."""
+    sizes = np.abs(np.diff(errors)).tolist()
+    return [Gap(size, ratio, size / (ratio - 1)) for size in sizes]
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 8, 12])
+@pytest.mark.parametrize("ratio", [1.2, 2.0, 8.0])
+def test_where_errors_fall_as_the_order_says_they_are_known(order, ratio):
+    errors = 0.01 * ratio ** (-order * np.arange(3.0))
+    found, agree = error_of(*gaps(errors, ratio)[::-1], order)
+    assert agree
+    assert found == pytest.approx(errors[-1] if errors[1] > 1e-13 else errors[1], rel=1e-6)
+
+
+def test_a_slope_that_is_not_the_order_s_is_not_believed():
+    """Of order 8: errors of a run on Morse's potential, which fall by 2^2.5 where the slope before promised 2^6.6."""
+    found, agree = error_of(*gaps([9.4e-4, 9.76e-6, 1.67e-6])[::-1], 8)
+    assert not agree
+    assert found > 10 * Gap(8.09e-6).size / (2**8 - 1)
+    assert error_of(*gaps([1e-4, 1e-5, 2e-5])[::-1], 8)[0] == pytest.approx(2e-5)
+    assert error_of(Gap(1e-9, 2.0, 1e-9), Gap(), 8) == (np.inf, False)
+    assert error_of(Gap(2e-3, 2.0, 2e-3), Gap(1e-3, 2.0, 1e-3), 8) == (np.inf, False)
+    assert error_of(Gap(1e-9, 2.0, 1e-9), Gap(2 * LOST, 2.0, 2 * LOST), 8) == (np.inf, False)
+
+
+# -- the error of the run ----------------------------------------------------------------------------
+def bodies(masses, q, p, softening, **given):
+    def potential(q):
+        pairs = [(i, j) for i in range(len(masses)) for j in range(i)]
+        return -sum(
+            masses[i]
+            * masses[j]
+            / sqrt((q[2 * i] - q[2 * j]) ** 2 + (q[2 * i + 1] - q[2 * j + 1]) ** 2 + softening**2)
+            for i, j in pairs
+        )
+
+    return cb.Mechanical(
+        name="bodies", potential=potential, q=q, p=p, mass=tuple(np.repeat(masses, 2)), **given
+    )
+
+
+MORSE = mine(lambda q: (1 - exp(-q[0])) ** 2, 0.7269, -0.1539, t_end=120.0, gamma=0.0)
+PLEIADES = bodies(
+    np.arange(1.0, 8.0),
+    (3.0, 3.0, 3.0, -3.0, -1.0, 2.0, -3.0, 0.0, 2.0, 0.0, -2.0, -4.0, 2.0, 4.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, 0.0, 5.0, 10.5, 0.0, -10.5, 0.0),
+    0.0,
+    t_end=3.0,
+    gamma=0.0,
+)
+WALL = mine(
+    lambda q: exp(80 * (q[0] - 1)) + exp(-80 * (q[0] + 1)), -0.3641258, 1.3090031, t_end=20.0, gamma=0.0
+)
+FALL = bodies(
+    (1.58975914, 1.65739093),
+    (1.77912598, -1.50342803, 0.59925624, -0.59198945),
+    (0.0, 0.0, 0.0, 0.0),
+    0.05,
+    t_end=5.0,
+    gamma=0.0,
+)
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5, 1e-7, 1e-9])
+def test_morse(rtol):
+    assert error(cb.solve(MORSE, "contact-rkn8", rtol=rtol, save_at=[120.0])) < rtol
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("method", ["contact-log8", "contact-rkn8", "rkn12"])
+def test_pilots_on_another_way_are_not_compared(method, rtol):
+    """Of the Pleiades, long steps that follow the motion take 581, 120 and 38 steps: fewer, the shorter they are."""
+    run = cb.solve(PLEIADES, method, rtol=rtol, save_at=[3.0])
+    assert run.ok
+    assert error(run) < rtol
+
+
+@pytest.mark.parametrize(
+    ("method", "rtol"), [("contact-gauss2", 1e-3), ("contact-gauss4", 1e-6), ("contact-gauss6", 1e-8)]
+)
+@pytest.mark.parametrize("scene", [WALL, FALL], ids=["wall", "fall"])
+def test_where_steps_of_pilots_have_no_solution_finer_ones_follow(method, rtol, scene):
+    """Two that end at the same wall, or pericentre, prove nothing."""
+    end = {"save_at": [scene.t_end]}
+    assert not cb.solve(scene, method, step=scene.t_end / 40, **end).ok
+    run = cb.solve(scene, method, rtol=rtol, **end)
+    assert run.ok
+    assert error(run) < rtol
+
+
+def test_a_method_without_a_step_says_so_in_terms_of_the_tolerance(monkeypatch):
+    """Pilots that fail are counted, and so is the solver that says whether the motion goes on."""
+    monkeypatch.setattr(step_choice, "LAST", 100)
+    run = cb.solve(WALL, "contact-gauss4", rtol=1e-6, save_at=[20.0])
+    assert run.status is cb.Status.failed
+    assert "rtol = 1e-06" in run.message
+    assert "smaller" not in run.message
+    witness = cb.solve(WALL, step_choice.WITNESS, rtol=step_choice.WITNESS_RTOL, save_at=[20.0])
+    assert run.counts.evaluations > witness.counts.evaluations + 100
+
+
+def test_evaluations_of_a_run_that_fails_are_counted():
+    run = cb.prepare(WALL, "contact-gauss2", step=0.5, save_at=[10.0, 20.0])
+    assert run().status is cb.Status.failed
+    assert 10 < run.pilot(run.start).counts.evaluations < 1000
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_motions(seed):
+    """A twentieth of what was run once, by every method: 950 runs, two beyond 2 rtol, of chaotic motions."""
+    rng = np.random.default_rng(seed)
+    kind, gamma, end = seed % 4, float(rng.choice([0.0, 0.1, 2.0])), float(rng.choice([5.0, 10.0]))
+    if kind < 2:
+        masses = rng.uniform(0.3, 3.0, kind + 2)
+        q, p = rng.normal(size=2 * len(masses)), rng.normal(size=2 * len(masses)) * (0.4 * kind)
+        scene = bodies(masses, tuple(q), tuple(p), 0.3, t_end=end, gamma=gamma)
+    elif kind == 2:
+        # two atoms in a row, bound to the origin and to each other
+        scene = cb.Mechanical(
+            name="chain",
+            potential=lambda q: sum(r**-12 - 2 * r**-6 for r in (q[0], q[1] - q[0])),
+            q=tuple(np.cumsum(rng.uniform(0.95, 1.1, 2))),
+            p=tuple(rng.normal(size=2) * 0.3),
+            t_end=end,
+            gamma=gamma,
+        )
+    else:
+        k = float(rng.choice([10.0, 1e3]))
+        scene = cb.Mechanical(
+            name="spring",
+            potential=lambda q: k / 2 * (sqrt(q[0] ** 2 + q[1] ** 2) - 1) ** 2 + q[1],
+            q=tuple(rng.uniform(0.7, 1.1, 2)),
+            p=tuple(rng.uniform(-1, 1, 2)),
+            t_end=end,
+            gamma=gamma,
+        )
+    times = ([end], None, [0.37 * end, 0.8 * end, end])[seed % 3]
+    for method in rng.choice([m.name for m in FIXED if m.refuses(scene) is None], 6, replace=False):
+        rtol = max(10.0 ** -rng.uniform(2, 9), {1: 1e-3, 2: 1e-5, 4: 1e-7}.get(cb.METHODS[method].order, 0))
+        run = cb.solve(scene, str(method), rtol=rtol, carry=(), max_steps=10**6, save_at=times)
+        assert not run.ok or error(run) < 2 * rtol, (method, rtol)
+        assert run.ok or f"rtol = {rtol:g}" in run.message, (method, run.message)
+
+
+def test_what_rounding_leaves_ends_the_search():
+    """Three bodies that pass each other closely: no step has errors below 10⁻⁸."""
+    rng = np.random.default_rng(28)
+    masses = rng.uniform(0.3, 3.0, 3)
+    scene = bodies(
+        masses, tuple(rng.normal(size=6)), tuple(rng.normal(size=6) * 0.4), 0.02, t_end=12.0, gamma=0.0
+    )
+    run = cb.solve(scene, "contact-bm6", rtol=1e-13, save_at=[12.0], max_steps=10**6)
+    assert run.status in (cb.Status.failed, cb.Status.budget)
+    assert "rtol = 1e-13" in run.message
