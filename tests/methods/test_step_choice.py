@@ -17,7 +17,7 @@ def error(solution):
     """Of the motion, in the units of the choice, the start included."""
     run = solution.run
     true = cb.solve(solution.scene, "rk8-7", rtol=1e-13, save_at=solution.t, carry=solution.carry)
-    return distance(solution.y0, solution.y, true.y, run.units, False)()
+    return distance(run.request, solution.y0, solution.y, true.y)()
 
 
 # -- what is believed --------------------------------------------------------------------------------

@@ -151,7 +151,7 @@ def test_a_round_off_gap_of_pilots_does_not_make_their_step_the_one():
     """Pilots of order 12 fall as their order says beside round-off alone; 64 steps were taken for any tolerance."""
     options = {"save_at": [20.0], "carry": ()}
     runs = [cb.solve("particle", "rkn12", rtol=rtol, **options) for rtol in (1e-3, 1e-8, 1e-13)]
-    assert [run.counts.steps for run in runs] == [12, 16, 32]
+    assert [run.counts.steps for run in runs] == [12, 32, 39]
 
 
 PAIR = {"q": (1.0, 0.0), "p": (-0.0647722295317518, -0.02106457787689715), "t_end": 13375.220471761308}
