@@ -94,7 +94,7 @@ def solve(arguments: argparse.Namespace) -> int:
     if arguments.carry is not None:
         options["carry"] = tuple(filter(None, arguments.carry.split(",")))
     if not (arguments.laws or arguments.plot or arguments.out):  # only the end matters
-        from contactbench.methods.prescribed import Elapsed
+        from contactbench.scene.base import Elapsed
 
         options["save_at"] = Elapsed([scene.t_end])
     solution = cb.solve(scene, arguments.method, **options)

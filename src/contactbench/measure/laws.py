@@ -32,6 +32,7 @@ from contactbench.methods.base import METHODS
 from contactbench.methods.prepared import Patience
 from contactbench.registry import Registry
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.scene.definition import verify_along
 from contactbench.scene.scales import errors
 from contactbench.solution import Solution
@@ -87,7 +88,7 @@ def sought(solution: Solution) -> Reference:
     if solution.y0 is not None and not np.array_equal(own, solution.y0):
         scene = scene.with_(**scene.data(solution.start()))
     limit = {} if solution.patience is None else {"seconds": solution.patience.left}
-    return reference(scene, solution.elapsed, solution.carry, **limit)
+    return reference(scene, Elapsed(solution.elapsed), solution.carry, **limit)
 
 
 def errors_of(runs: Sequence[Solution]) -> np.ndarray:

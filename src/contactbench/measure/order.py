@@ -15,6 +15,7 @@ from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.protocol import Arithmetic
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.truth import decimal_context, reference, with_decimals
 
 if TYPE_CHECKING:
@@ -146,7 +147,7 @@ def march(
 def error_at(method: Stepping, scene: Scene, t: float, n: int) -> Arithmetic:
     """Return ‖y_n − y*(t)‖₂ after n steps of size t/n, as an mpmath number; the reference has up to 40 digits."""
     context = decimal_context(DIGITS)
-    truth = [context.mpf(c) for c in reference(scene, [t]).decimals[0]]
+    truth = [context.mpf(c) for c in reference(scene, Elapsed([t])).decimals[0]]
     return apart(march(method, scene, context.mpf(repr(t)) / n, n, context), truth, context)
 
 

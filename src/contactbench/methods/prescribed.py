@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from contactbench.checks import positive, real_array, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.scene import Scene
-from contactbench.scene.base import time_between
+from contactbench.scene.base import Elapsed, time_between
 
 #: how far the difference of two saved times may be off, in units of the last place of the later one: both are
 #: rounded, as a product or a sum of two, and so may be the spacing of the grid
@@ -105,19 +105,13 @@ def default_times(scene: Scene, step: float | np.ndarray | None, budget: int) ->
     return marks * (scene.t_end / n)
 
 
-class Elapsed(NamedTuple):
-    """Times to save at since the start, and as late as is wanted."""
-
-    times: Any
-
-
 def saved_times(save_at: object, scene: Scene) -> np.ndarray:
     """Return saved times since the start, given as those of the scene's span or as `Elapsed`; raise `BadInput`."""
     given = save_at.times if isinstance(save_at, Elapsed) else save_at
     times = np.array(real_array("save_at", given, "increasing times"), ndmin=1)  # a copy
-    if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
+    if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
         raise BadInput(f"save_at = {excerpt(save_at)}: must be finite times, at least one")
-    if np.any(np.diff(times) <= 0):
+    if (times[1:] <= times[:-1]).any():
         raise BadInput("save_at: times must be strictly increasing")
     if given is save_at:
         times = within_span(times, scene)
@@ -129,6 +123,8 @@ def saved_times(save_at: object, scene: Scene) -> np.ndarray:
 def within_span(times: np.ndarray, scene: Scene) -> np.ndarray:
     """Return times of the scene's span as those since its start; those a few roundings out of it are at its ends."""
     start, end = scene.begins, scene.begins + scene.t_end
+    if not start and times[0] >= 0 and times[-1] <= end:
+        return times
     slack = GRID_ULPS * np.spacing(max(abs(start), abs(end))) + SLACK * scene.t_end
     for outside in times[(times < start - slack) | (times > end + slack)][:1].tolist():
         span = f"from {start:.10g} to {end:.10g}"

@@ -23,10 +23,10 @@ from contactbench.methods.base import METHODS, prepare
 from contactbench.methods.distance import distance
 from contactbench.methods.loops import StepLoop
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Pilot, Prepared
-from contactbench.methods.prescribed import Elapsed
 from contactbench.numbers.control import choose
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene import Cache, Scene
+from contactbench.scene.base import Elapsed
 from contactbench.solution import Counts, Solution, Status
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Assign, Element, Function, Store

@@ -16,7 +16,7 @@ from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
 from threading import Lock
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -86,6 +86,12 @@ def with_duration(given: dict[str, Any], clocked: bool) -> dict[str, Any]:
     if start and not clocked:
         raise BadInput(f"t_span = {excerpt(span)}: nothing here depends on the time: must begin at 0")
     return given | {"t_end": time_between(start, end)} | ({"t": start} if clocked else {})
+
+
+class Elapsed(NamedTuple):
+    """Times since the start, and as late as is wanted, where times of the scene's span are expected."""
+
+    times: Any
 
 
 def time_between(start: float, end: float) -> float:

@@ -142,7 +142,7 @@ def users_reference(scene: Scene, given: Callable[[np.ndarray], ArrayLike]) -> R
     labels = ", ".join(scene.labels(carry)[:8])
     wanted = f"a function of the times that gives a row of {labels} for each"
     with their_code("reference"):
-        y = real_array("reference", given(t.copy()), wanted)
+        y = real_array("reference", given(t + scene.begins), wanted)
     if y.shape != (shape := (len(t), len(scene.labels(carry)))) or not np.isfinite(y).all():
         raise BadInput(f"reference: gives shape {y.shape}: must be {shape}, finite, for each time {labels}")
     return Reference(scene, carry, t, y, [], np.finfo(float).precision, "given")

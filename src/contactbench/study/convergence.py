@@ -16,8 +16,8 @@ from contactbench.measure.order import DIGITS, fit_order, march
 from contactbench.methods.base import Method
 from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
 from contactbench.solution import keywords
 from contactbench.study.choice import key, outcome, pairs
@@ -54,7 +54,7 @@ def at_fifty_digits(
     """Yield rows of runs on mpmath numbers: the error at the end, in parts of the larger of the start and the truth."""
     end = ITERATED_TIME if method.iterates else EXTENDED_TIME
     carry, context = scene.optional, decimal_context(DIGITS)
-    truth = [context.mpf(c) for c in cb.reference(scene, [end], carry).decimals[0]]
+    truth = [context.mpf(c) for c in cb.reference(scene, Elapsed([end]), carry).decimals[0]]
     start = scene.pack(scene.initial(carry))
     for n in counts:
         h = end / n

@@ -8,8 +8,8 @@ import contactbench as cb
 from contactbench.measure.laws import row as law_columns
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.solution import EXACT, Solution, keywords
 from contactbench.study.choice import outcome, pairs, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment

@@ -9,7 +9,7 @@ import numpy as np
 import contactbench as cb
 from contactbench.measure.law import relative_deviation
 from contactbench.measure.laws import LAWS, energies, row
-from contactbench.methods.prescribed import Elapsed
+from contactbench.scene.base import Elapsed
 from contactbench.solution import Solution, keywords
 from contactbench.study.choice import affordable, outcome, pairs, step_budget
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
-from contactbench.methods.prescribed import Elapsed
+from contactbench.scene.base import Elapsed
 from contactbench.study.experiment import Cell, Profile, Recorded, experiment
 from contactbench.study.trial import agreed
 from contactbench.tables.declared import MOTION, ORBIT, TRUTH

@@ -11,9 +11,9 @@ import numpy as np
 
 from contactbench.measure.clock import Call
 from contactbench.methods.base import METHODS, Method, prepare
-from contactbench.methods.prescribed import Elapsed
 from contactbench.peers.heyoka import SHARED
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.study.features import Features, features
 from contactbench.study.problems import (

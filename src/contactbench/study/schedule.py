@@ -19,8 +19,8 @@ from contactbench.measure.clock import VISITS, Call, Race, Visit, least, ratio_c
 from contactbench.measure.laws import row as laws_row
 from contactbench.measure.statistics import PROCESSES, margin, ties
 from contactbench.methods.base import prepare
-from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.solution import GROWING, Solution
 from contactbench.study.experiment import Row
 from contactbench.study.search import Attempt, Question, Search
@@ -107,7 +107,7 @@ class Schedule:
         """Return the truth at the ends of the runs; raise `OutOfTime`, which says what budget or end time would do."""
         seconds = max(self.left(REFERENCE), LEAST_REFERENCE)
         try:
-            return reference(scene, times(scene, ENDS), carry_of(scene), seconds)
+            return reference(scene, Elapsed(times(scene, ENDS)), carry_of(scene), seconds)
         except OutOfTime as why:
             ways = "a larger budget, an earlier t_end"
             if math.isfinite(why.needed):
@@ -248,7 +248,7 @@ class Schedule:
         if (carry, t.tobytes()) not in self.truths:
             found = None
             with suppress(OutOfTime):
-                found = reference(solution.scene, t, carry, self.left(LAWS))
+                found = reference(solution.scene, Elapsed(t), carry, self.left(LAWS))
             self.truths[carry, t.tobytes()] = found
         return self.truths[carry, t.tobytes()]
 

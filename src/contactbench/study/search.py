@@ -14,9 +14,9 @@ from contactbench.blame import UserError
 from contactbench.methods.base import ENGINES, METHODS, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import IMPLICIT, Prepared
-from contactbench.methods.prescribed import Elapsed
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
 from contactbench.solution import Counts, Solution, Status
 from contactbench.study.experiment import Row

@@ -24,8 +24,8 @@ from contactbench.measure.law import MEANINGFUL
 from contactbench.measure.laws import row as laws_row
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import sizes_of
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
@@ -191,7 +191,7 @@ def stability_row(name: str, method: str, engine: str, kind: str, value: float, 
 def end_error(solution: Solution) -> float:
     """Return the error of (q, p) or M at the end in parts of what is left, each in its unit; 0 where both underflow."""
     scene, carry = solution.scene, solution.carry
-    truth = cb.reference(scene, solution.elapsed, carry).y
+    truth = cb.reference(scene, Elapsed(solution.elapsed), carry).y
     sizes = sizes_of(scene, np.vstack([solution.y0, truth]), carry)[: len(scene.vectors)]
     units = np.repeat(sizes, scene.vectors)
     found, left = (scene.without_clock(y[-1])[: scene.motion] / units for y in (solution.y, truth))

@@ -15,9 +15,9 @@ from scipy.stats import bootstrap
 import contactbench as cb
 from contactbench.measure.clock import Call
 from contactbench.methods.prepared import Prepared
-from contactbench.methods.prescribed import Elapsed
 from contactbench.numbers.protocol import Arithmetic, Vector
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.solution import Solution, keywords
 from contactbench.study.choice import EVERYWHERE, key
 from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment

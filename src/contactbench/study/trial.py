@@ -15,9 +15,9 @@ import numpy as np
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.methods.base import Method, prepare
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.prescribed import Elapsed
 from contactbench.peers.heyoka import SHARED
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
 from contactbench.solution import Solution, Status, keywords
 from contactbench.study.experiment import Row

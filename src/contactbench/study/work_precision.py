@@ -17,8 +17,8 @@ from contactbench.measure.laws import errors_of
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
-from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, GROWING, PILOTS
 from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget

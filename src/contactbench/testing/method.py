@@ -16,8 +16,8 @@ from contactbench.measure.order import fit_order, march, order_at
 from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method, prepare
 from contactbench.methods.fixed_step import COUNTED, FixedStep
 from contactbench.methods.prepared import Prepared, Refused
-from contactbench.methods.prescribed import Elapsed
 from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.scenes import SCENES
 from contactbench.solution import Status
 from contactbench.testing.rules import Finding, follow, require

@@ -23,7 +23,7 @@ from contactbench.checks import is_real, real_array
 from contactbench.errors import BadInput, excerpt, one_line
 from contactbench.numbers.protocol import Arithmetic, Namespace
 from contactbench.scene import AnyState, Cache, Scene, key, verify
-from contactbench.scene.base import OwnState, scene_of
+from contactbench.scene.base import Elapsed, OwnState, scene_of, time_between
 from contactbench.scene.definition import verify_along
 from contactbench.truth.engines import (
     LOOKS,
@@ -72,7 +72,7 @@ class Reference:
     scene, carry
         What was solved, and which of s and R the states contain.
     t, y
-        Times, (k,), and states, (k, d), correctly rounded, columns as in ``scene.labels(carry)``.
+        Times since the start, (k,), and states, (k, d), correctly rounded, columns as in ``scene.labels(carry)``.
     decimals
         The same numbers as k rows of d decimal strings with every digit that is known.
     digits
@@ -98,14 +98,16 @@ class Reference:
         return self.scene.unpack(self.y.T, self.carry)
 
 
-def checked_times(times: object) -> np.ndarray:
-    """Return `times` as a new float array of shape (k,), k ≥ 1, or `BadInput`."""
-    t = np.array(real_array("times", times, "finite numbers ≥ 0"), ndmin=1)  # a copy
+def checked_times(scene: Scene, times: object) -> np.ndarray:
+    """Return times of the scene's span, or `Elapsed`, as those since its start, of shape (k,), k ≥ 1, or `BadInput`."""
+    given, start = (times.times, 0.0) if isinstance(times, Elapsed) else (times, scene.begins)
+    least = f"finite numbers ≥ {start:g}"
+    t = np.array(real_array("times", given, least), ndmin=1)  # a copy
     if t.ndim != 1 or not t.size:
         raise BadInput(f"times: must be one number or a flat list of numbers, not of shape {t.shape}")
-    for wrong in t[~(np.isfinite(t) & (t >= 0))][:1].tolist():
-        raise BadInput(f"times contain {wrong!r}: must be finite numbers ≥ 0")
-    return t
+    for wrong in t[~(np.isfinite(t) & (t >= start))][:1].tolist():
+        raise BadInput(f"times contain {wrong!r}: must be {least}")
+    return np.array([time_between(start, time) for time in t.tolist()]) if start else t
 
 
 #: rows of decimals, how many digits of them are right, and where they are from
@@ -124,8 +126,8 @@ def reference(
     scene
         Itself, or the name of a registered one.
     times
-        Times since the start, a solution's `elapsed`, ≥ 0 and in any order, (k,), or one number.  A time within 4 units
-        in the last place of a frozen grid time means that grid time.
+        Times of the scene's span, from its t on (from 0 on where nothing depends on the time), in any order, (k,), or
+        one number.  A time within 4 units in the last place of a frozen grid time means that grid time.
     carry
         Which of s and R to give; by default all the scene has.
     seconds
@@ -154,7 +156,7 @@ def reference(
     if not is_real(seconds) or not hasattr(seconds, "__float__") or seconds != seconds:
         raise BadInput(f"seconds = {excerpt(seconds)}: must be a number")
     carry = scene.carry(carry)
-    t = checked_times(times)
+    t = checked_times(scene, times)
     verify(scene)
     verify_along(scene)
 
