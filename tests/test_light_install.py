@@ -71,7 +71,7 @@ def test_a_method_is_checked_and_timed_on_the_engines_that_are_there():
             print(error)
     """)
     assert "checked ['llvm', 'python']" in printed
-    assert "heyoka is not installed: pip install heyoka" in printed
+    assert "heyoka is not installed: pip install heyoka" in " ".join(printed.split())
     assert "'llvm'" in re.search("timed .*", printed)[0]
     assert printed.endswith("engine jax: diffrax is not installed: pip install diffrax optimistix\n")
 

@@ -139,7 +139,7 @@ def test_laws_stay_finite_when_everything_underflows(method):
     assert np.abs(solution.M[-1]).max() < 1e-307
     found = {law.name: law(solution) for law in laws_of(UNDERFLOW)}
     assert all(map(math.isfinite, found.values()))
-    assert (found["momentum_law"] < 1e-12) == (method != "rk4")
+    assert found["momentum_law"] < 1e-12  # rk4 moves on the clock that the damping slows
 
 
 def test_deviation_is_measured_only_where_numbers_mean_something():

@@ -109,8 +109,7 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
             assert scene.name in ("kepler_drag", "thermostat")
             assert run().status is end.status
             continue
-        spans = list(zip(plain.h.tolist(), plain.n.tolist(), strict=True))
-        written = plain.loop.as_written(plain.start, spans)
+        written = plain.loop.as_written(plain.start, plain.ready)
         written = np.array(written)[:, : len(plain.start)]
         assert plain.loop.program is not None
         for solution in run(), plain():
@@ -332,7 +331,7 @@ def test_a_program_fits_no_other_name(kept):
 
 # -- calls from Python -----------------------------------------------------------------------------
 def arguments_of(run):
-    w, shape = run.ready[2]
+    w, shape = run.ready[3]
     return run.start, w, shape, np.empty(len(run.n) * len(run.start))
 
 

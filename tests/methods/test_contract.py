@@ -59,7 +59,7 @@ DERIVES_WRONGLY = changed(FixedStepRun, sensitivity=lambda run, y0: 1.001 * Fixe
 OTHER_STEPS = changed(
     FixedStepRun,
     shorten=lambda run, loop: None,
-    take=lambda run, y0: (run.intervals(y0, run.h * (1 + 1e-9), run.n), run.totals),
+    take=lambda run, y0: (run.intervals(y0, y0, run.h * (1 + 1e-9), run.n, run.since), run.totals),
 )
 
 

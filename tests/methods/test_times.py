@@ -198,16 +198,15 @@ def test_saved_times_are_those_of_the_span(name):
     assert run.laws().loc["solution_error", "deviation"] < 1e-3
 
 
-@pytest.mark.parametrize("outside", [4.9, 25.1, 0.0])
-def test_saved_times_out_of_the_span_are_refused(outside):
-    says = refusal(lambda: cb.solve(pushed(5.0, 20.0), "rk4", step=0.1, save_at=sorted([outside, 12.0])))
-    assert says == f"save_at contains {outside}: must lie in the span of scene 'pushed', from 5 to 25"
+@pytest.mark.parametrize("early", [4.9, 0.0])
+def test_saved_times_before_the_start_are_refused(early):
+    says = refusal(lambda: cb.solve(pushed(5.0, 20.0), "rk4", step=0.1, save_at=[early, 12.0]))
+    assert says == f"save_at contains {early}: must be ≥ 5, the start of 'pushed'"
 
 
-def test_saved_times_a_few_roundings_out_of_the_span_are_its_ends():
-    late = float(np.nextafter(25.0, math.inf))
-    assert cb.solve(pushed(5.0, 20.0), "rk4", step=0.1, save_at=[5.0, late]).t.tolist() == [5.0, 25.0]
-    assert cb.solve("oscillator", "rk4", step=0.1, save_at=[0.1 * 3]).ok
+def test_a_saved_time_may_be_roundings_before_the_start_or_after_the_end():
+    early = float(np.nextafter(5.0, 0.0))
+    assert cb.solve(pushed(5.0, 20.0), "rk4", step=0.1, save_at=[early, 30.0]).t.tolist() == [5.0, 30.0]
 
 
 # -- what cannot be recorded -------------------------------------------------------------------------

@@ -221,7 +221,7 @@ def prepare(
         it ends as `ok` where pilots agree on it, else as `budget`, `failed` or `diverged`.  An exact method takes
         neither.
     save_at
-        Increasing times of the scene's span, from its t to t + t_end (0 to t_end where nothing depends on the time);
+        Increasing times from the scene's t on (from 0 on where nothing depends on the time), also beyond t + t_end;
         by default the start and every k-th step, at most 1001 of them, for fixed steps, and 201 equally spaced times
         for others.  The counts of a fixed-step method depend on them,
         since it starts afresh at each: with save_at=[t_end] it takes the fewest steps.

@@ -48,7 +48,10 @@ class FixedStepRun(Prepared):
         super().__post_init__()
         r = self.request
         #: where intervals of equal steps end, at least, and which of them end at saved times
-        self.ends, self.saves = division(r.scene, self.later)
+        self.ends = self.later
+        self.saves: slice | np.ndarray = slice(None)
+        if self.breaks:
+            self.ends, self.saves = division(r.scene, self.later)
         self.marks = self.ends.copy()
         self.marks[1:] -= self.ends[:-1]
         self.first_step = self.method_.counts(r.scene, 1, r.carry)

@@ -119,13 +119,12 @@ class StepLoop[Ready](ABC):
     def tangent(
         self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
     ) -> np.ndarray:
-        since = self.since(h, n) if since is None else since
+        if since is None and self.scene.keeps_dates:
+            since = self.since(h, n)
         return self.tangents.states(self.scene, np.concatenate([y0, v]), h, n, since)[:, len(y0) :]
 
-    def since(self, h: np.ndarray, n: np.ndarray) -> np.ndarray | None:
-        """Return the dates of intervals that follow each other, None of a scene without a time."""
-        if not self.scene.keeps_dates:
-            return None
+    def since(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Return the dates of intervals that follow each other."""
         ends = np.cumsum(h * n)
         return dates.dates(self.scene, np.append(0.0, ends[:-1]), ends)
 
@@ -287,14 +286,13 @@ class Loop:
         self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
     ) -> tuple[np.ndarray, ...]:
         """Return what `run` takes of the steps: a row for each (h, n) among the intervals, a shape, and their dates."""
-        times = () if since is None else (since,)
-        given = (*(part.tobytes() for part in (numbers, h, n, *times)),)
+        given = numbers.tobytes(), h.tobytes(), n.tobytes(), b"" if since is None else since.tobytes()
         if (known := self._rows.items.get(given)) is not None:
             return known
         row_of: dict[tuple[float, int], int] = {}
         which = [row_of.setdefault(span, len(row_of)) for span in zip(h.tolist(), n.tolist(), strict=True)]
         w = self.table(numbers, np.array(list(row_of), dtype=float))
-        rows = w, np.concatenate([self.program.shape, which]), *times
+        rows = w, np.concatenate([self.program.shape, which]), *(() if since is None else (since,))
         return self._rows.get(given if w.size + len(n) <= FEW else None, lambda: rows)
 
     def on(
@@ -368,7 +366,8 @@ class Recorded(StepLoop[Rows]):
 
     def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Rows:
         """Return the steps, and the arguments of the loop where they are not too many to be kept."""
-        since = self.since(h, n) if since is None else since
+        if since is None and self.scene.keeps_dates:
+            since = self.since(h, n)
         few = len(n) * self.loop.program.width <= AHEAD
         rows = self.loop.rows(self.numbers, h, n, since) if few else None
         self.seconds = self.loop.seconds
@@ -434,7 +433,8 @@ class Plain(StepLoop[Spans]):
             self.program, self.seconds = program, elapsed()
 
     def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Spans:
-        since = self.since(h, n) if since is None else since
+        if since is None and self.scene.keeps_dates:
+            since = self.since(h, n)
         times = [[]] * len(n) if since is None else since.tolist()
         return list(zip(h.tolist(), n.tolist(), times, strict=True))
 

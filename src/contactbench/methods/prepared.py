@@ -201,7 +201,7 @@ class Prepared(ABC):
         settings = {"control": control, "value": value, "step_chosen": chosen, "step": longest}
         ended = {"status": status, "message": message, "counts": counts, "end_time": end}
         run = {"scene": r.scene, "method": self.method, "engine": r.engine, "carry": r.carry}
-        run["t"] = self.times_from(self.start)
+        run["t"] = r.save_at if self._clock is None else self.times_from(self.start)
         return {**run, "run": self, **ended, **settings}
 
     def packed(self, data: Mapping[str, Any]) -> np.ndarray:

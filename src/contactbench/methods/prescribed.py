@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,6 @@ from contactbench.scene.base import Elapsed, time_between
 #: how far the difference of two saved times may be off, in units of the last place of the later one: both are
 #: rounded, as a product or a sum of two, and so may be the spacing of the grid
 GRID_ULPS = 4
-#: by how much of a span a saved time may be out of it: the sum of many steps
-SLACK = 1e-12
 #: relative differences of steps that are round-off of the times between them
 EQUAL = 1e-9
 #: no grid has more steps
@@ -106,7 +105,7 @@ def default_times(scene: Scene, step: float | np.ndarray | None, budget: int) ->
 
 
 def saved_times(save_at: object, scene: Scene) -> np.ndarray:
-    """Return saved times since the start, given as those of the scene's span or as `Elapsed`; raise `BadInput`."""
+    """Return saved times since the start, given as those of the scene's clock or as `Elapsed`; raise `BadInput`."""
     given = save_at.times if isinstance(save_at, Elapsed) else save_at
     times = np.array(real_array("save_at", given, "increasing times"), ndmin=1)  # a copy
     if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
@@ -114,23 +113,23 @@ def saved_times(save_at: object, scene: Scene) -> np.ndarray:
     if (times[1:] <= times[:-1]).any():
         raise BadInput("save_at: times must be strictly increasing")
     if given is save_at:
-        times = within_span(times, scene)
+        times = since_start(times, scene)
     if times[-1] <= 0:
         raise BadInput(f"save_at: at least one time must be > {scene.begins:g}, the start")
     return times
 
 
-def within_span(times: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return times of the scene's span as those since its start; those a few roundings out of it are at its ends."""
-    start, end = scene.begins, scene.begins + scene.t_end
-    if not start and times[0] >= 0 and times[-1] <= end:
+def since_start(times: np.ndarray, scene: Scene) -> np.ndarray:
+    """Return increasing times of the scene's clock as those since its start; what is roundings before it is at it."""
+    start = scene.begins
+    slack = GRID_ULPS * math.ulp(start) if start else 0.0
+    if times[0] < start - slack:
+        raise BadInput(
+            f"save_at contains {float(times[0])!r}: must be ≥ {start:.10g}, the start of {scene.name!r}"
+        )
+    if not start:
         return times
-    slack = GRID_ULPS * np.spacing(max(abs(start), abs(end))) + SLACK * scene.t_end
-    for outside in times[(times < start - slack) | (times > end + slack)][:1].tolist():
-        span = f"from {start:.10g} to {end:.10g}"
-        raise BadInput(f"save_at contains {outside!r}: must lie in the span of scene {scene.name!r}, {span}")
-    since = [time_between(start, time) for time in times.tolist()] if start else times
-    return np.unique(np.clip(since, 0.0, scene.t_end))
+    return np.unique(np.maximum([time_between(start, time) for time in times.tolist()], 0.0))
 
 
 def steps_of(value: object) -> np.ndarray:

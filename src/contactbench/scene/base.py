@@ -89,7 +89,7 @@ def with_duration(given: dict[str, Any], clocked: bool) -> dict[str, Any]:
 
 
 class Elapsed(NamedTuple):
-    """Times since the start, and as late as is wanted, where times of the scene's span are expected."""
+    """Times since the start, where times of the scene's clock are expected."""
 
     times: Any
 

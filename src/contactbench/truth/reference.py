@@ -99,7 +99,7 @@ class Reference:
 
 
 def checked_times(scene: Scene, times: object) -> np.ndarray:
-    """Return times of the scene's span, or `Elapsed`, as those since its start, of shape (k,), k ≥ 1, or `BadInput`."""
+    """Return times of the scene's clock, or `Elapsed`, as times since its start, (k,), k ≥ 1, or `BadInput`."""
     given, start = (times.times, 0.0) if isinstance(times, Elapsed) else (times, scene.begins)
     least = f"finite numbers ≥ {start:g}"
     t = np.array(real_array("times", given, least), ndmin=1)  # a copy
@@ -126,8 +126,8 @@ def reference(
     scene
         Itself, or the name of a registered one.
     times
-        Times of the scene's span, from its t on (from 0 on where nothing depends on the time), in any order, (k,), or
-        one number.  A time within 4 units in the last place of a frozen grid time means that grid time.
+        Times from the scene's t on (from 0 on where nothing depends on the time), in any order, (k,), or one number.
+        A time within 4 units in the last place of a frozen grid time means that grid time.
     carry
         Which of s and R to give; by default all the scene has.
     seconds
