@@ -225,7 +225,7 @@ class Solution:
         scene = f"{self.scene.name}{', undamped,' * self.scene.is_undamped}"
         return (
             f"<Solution of {scene} by {self.method} ({self.engine}, {setting}): "
-            f"{self.status}{why}, {len(self.t)} states to t = {self.end_time + self.start_time:g}{cost}>"
+            f"{self.status}{why}, {len(self.t)} states to t = {self.end_time + self.start_time:.10g}{cost}>"
         )
 
     def _repr_html_(self) -> str:
@@ -289,7 +289,8 @@ class Solution:
         """Return the saved states, a row for each time: t, then the components by name (q1, …, p1, …, s)."""
         import pandas as pd
 
-        return pd.DataFrame({"t": self.t, **dict(zip(self.labels, self.y.T, strict=True))})
+        columns = {name: c for name, c in zip(self.labels, self.y.T, strict=True) if name != "t"}
+        return pd.DataFrame({"t": self.t, **columns})
 
     def laws(self, seconds: float = 60.0) -> pd.DataFrame:
         """Return how far the run is from every law that applies to it, in so many seconds.

@@ -122,3 +122,12 @@ def test_a_run_in_a_thread_of_its_own_has_the_same_bits():
         beside = pool.submit(run).result()
     assert isinstance(run, Prepared)
     np.testing.assert_array_equal(run().y, beside.y)
+
+
+@pytest.mark.parametrize(
+    ("method", "setting"), [("rk8", {"step": 0.1}), ("rk8-7", {"rtol": 1e-6}), ("rk4", {"rtol": 1e-3})]
+)
+def test_a_packed_state_of_another_length_is_refused(method, setting):
+    run = cb.prepare("oscillator", method, **setting)
+    with pytest.raises(cb.BadInput, match="y0 has 2 numbers: must be 3, those of q1, p1, s"):
+        run.integrate(run.start[:2])

@@ -176,3 +176,57 @@ def test_what_rounding_leaves_ends_the_search():
     run = cb.solve(scene, "contact-bm6", rtol=1e-13, save_at=[12.0], max_steps=10**6)
     assert run.status in (cb.Status.failed, cb.Status.budget)
     assert "rtol = 1e-13" in run.message
+
+
+# -- pilots that all see the same wrong motion ------------------------------------------------------------
+@pytest.mark.parametrize("method", ["contact-strang", "contact-abc", "rk4", "contact-rkn6"])
+@pytest.mark.parametrize("save_at", [None, [512.0]], ids=["many times", "the end"])
+def test_a_force_of_whole_periods_in_every_step_is_seen(method, save_at):
+    """An oscillator shaken with a period of 1; steps of 2, 1, 8 meet the force in one phase."""
+    scene = cb.Driven(
+        name="shaken",
+        potential=lambda q, t: 1e-4 * q[0] ** 2 - 1e-3 * q[0] * cb.math.cos(2 * cb.math.pi * t),
+        q=(1.0,),
+        p=(0.0,),
+        t_end=512.0,
+    )
+    assert error(cb.solve(scene, method, rtol=1e-3, save_at=save_at)) < 2e-3
+
+
+WALLS = [
+    ("contact-bm6", 5.950694310167864, 48.90261219719055, -0.42809543922860993, 1.074946774720699),
+    ("contact-rkn6", 9.796033342725552, 168.37522386824253, -0.25369054438418803, 1.88975459363306),
+]
+
+
+@pytest.mark.parametrize(("method", "end", "stiffness", "q", "p"), WALLS, ids=lambda value: str(value)[:12])
+def test_pilots_that_agree_by_chance_are_not_believed(method, end, stiffness, q, p):
+    """Between walls whose force has kinks no order holds; one gap was small, or as the order says, by luck."""
+
+    def potential(q):
+        beyond = cb.math.where(q[0] > 1, q[0] - 1, cb.math.where(q[0] < -1, q[0] + 1, 0.0))
+        return stiffness * beyond**2 / 2
+
+    scene = cb.Mechanical(name="walls", potential=potential, gamma=0.1, q=(q,), p=(p,), t_end=end)
+    true = cb.solve(scene, "rk4", step=end / 200_000, save_at=[end]).y[0]
+    run = cb.solve(scene, method, rtol=1e-3, save_at=[end])
+    assert np.abs(run.y[0] - true)[:2].max() < 2e-3
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
+@pytest.mark.parametrize("method", ["rk4", "rk8"])
+def test_the_unit_of_a_component_that_starts_at_zero_changes_no_step(method, unit):
+    def made(c):
+        def rhs(t, y):
+            return y[1] / c - 0.1 * y[0] + cb.math.sin(t), c * (-y[0] - 0.05 * y[1] / c)
+
+        return cb.Equations(name="units", rhs=rhs, y0=(0.4, 0.0), t_end=9.0)
+
+    one, other = (cb.solve(made(c), method, rtol=1e-5, save_at=[9.0]).counts for c in (1.0, unit))
+    assert one == other
+
+
+def test_a_first_pilot_of_many_steps_that_is_unstable_is_not_the_last():
+    long = cb.SCENES["particle"].with_(t_end=4e6)
+    run = cb.solve(long, "contact-strang", rtol=1e-3, max_steps=10**8, save_at=[4e6])
+    assert run.status in ("ok", "budget"), run

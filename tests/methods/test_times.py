@@ -209,6 +209,13 @@ def test_a_saved_time_may_be_roundings_before_the_start_or_after_the_end():
     assert cb.solve(pushed(5.0, 20.0), "rk4", step=0.1, save_at=[early, 30.0]).t.tolist() == [5.0, 30.0]
 
 
+def test_the_frame_of_a_run_that_did_not_end_has_its_times():
+    run = cb.solve(pushed(5.0, 50.0), "contact-rkn6", step=1e-3, max_steps=100)
+    assert run.status == "budget"
+    assert run.to_frame()["t"].tolist() == run.t.tolist() == [55.0]
+    assert run.to_frame().columns[0] == "t"
+
+
 # -- what cannot be recorded -------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("force", "says"),

@@ -157,7 +157,7 @@ def summary(solution: Solution) -> dict[str, object]:
             "J": None if momentum is None else list(map(float, momentum)),
         }
     run = {name: getattr(solution, name) for name in ("method", "engine", "setting", "status", "message")}
-    ended = {"status": str(solution.status), "t": solution.end_time}
+    ended = {"status": str(solution.status), "t": solution.end_time + solution.start_time}
     return {"scene": scene.name, **run, **ended, **out, "counts": solution.counts._asdict()}
 
 

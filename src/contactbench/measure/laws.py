@@ -362,7 +362,8 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
         for item in bar:
             bar.set_postfix_str(item.label)
             if set(item.needs_on(solution.scene)) <= set(solution.carry):
-                rows[item.name] = measured_row(item, solution)
+                with np.errstate(all="ignore"):  # what has left any scale is no fault of the user's settings
+                    rows[item.name] = measured_row(item, solution)
     finally:  # what there was no time for is tried again where there is more
         solution.patience = None
         if patience.over:

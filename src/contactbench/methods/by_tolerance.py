@@ -554,6 +554,7 @@ class ToleranceRun(RunByTolerance):
         return bool(y[-1, -1] > 0 and tried >= self.request.max_steps)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
+        self.require_size(y0)
         r, d = self.request, len(y0)
         y, counts = self.taken(y0)
         lag = y[-1, -1]

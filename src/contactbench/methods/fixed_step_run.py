@@ -130,6 +130,7 @@ class FixedStepRun(Prepared):
         return Pilot(self, y[self.saved], counts)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
+        self.require_size(y0)
         r = self.request
         if self.needed > r.max_steps:
             needed = str(self.needed) if self.needed < UNCOUNTED else f"more than {UNCOUNTED:.0e}"

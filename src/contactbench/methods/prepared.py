@@ -237,6 +237,12 @@ class Prepared(ABC):
             at += length or 1
         return found
 
+    def require_size(self, y0: np.ndarray) -> None:
+        """Raise `BadInput` for a packed state of another length, which compiled code would not notice."""
+        if len(y0) != len(self.start):
+            names = ", ".join(self.request.scene.labels(self.request.carry)[:8])
+            raise BadInput(f"y0 has {len(y0)} numbers: must be {len(self.start)}, those of {names}")
+
     def require_clock(self, y0: np.ndarray) -> None:
         """Raise `BadInput` for a state that begins at another time, where steps end at breaks."""
         if self.breaks and (begins := y0[self._clock]) != self.start[self._clock]:

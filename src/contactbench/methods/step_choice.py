@@ -42,11 +42,14 @@ RUNGS = 8
 KEPT, KEPT_NUMBERS = 64, 2**22
 #: damping times the first step at most
 DAMPED = 8.0
-#: gaps after one as large as the motion are not asymptotic
-LOST = 1.0
+#: gaps after one as large as the motion are not asymptotic; after smaller ones than the second the order is believed
+LOST, TRUSTED = 1.0, 0.1
 #: the first pilot's step is at most about a period of the motion, as the start has it, of high orders, and as much
 #: less as the order is: longer ones all fly off alike, and no error falls as the order says
 PERIOD, HIGH = 6.0, 4
+#: times of the span at which a force that depends on them is looked at, by golden sections; the time to the next look
+#: in parts of the span, and in roundings; the first pilot's step in parts of the time in which the force changes
+LOOKS, GOLDEN, NEXT, APART, PUSHED = 8, 0.6180339887498949, 1e-9, 2.0**10, 2.0
 #: right-hand sides that the period takes, and the distance between them, relative to the motion
 PROBES, BESIDE = 3, 1e-6
 #: gaps are rounding errors where after one below the first of these they neither fall nor grow, as slopes, beyond the
@@ -68,7 +71,7 @@ WILD, SPENT = 1e4, 6
 OTHER = 1.25
 #: pilots in a row that leave any scale, after which a method with step control is asked whether the motion does
 BLOWN, WITNESS, WITNESS_RTOL = 3, "rk8-7", 1e-8
-#: steps of such a pilot after which there is no other one, and octaves
+#: steps of such a pilot after twice as many of them that end the search, and octaves
 LAST, OCTAVES = 10**6, 20
 #: a pilot's step is at most so many times shorter than that of the one before, where they agree once, and again
 NEAR, FAR = 4.0, 32.0
@@ -161,6 +164,10 @@ def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
     error = size / (finer - 1) * (off**ABOVE if off > 1 else off**-BELOW)
     if slope <= steeper / 2:
         error = min(error, MOST * slope)
+    if off < 1 / AGREE:  # one gap may be small by chance
+        error = max(error, steeper)
+    elif before > TRUSTED:  # as the order says by chance
+        error = max(error, slope)
     return error, 1 / AGREE <= off <= AGREE
 
 
@@ -186,12 +193,15 @@ class ChosenStep(Prepared):
             self.first = min(self.first, DAMPED / abs(rate))
         #: what the components of the motion are measured in
         self.units = np.array(self.scales(self.start)[: self._motion], dtype=float)
+        #: the step of a method that follows the motion is no time
+        self.probes = 0 if self.method_.follows else PROBES
+        if self.request.scene.clock is not None:
+            self.first = min(self.first, PUSHED * self.push())
+            self.probes += 2 * LOOKS
         #: steps of the first pilot at most that follow the motion: on a wrong way they may be ever more
         self.limit = WILD + WILD / 100 * self._end / self.time_scale_at(self.start)()
         #: by how many parts of an octave their steps are shorter
         self.runs: Cache[Any] = Cache(KEPT)
-        #: the step of a method that follows the motion is no time
-        self.probes = 0 if self.method_.follows else PROBES
         #: a `FixedStepRun`, or a `ToleranceRun` of a method that follows the motion, which is asked the same
         self.run = self.run_at(0)
         self.compile_s, self.sensitivity_source = self.run.compile_s, self.run.sensitivity_source
@@ -224,6 +234,7 @@ class ChosenStep(Prepared):
         return Solution.of(ended, y, y0)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
+        self.require_size(y0)
         return self.ending(y0, self.choose(y0))
 
     def ending(self, y0: np.ndarray, choice: Choice) -> Outcome:
@@ -274,7 +285,7 @@ class ChosenStep(Prepared):
                 return Choice(evaluations, outcome=self.beyond(pilot.run))
             before, last = last, rung
             # one that is watched may be all right in spite of what is seen
-            if not (pilot.fine or ((blown >= BLOWN or pilot.fine is None) and self.is_sound(y0, pilot))):
+            if not (pilot.fine or self.is_sound(y0, pilot)):
                 blown, last, gap, rung = blown + 1, -1, Gap(), rung + RUNGS
                 if blown >= BLOWN and not asked:
                     asked = True
@@ -282,7 +293,8 @@ class ChosenStep(Prepared):
                     evaluations += more
                     if end is not None:
                         return self.until(y0, end, pilot, evaluations)
-                if (pilot.counts.steps or 0) > LAST or rung > first + RUNGS * OCTAVES:
+                many = (pilot.counts.steps or 0) > LAST and blown > 2 * BLOWN
+                if many or rung > first + RUNGS * OCTAVES:
                     return Choice(evaluations, outcome=self.failed(y0, pilot))
                 continue
             blown = 0
@@ -296,6 +308,8 @@ class ChosenStep(Prepared):
                 return Choice(evaluations, pilot, pilot.y.copy())
             stuck += wider.size <= ROUNDED and STUCK < gap.slope / wider.slope < GROWN
             if stuck == BLOWN:
+                if gap.size <= enough:
+                    return Choice(evaluations, pilot, pilot.y.copy())
                 return Choice(evaluations, outcome=self.rounded(pilot, gap.size))
             if agree and error < math.inf:
                 reach, agreed = FAR if agreed else NEAR, True
@@ -352,9 +366,11 @@ class ChosenStep(Prepared):
     def failed(self, y0: np.ndarray, pilot: Pilot) -> Outcome:
         """Return the outcome of the last pilot, of more steps than it is worth to take, in terms of the tolerance."""
         out: Outcome = pilot.run.integrate(y0)
+        step, rtol = pilot.run.steps_taken[0], self.request.rtol
         if out.status is Status.failed:
-            step, rtol = pilot.run.steps_taken[0], self.request.rtol
             out.message = f"no step down to {step:.3g} leads beyond t = {out.end_time:.6g} (rtol = {rtol:g})"
+        elif out.status is Status.diverged:
+            out.message += f", with steps down to {step:.3g} (rtol = {rtol:g})"
         return replace(out, steps=pilot.run.steps_taken)
 
     def end_of(self, y0: np.ndarray) -> tuple[Outcome | None, int]:
@@ -387,6 +403,27 @@ class ChosenStep(Prepared):
     def first_rung(self, time_scale: float) -> int:
         longest = PERIOD * min(self.method_.order / HIGH, 1.0) * time_scale if self.probes else math.inf
         return max(math.ceil(RUNGS * math.log2(self.first / longest)), 0) if longest < self.first else 0
+
+    def push(self) -> float:
+        """Return the time in which a force changes that depends on it, as it is at the start; infinite for one at rest.
+
+        Steps of a period of the force, and halves of them, all meet it in the same phase.
+        """
+        scene, span, begins = self.request.scene, self._end, self.request.scene.begins
+        near = max(NEXT * span, APART * math.ulp(abs(begins) + span))
+
+        def slope(time: float) -> np.ndarray:
+            x = scene.unpack(scene.entries(self.start), self.request.carry)._replace(t=begins + time)
+            return np.asarray(np.array(scene.pack(scene.rhs(x))[: self._motion], dtype=float) / self.units)
+
+        with suppress(*NO_NUMBER), np.errstate(all="ignore"):
+            times = [span * (k * GOLDEN % 1.0) for k in range(1, LOOKS + 1)]
+            here, there = (np.array([slope(time + after) for time in times]) for after in (0.0, near))
+            fast = np.linalg.norm(there - here, axis=1).max() / near
+            swing = np.linalg.norm(here - here[0], axis=1).max() / 2
+            if swing > (self.request.rtol or 0.0) * np.linalg.norm(here, axis=1).max() and fast > 0:
+                return float(swing / fast)
+        return math.inf
 
     def time_scale_at(self, y: np.ndarray) -> Callable[[], float]:
         """Return the function that gives 1/ω of the motion at what a packed state holds when it is called.

@@ -90,7 +90,8 @@ class Reference:
     source: str
 
     def __repr__(self) -> str:
-        what = f"{len(self.t)} states to t = {self.t.max():g}, {self.digits} digits, {self.source}"
+        end = self.t.max() + self.scene.begins
+        what = f"{len(self.t)} states to t = {end:.10g}, {self.digits} digits, {self.source}"
         return f"<Reference of {self.scene.name}: {what}>"
 
     def states(self) -> OwnState:
@@ -101,7 +102,7 @@ class Reference:
 def checked_times(scene: Scene, times: object) -> np.ndarray:
     """Return times of the scene's clock, or `Elapsed`, as times since its start, (k,), k ≥ 1, or `BadInput`."""
     given, start = (times.times, 0.0) if isinstance(times, Elapsed) else (times, scene.begins)
-    least = f"finite numbers ≥ {start:g}"
+    least = f"finite numbers ≥ {start:.10g}"
     t = np.array(real_array("times", given, least), ndmin=1)  # a copy
     if t.ndim != 1 or not t.size:
         raise BadInput(f"times: must be one number or a flat list of numbers, not of shape {t.shape}")
@@ -141,7 +142,7 @@ def reference(
     Raises
     ------
     BadInput
-        For times that are negative or not finite, and where no reference can be computed: the trajectory blows up
+        For times before the start or not finite, and where no reference can be computed: the trajectory blows up
         before the last time, or too few digits can be had.
     OutOfTime
         A `BadInput`, where it would take too long.
