@@ -164,10 +164,6 @@ def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
     error = size / (finer - 1) * (off**ABOVE if off > 1 else off**-BELOW)
     if slope <= steeper / 2:
         error = min(error, MOST * slope)
-    if off < 1 / AGREE:  # one gap may be small by chance
-        error = max(error, steeper)
-    elif before > TRUSTED:  # as the order says by chance
-        error = max(error, slope)
     return error, 1 / AGREE <= off <= AGREE
 
 
@@ -304,7 +300,8 @@ class ChosenStep(Prepared):
                 continue
             wider, gap, coarse = gap, self.compare(room, before, last, coarse, pilot), pilot
             error, agree = error_of(gap, wider, order)
-            if error <= enough:
+            # so large gaps may be as the order says by chance: a next one is foretold, but not the last
+            if error <= enough and (wider.size <= TRUSTED or gap.slope <= enough):
                 return Choice(evaluations, pilot, pilot.y.copy())
             stuck += wider.size <= ROUNDED and STUCK < gap.slope / wider.slope < GROWN
             if stuck == BLOWN:
