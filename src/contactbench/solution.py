@@ -164,6 +164,8 @@ class Solution:
         The `Prepared` that made it, which can be differentiated.
     truth
         The `Reference` at its times, where it is known already, or why there is none; else the laws compute it.
+    patience
+        The limit of time of the laws while they are measured.
     """
 
     scene: Scene
