@@ -478,12 +478,17 @@ class ToleranceRun(RunByTolerance):
                 loop.execute(y0, rows(most), y := np.empty(size), math.inf)
             return y
 
+        direct: Callable[[np.ndarray], np.ndarray] | None = None
+
         def bare(y0: np.ndarray) -> np.ndarray:
             """Find out whether the run is short, and leave it alone from then on."""
+            nonlocal direct
+            if direct is not None:
+                return direct(y0)
             y = states(y0)
             if short == most or y[ATTEMPTS] < short:
-                end = size - beside, size + d - beside
-                self.bare = dated(part(end, rows(most)))  # type: ignore
+                direct = part((size - beside, size + d - beside), rows(most))
+                self.bare = dated(direct)  # type: ignore
             return y[-d - beside : -beside]
 
         def dated(bare: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:

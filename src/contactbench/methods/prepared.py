@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -236,6 +236,11 @@ class Prepared(ABC):
                 found[name] = (at, None) if length is None else (slice(at, at + length), length)
             at += length or 1
         return found
+
+    def bare_call(self) -> Callable[[], np.ndarray]:
+        """Return `bare` from the scene's start, to be timed; a first call lets a run choose its fastest way."""
+        self.bare(self.start)
+        return partial(self.bare, self.start)
 
     def require_size(self, y0: np.ndarray) -> None:
         """Raise `BadInput` for a packed state of another length, which compiled code would not notice."""

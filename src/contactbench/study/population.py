@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 
 import numpy as np
 
@@ -108,7 +107,7 @@ def visited(tried: Sequence[Attempt]) -> dict[int, float]:
     seconds = {id(one): one.seconds for one in tried}
     most = SLOWER * min(seconds.values(), default=0.0)
     runs = {id(one): one.run for one in tried if one.run and one.seconds <= most}
-    calls = {name: Call(partial(run.bare, run.start), round_seconds=1e-4) for name, run in runs.items()}
+    calls = {name: Call(run.bare_call(), round_seconds=1e-4) for name, run in runs.items()}
     for _ in range(VISITS):
         for call in calls.values():
             call.visit(1)

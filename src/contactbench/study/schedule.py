@@ -6,7 +6,6 @@ import math
 from collections.abc import Collection, Iterable
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from itertools import accumulate
 from time import perf_counter
 
@@ -266,7 +265,7 @@ class Schedule:
             attempts = sorted(runs[kind].values(), key=lambda attempt: attempt.seconds)
             spent = accumulate(FEWEST_CALLS * attempt.seconds for attempt in attempts)
             timed = [attempt for attempt, seconds in zip(attempts, spent, strict=True) if seconds <= given]
-            race = Race([Call(partial(a.run.bare, a.run.start)) for a in timed if a.run])
+            race = Race([Call(a.run.bare_call()) for a in timed if a.run])
             until, late = perf_counter() + given, max(self.left(1 + LATE), LATE * self.budget)
             try:
                 race.go(0.0 if self.interrupted else FIELD * given, late)

@@ -5,7 +5,7 @@ Nobody follows such a trajectory for long; what is compared is the energy left, 
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -198,7 +198,7 @@ def beginning(cell: Cell) -> tuple[Row, Call]:
     name, method, _, gamma, span, value = cell
     case, control = (name, gamma, span), cb.METHODS[method].control
     run = prepared(method, case, TIMED, 1, **keywords(control, value))
-    return {"timed_evaluations": run().counts.evaluations}, Call(partial(run.bare, run.start))
+    return {"timed_evaluations": run().counts.evaluations}, Call(run.bare_call())
 
 
 @experiment(ladder)

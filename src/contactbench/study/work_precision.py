@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import cache
 from time import perf_counter
 
 import contactbench as cb
@@ -172,7 +172,7 @@ def runs(cell: Cell, budget: int | None) -> tuple[Row, Call]:
     end = cb.SCENES[cell[0]].t_end
     run, shorter = (prepared(cell, budget, [t]) for t in (end, end / ENDS))
     # arrays that an engine has moved to its device ahead of the call
-    bare, part = partial(run.bare, run.start), partial(shorter.bare, shorter.start)
+    bare, part = run.bare_call(), shorter.bare_call()
     call = Call(bare, Part(part, 1 / ENDS, end))
     call.warm_up()
     once = call.once[0]
