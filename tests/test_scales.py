@@ -9,6 +9,7 @@ import contactbench as cb
 from cases import mine
 from contactbench.methods.prepared import METHODS
 from contactbench.numbers.control import XlaNumbers
+from contactbench.scene.base import Elapsed
 from contactbench.scene.general_damping import decayed
 from contactbench.testing import check_scene
 from contactbench.xla import jax, jnp
@@ -136,7 +137,7 @@ def test_a_fast_motion_is_no_failure_of_scipys_solver():
 
 def test_a_start_next_to_an_equilibrium_leads_away_from_it():
     scene = mine(lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2, q=1e-9, t_end=40.0, gamma=0.1)
-    true = cb.reference(scene, [40.0]).y[-1]
+    true = cb.reference(scene, Elapsed([40.0])).y[-1]
     for method in ("rk4", "cvode-adams", "heyoka-taylor"):
         setting = {"rtol": 1e-9} if METHODS[method].adaptive else {"step": 0.05}
         assert np.abs(cb.solve(scene, method, **setting).y[-1] - true).max() < 1e-4

@@ -13,6 +13,7 @@ from contactbench.measure import laws
 from contactbench.measure.law import JUDGEMENT, conformal, relative_deviation
 from contactbench.measure.laws import LAWS, laws_of, row
 from contactbench.methods import prepared
+from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import norms
 from contactbench.scenes.driven import DRIVEN
 from contactbench.solution import Solution, Status
@@ -32,7 +33,7 @@ STANDARD = [
 
 
 def truth_as_solution(scene, times=TIMES):
-    exact = cb.reference(scene, times)
+    exact = cb.reference(scene, Elapsed(times))
     y0 = np.array(scene.pack(scene.initial(scene.optional)))
     return Solution(scene, "truth", "none", scene.optional, times, exact.y.copy(), y0=y0)
 
@@ -74,13 +75,13 @@ def test_an_error_is_relative_to_the_largest_true_state_the_start_included(name,
     run = cb.solve(
         scene, "contact-strang", step=scene.t_end / steps, save_at=scene.begins + np.array(t), carry=()
     )
-    true, n = cb.reference(scene, [0.0, *t], ()).y, len(scene.q)
+    true, n = cb.reference(scene, Elapsed([0.0, *t]), ()).y, len(scene.q)
     (q, own_q), (p, own_p) = (([y[:, part] for y in (true, run.y)]) for part in (slice(n), slice(n, 2 * n)))
     assert np.abs(q[0]).max() > np.abs(q[1:]).max()  # the start is the largest
     pairs = ((q, own_q), (p, own_p))
     error = max(norms(own - y[1:], [n]).max() / norms(y, [n]).max() for y, own in pairs)
     assert LAWS["solution_error"](run) == pytest.approx(error, rel=1e-12)
-    question = Question(scene, cb.reference(scene, t, ()), (1e-3,), 1.0)
+    question = Question(scene, cb.reference(scene, Elapsed(t), ()), (1e-3,), 1.0)
     ends = [dataclasses.replace(run, t=run.t[[k]], y=run.y[[k]]) for k in range(2)]
     assert question.error(ends) == pytest.approx(error, rel=1e-9)
 

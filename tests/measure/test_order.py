@@ -11,6 +11,7 @@ import contactbench.measure.order as of_steps
 from chains import bodies
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import DIGITS, ROUND_OFF, fit_order
+from contactbench.scene.base import Elapsed
 from contactbench.splitting.tables import COMPOSITIONS
 from contactbench.study.search import Attempt, Question, Search
 from contactbench.study.settings import ENDS, carry_of, steps, times, tolerances
@@ -197,7 +198,9 @@ def test_a_ladder_ends_where_the_error_stops_falling(errors):
     """At 10⁻¹² and 10⁻¹³ the error is 3·10⁻¹³: one rung that brings nothing is tried, and no more."""
     errors(lambda value: max(value, 3e-13))
     scene = cb.SCENES["oscillator"]
-    question = Question(scene, cb.reference(scene, times(scene, ENDS), carry_of(scene)), (1e-300,), 60.0)
+    question = Question(
+        scene, cb.reference(scene, Elapsed(times(scene, ENDS)), carry_of(scene)), (1e-300,), 60.0
+    )
     tried = list(Search(question, "heyoka-taylor").coarse_to_fine())
     assert tried[-1].value == pytest.approx(1e-14)
     assert all(math.isfinite(attempt.error) for attempt in tried)

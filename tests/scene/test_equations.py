@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import contactbench as cb
 from contactbench.methods.prepared import Refused
+from contactbench.scene.base import Elapsed
 from contactbench.testing import check_scene
 
 xm = cb.math
@@ -57,7 +58,7 @@ def setting(name, step=0.02, rtol=1e-8):
 @named
 def test_the_reference_is_what_scipy_and_a_runge_kutta_method_find(scene):
     """Three codes that share nothing but the function."""
-    found = cb.reference(scene, [scene.t_end])
+    found = cb.reference(scene, Elapsed([scene.t_end]))
     assert (found.source, found.digits > 30) == ("live", True)
     rhs = lambda t, y: scene.right_hand_side(t, y, **scene.parameters)  # noqa: E731
     span = scene.t, scene.t + scene.t_end
@@ -134,7 +135,7 @@ def test_a_function_of_floats_runs_on_python_and_its_reference_is_of_two_solvers
     run = cb.solve(scene, "rk8", step=0.1)
     assert run.engine == "python"
     assert run.y[-1, 0] == pytest.approx(math.cos(3.0), abs=1e-12)
-    found = cb.reference(scene, [3.0])
+    found = cb.reference(scene, Elapsed([3.0]))
     assert found.source == "two solvers"
     assert found.y[0, 0] == pytest.approx(math.cos(3.0), abs=1e-10)
 

@@ -6,6 +6,7 @@ import pytest
 import contactbench as cb
 from contactbench.measure.laws import errors_of
 from contactbench.methods.base import METHODS
+from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import FAINT, errors, sizes_of
 from contactbench.study.search import Question, Search
 from contactbench.study.settings import ENDS, times
@@ -76,7 +77,9 @@ def test_the_unit_of_one_component_changes_no_setting_of_a_race():
     found = []
     for unit in UNITS:
         scene = two_masses(unit)
-        search = Search(Question(scene, cb.reference(scene, times(scene, ENDS), ()), (1e-6,), 60.0), "rk8-7")
+        search = Search(
+            Question(scene, cb.reference(scene, Elapsed(times(scene, ENDS)), ()), (1e-6,), 60.0), "rk8-7"
+        )
         for _ in search.turns():
             pass
         best = search.best(1e-6)

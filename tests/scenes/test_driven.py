@@ -11,6 +11,7 @@ from contactbench.measure.laws import laws_of, row
 from contactbench.measure.order import order_at
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers import quadrature
+from contactbench.scene.base import Elapsed
 from contactbench.scenes.driven import DRIVEN, FORCED_OSCILLATOR, LANE_EMDEN_5
 from contactbench.truth import decimal_context
 from own_scenes import DETEST_E1, DETEST_E3, FORCED_PULSATING, LANE_EMDEN_0, LANE_EMDEN_1
@@ -23,7 +24,7 @@ def test_closed_forms_are_those_of_the_textbook():
     """1 − t²/6, sin t/t, and 2(1 + 16 t²/3)^{−1/2}, a homologous image of (1 + t²/3)^{−1/2}."""
     thetas = lambda t: 1 - t * t / 6, lambda t: np.sin(t) / t, lambda t: 2 * (1 + 16 * t * t / 3) ** -0.5
     for scene, theta in zip((LANE_EMDEN_0, LANE_EMDEN_1, LANE_EMDEN_5), thetas, strict=True):
-        found = cb.reference(scene, saved(scene))
+        found = cb.reference(scene, Elapsed(saved(scene)))
         assert (found.source, found.digits >= 40) == ("closed form", True)
         np.testing.assert_allclose(found.y[:, 0], theta(scene.t + saved(scene)), rtol=0, atol=1e-15)
 
@@ -32,9 +33,9 @@ def test_closed_forms_are_those_of_the_textbook():
 def test_a_closed_form_is_that_of_any_start(scene):
     """The reference takes none that does not begin where the scene does and solve its equations."""
     moved = scene.with_(q=(0.7 * scene.q[0] + 0.2,), p=(scene.p[0] - 0.3,), s=0.4, t=scene.t + 0.25)
-    assert cb.reference(moved, saved(moved)).source == "closed form"
+    assert cb.reference(moved, Elapsed(saved(moved))).source == "closed form"
     if scene is FORCED_OSCILLATOR:
-        assert cb.reference(moved.with_(mass=1.7), saved(moved)).source == "closed form"
+        assert cb.reference(moved.with_(mass=1.7), Elapsed(saved(moved))).source == "closed form"
 
 
 # -- what other authors print ------------------------------------------------------------------------
@@ -47,7 +48,9 @@ def test_a_closed_form_is_that_of_any_start(scene):
 )
 def test_published_solutions_of_detest(scene, published):
     """Enright, Pryce, ACM Trans. Math. Softw. 13, 28 (1987), Algorithm 648: the end of E1 and E3, 16 digits printed."""
-    np.testing.assert_allclose(cb.reference(scene, [scene.t_end], ()).y[0, :2], published, rtol=0, atol=2e-14)
+    np.testing.assert_allclose(
+        cb.reference(scene, Elapsed([scene.t_end]), ()).y[0, :2], published, rtol=0, atol=2e-14
+    )
     end = cb.solve(scene, "contact-rkn6", step=0.05, save_at=[scene.t + scene.t_end], carry=()).y[0, :2]
     np.testing.assert_allclose(end, published, rtol=0, atol=1e-12)
 

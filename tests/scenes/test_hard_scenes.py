@@ -7,6 +7,7 @@ import pytest
 
 import contactbench as cb
 from cases import few_slow, mine, saved
+from contactbench.scene.base import Elapsed
 from contactbench.scenes import scenes_of
 from contactbench.study import stability
 from contactbench.study.stability import TOLERANCES, rows_of, settings
@@ -24,7 +25,7 @@ def test_every_hard_scene_has_a_truth(scene):
         run = cb.solve(scene, "scipy-dop853", rtol=1e-12, save_at=[scene.t_end])
         assert run.end_time == pytest.approx(float(time), abs=1e-9)  # another solver
         times = times[times < float(time)]
-    truth = cb.reference(scene, times)
+    truth = cb.reference(scene, Elapsed(times))
     assert truth.source in ("closed form", "frozen"), f"run python references/generate.py {scene.name}"
     assert truth.digits >= 30
 
@@ -39,7 +40,7 @@ SINGULAR = {"middle": (0.5, 0.0, 0.5), "least": (0.0, 0.5, 0.5), "two": (0.0, 0.
 @pytest.mark.parametrize("kernel", few_slow(SINGULAR, "least", "two"))
 def test_singular_damping_ends_in_a_steady_rotation_and_contact_methods_find_it(kernel):
     scene = cb.SCENES["singular_damping_2"].with_(damping=SINGULAR[kernel])
-    end = cb.reference(scene, [scene.t_end], ()).y[0]
+    end = cb.reference(scene, Elapsed([scene.t_end]), ()).y[0]
     slope = np.array(scene.rhs(cb.scene.BodyState(tuple(end))).M)
     assert np.abs(end).max() > 0.1
     assert np.abs(slope).max() < 1e-3 * np.abs(end).max()

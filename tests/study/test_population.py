@@ -11,6 +11,7 @@ import contactbench as cb
 from contactbench.measure.statistics import NORMAL, quantile_interval, wilson
 from contactbench.peers import heyoka
 from contactbench.report import population as report
+from contactbench.scene.base import Elapsed
 from contactbench.study import population, trial
 from contactbench.study.experiment import PROFILES
 from contactbench.study.features import features, force_cost
@@ -158,7 +159,7 @@ def test_an_error_that_no_setting_reaches_is_a_row_that_says_so():
 def test_truth_says_how_far_two_solvers_agree():
     problem = draw(SEED, "morse", 1)
     truth, source = population.truth_of(problem)
-    exact = cb.reference(problem.scene, truth.t, ()).y
+    exact = cb.reference(problem.scene, Elapsed(truth.t), ()).y
     gap = np.abs(truth.y - exact).max() / np.abs(exact).max()
     assert gap < 10.0 ** (1 - truth.digits)
     assert "heyoka" in source

@@ -21,7 +21,6 @@ from contactbench.truth.reference import (
     BLOW_UP_COLLAPSE,
     Reference,
     blow_up_time,
-    checked_times,
     confirmed,
     live,
     reference,
