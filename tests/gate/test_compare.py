@@ -6,10 +6,8 @@ import math
 import pytest
 
 from contactbench.gate.compare import compare_folders
-from contactbench.gate.removed import Removed
 from contactbench.tables.schema import TABLES, Rule
 from contactbench.tables.store import merge
-from frames import table
 from made_up import CLAIM, ROWS, RUN, folder, row, same, without
 
 
@@ -228,9 +226,3 @@ def test_every_column_has_a_rule_or_says_why_none(table):
         assert (column.rule is None) == bool(column.ungated) or not judged, name
         assert (column.rule is Rule.time) <= column.timed <= (column.rule in (None, Rule.time)), name
     assert {name for name in table.columns if name.endswith("_s")} <= set(table.timed)
-
-
-def test_a_seed_named_as_removed_takes_its_problems_out():
-    problems = [{"seed": seed, "scene": "toda-2-0", "method": "rk4", "error": 1e-3} for seed in (7, 11)]
-    left = Removed(seeds=[7]).take_out(TABLES["population"], table("population", problems))
-    assert left["seed"].tolist() == [11]

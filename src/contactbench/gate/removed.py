@@ -26,7 +26,6 @@ class Removed:
     tables: Sequence[str] = ()
     scenes: Sequence[str] = ()
     methods: Sequence[str] = ()
-    seeds: Sequence[int] = ()
     columns: Sequence[str] = ()
     engines: dict[str, str] = field(default_factory=dict)
     engine_of: dict[str, str] = field(default_factory=dict)
@@ -38,7 +37,7 @@ class Removed:
 
     def take_out(self, table: Table, rows: pd.DataFrame) -> pd.DataFrame:
         gone = pd.Series(table.name in self.tables, rows.index)
-        for name, names in {"scene": self.scenes, "method": self.methods, "seed": self.seeds}.items():
+        for name, names in {"scene": self.scenes, "method": self.methods}.items():
             if name in table.key:
                 gone |= rows[name].isin(names)
         if "engine" in table.columns:
