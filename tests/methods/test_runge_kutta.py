@@ -15,7 +15,6 @@ from chains import chain
 from contactbench.measure.order import order_at
 from contactbench.methods.by_tolerance import Explicit, RungeKuttaPair
 from contactbench.methods.runge_kutta import read_tableau, runge_kutta
-from contactbench.scene.base import Elapsed
 from contactbench.solution import Status
 from own_scenes import scene_of
 from trees import defects
@@ -115,7 +114,7 @@ def test_undamped_coordinates_solve_the_equations(name, scene):
     scene = scene_of(scene)
     chosen = {"rtol": 1e-12} if "-" in name else {"step": scene.t_end / 400}
     solution = cb.solve(scene, name, save_at=[scene.t_end], **chosen)
-    reference = cb.reference(scene, Elapsed([scene.t_end]))
+    reference = cb.reference(scene, [scene.t_end])
     assert np.abs(solution.y - reference.y).max() < 1e-8 * np.abs(reference.y).max(), "q, p and s"
 
 

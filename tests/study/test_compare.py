@@ -198,7 +198,7 @@ def test_control_c_ends_it_with_what_there_is(monkeypatch):
 
 
 def test_what_the_fewest_rounds_have_no_time_for_is_not_timed_and_says_so():
-    race, run = race_of("rk4", "contact-strang"), SimpleNamespace(bare=lambda y: None, start=None)
+    race, run = race_of("rk4", "contact-strang"), SimpleNamespace(bare_call=lambda: lambda: None)
     quick, _ = (tried(each, t, 1e-3, run=run) for each, t in zip(race.searches, (1e-3, 100.0), strict=True))
     race.time()
     assert race.times.keys() == {id(quick)}
