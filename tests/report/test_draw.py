@@ -12,10 +12,11 @@ from matplotlib.text import Text
 import contactbench as cb
 from contactbench import METHODS
 from contactbench.report import convergence, draw, laws, paper, work_precision
+from contactbench.report.chapters import Tables
 from contactbench.report.curves import MOST, cheapest, choose, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import CONTESTANTS, LOOKS, look
-from frames import row, table
+from frames import frames, row, table
 
 ERRORS = tuple(10.0**-k for k in range(1, 12))
 
@@ -100,7 +101,9 @@ def planted(name, made, orders):
 
 
 FIGURES = {
-    "work_precision": lambda: work_precision.figure(planted("work_precision", worked, ALL), "particle"),
+    "work_precision": lambda: work_precision.figure(
+        Tables(frames(), work_precision=planted("work_precision", worked, ALL)), "particle"
+    ),
     "convergence": lambda: convergence.figure(planted("convergence", converged, ORDERS)),
     "structure": lambda: laws.structure(planted("laws", deviated, ALL)),
 }
@@ -164,8 +167,20 @@ def test_a_title_names_first_who_is_cheaper_and_both_are_named(ratio):
         for method, scale in (("contact-rkn4", ratio), ("rk4", 1.0))
         for h in (0.2, 0.02, 0.002)
     ]
-    _, named = work_precision.message(table("work_precision", rows), "particle")
+    _, named = work_precision.message(frames(work_precision=rows), "particle")
     assert named == sorted(["contact-rkn4", "rk4"], reverse=ratio > 1)
+
+
+def test_a_title_has_the_verdict_of_the_tables_whose_margin_is_of_all_scenes():
+    """One noisy cell of a scene alone would make its methods a tie."""
+    rows = [
+        row(scene, method, h, solution_error=h**4, engine="llvm", time_min_s=scale / h, time_process_ratio=p)
+        for scene, cells in (("particle", [1.6]), ("oscillator", [1.0] * 30))
+        for method, scale in (("contact-rkn4", 1.0), ("rk4", 1.3))
+        for h, p in zip(np.geomspace(0.2, 0.002, max(3, len(cells))), [*cells, np.nan, np.nan], strict=False)
+    ]
+    title, named = work_precision.message(frames(work_precision=rows), "particle")
+    assert (named, "needs 77% of the time" in title) == (["contact-rkn4", "rk4"], True), title
 
 
 # -- files -----------------------------------------------------------------------------------------

@@ -198,7 +198,7 @@ def cheapest_parts(frames: Frames) -> list[Part]:
 def parts(frames: Frames) -> list[Part | None]:
     found: list[Part | None] = [motion_figure(frames["motion"]), at_equal_cost(frames, "mission")]
     if len(frames["work_precision"]):
-        drawn = work_precision.figure(frames["work_precision"], PICTURED)
+        drawn = work_precision.figure(frames, PICTURED)
         found.append(drawn and replace(drawn, caption=""))
         found += cheapest_parts(frames)
     questions = {chapter.file: chapter.question for chapter in chapters(frames) if chapter.name != NAME}

@@ -21,9 +21,6 @@ from contactbench.tables.contest import EVALUATIONS
 
 #: with which the others are compared under strong damping: a composition without steps against time
 BASE = "contact-strang"
-#: above this condition number the round-off of a solution is more than round-off
-WELL_CONDITIONED = 1e3
-LADDER = "Settings from coarse to fine; h/n: the time that an evaluation of a fixed-step method is worth."
 
 
 @lru_cache(2)

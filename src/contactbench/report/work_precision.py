@@ -140,7 +140,7 @@ def parts(frames: Frames) -> list[Part]:
     work, found = frames["work_precision"], all_contests(frames).values()
     by_error = [own for own in found if own.kind.by == "oracle"]
     scenes = [
-        Section(scene, (figure(work, scene), *(costs_view(own, scene) for own in by_error)))
+        Section(scene, (figure(frames, scene), *(costs_view(own, scene) for own in by_error)))
         for scene in dict.fromkeys(work["scene"])
     ]
     cheapest = (cheapest_view(own) for own in found if len(own.contests) and own.kind.name not in FIRST)
@@ -166,8 +166,8 @@ def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
     return rows[totals == best].drop_duplicates(["method", "setting"])
 
 
-def figure(work: pd.DataFrame, scene: str) -> Figure | None:
-    title, named = message(work, scene)
+def figure(frames: Frames, scene: str) -> Figure | None:
+    work, (title, named) = frames["work_precision"], message(frames, scene)
     drawn: list[str] = []
     panels = []
     for kind, (label, size) in AXES.items():
@@ -179,15 +179,18 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     return chart("work_precision", panels, f"work_precision_{scene}", title=title)
 
 
-def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
-    table = contests(costs(work[work["scene"] == scene], COMPILED))
+def message(frames: Frames, scene: str) -> tuple[str, list[str]]:
+    """Return the title of a scene's figure, by the contest that the tables have, and the methods that it names."""
+    table = all_contests(frames)[COMPILED.name].contests
+    table = table[table["scene"] == scene]
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
     if not len(table):
         return f"{scene}: cost against error", []
     row = table.iloc[(len(table) - 1) // 2]
     at, both, ratio = f"at {power(row['error'])}", [row["ours"], row["other"]], row["ratio"]
     if row["winner"] not in (OURS, OTHER):
-        return f"{scene}: {both[0]} and {both[1]} take about the same time {at}", both
+        found = "take about the same time" if row["winner"] == "tie" else "are too near for the clock"
+        return f"{scene}: {both[0]} and {both[1]} {found} {at}", both
     if row["winner"] == OTHER:
         both, ratio = both[::-1], 1 / ratio
     return f"{scene}: {both[0]} needs {1 / ratio:.0%} of the time of {both[1]} {at}", both
