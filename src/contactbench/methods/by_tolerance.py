@@ -543,13 +543,13 @@ class ToleranceRun(RunByTolerance):
         return y, Counts(int(tried - rejected), evaluations, 0, int(rejected), self.method_.kind)
 
     def pilot(self, y0: np.ndarray) -> Pilot:
-        """Take the steps as a pilot, nan where they do not lead to."""
+        """Take the steps as a pilot; saved states that are not reached are nan."""
         y, counts = self.taken(y0)
         saved = np.where(y[:, -1:] == 0, y[:, : len(y0)], math.nan)[self.saved]
         return Pilot(self, saved, counts, spent=self.is_spent(y, counts))
 
     def into(self, start: np.ndarray, after: np.ndarray) -> None:
-        """Return nothing: how many steps there are is known when they are taken."""
+        """Return None: the number of steps is known only afterwards."""
 
     def outcome(self, y0: np.ndarray, y: np.ndarray, counts: Counts) -> Outcome:
         return self.finish(y0, self.from_start(y0, y), counts)

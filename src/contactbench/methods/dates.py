@@ -70,7 +70,7 @@ def begin(
 
 
 def end(x: OwnState, origin: Arithmetic, begins: Arithmetic) -> OwnState:
-    """Return such a state with its time as others know it."""
+    """Return a state with its absolute time, in place of the time since its interval began."""
     return x._replace(t=origin + (begins + x.t))
 
 

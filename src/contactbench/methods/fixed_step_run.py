@@ -12,7 +12,7 @@ import numpy as np
 
 from contactbench.methods.dates import dates, division, from_origin
 from contactbench.methods.loops import StepLoop, is_fixed, total
-from contactbench.methods.prepared import Outcome, Pilot, Prepared, furthest
+from contactbench.methods.prepared import Outcome, Pilot, Prepared
 from contactbench.methods.prescribed import EQUAL, UNCOUNTED, ends_between, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
@@ -188,8 +188,7 @@ class FixedStepRun(Prepared):
 
     def lacks_a_step(self, y0: np.ndarray, good: np.ndarray, h: float, since: np.ndarray | None) -> bool:
         """Return whether a state of the size of the motion has no step of this size, where an iteration finds it."""
-        r = self.request
-        most = ORDINARY * furthest(r.scene, r.carry, y0, self._end)
+        most = ORDINARY * self.bounds(y0)
         after = self.intervals(y0, good, np.full(len(self.h), h), np.ones_like(self.n), since)[0]
         return bool(np.isnan(after).any() and (np.abs(good[: len(most)]) <= most).all())
 

@@ -164,7 +164,7 @@ class Prepared(ABC):
         #: times since the start that no step straddles, and how exact they are
         self.breaks = r.scene.breaks_until(self._end)
         self.saves_start = r.save_at[0] == 0
-        self._far = b"", np.empty(0)
+        self._bounds = b"", np.empty(0)
         #: the saved times > 0
         self.later = r.save_at[1:] if self.saves_start else r.save_at
 
@@ -283,11 +283,15 @@ class Prepared(ABC):
         largest = math.hypot(*y.ravel().tolist()) if y.size <= FEW else np.abs(y).max()
         if largest <= bound:  # nan fails every comparison
             return None
-        if self._far[0] != (given := y0.tobytes()):  # the pilots of a start all ask for the same
-            self._far = given, furthest(self.request.scene, self.request.carry, y0, self._end)
-        bounds = self._far[1]
-        bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, : self._motion]) <= bounds).all(axis=1))
+        bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, : self._motion]) <= self.bounds(y0)).all(axis=1))
         return int(np.argmax(bad)) if bad.any() else None
+
+    def bounds(self, y0: np.ndarray) -> np.ndarray:
+        """Return `furthest` from a packed state; the latest is kept, since all pilots of a start ask for it."""
+        known, given = self._bounds, y0.tobytes()  # another thread may replace what is kept
+        if known[0] != given:
+            known = self._bounds = given, furthest(self.request.scene, self.request.carry, y0, self._end)
+        return known[1]
 
     def scales(self, y0: np.ndarray) -> np.ndarray:
         """Return the scale of every component but the time of the motion from a packed state."""

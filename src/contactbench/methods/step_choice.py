@@ -47,9 +47,12 @@ LOST, TRUSTED = 1.0, 0.1
 #: the first pilot's step is at most about a period of the motion, as the start has it, of high orders, and as much
 #: less as the order is: longer ones all fly off alike, and no error falls as the order says
 PERIOD, HIGH = 6.0, 4
-#: times of the span at which a force that depends on them is looked at, by golden sections; the time to the next look
-#: in parts of the span, and in roundings; the first pilot's step in parts of the time in which the force changes
-LOOKS, GOLDEN, NEXT, APART, PUSHED = 8, 0.6180339887498949, 1e-9, 2.0**10, 2.0
+#: `push` evaluates the force at so many times of the span, spaced by golden sections
+LOOKS, GOLDEN = 8, 0.6180339887498949
+#: and again after this part of the span, or after so many roundings of the time where they are longer
+NEXT, APART = 1e-9, 2.0**10
+#: the first pilot's step is at most so many times the time scale of the force
+PUSHED = 2.0
 #: right-hand sides that the period takes, and the distance between them, relative to the motion
 PROBES, BESIDE = 3, 1e-6
 #: gaps are rounding errors where after one below the first of these they neither fall nor grow, as slopes, beyond the
@@ -57,9 +60,9 @@ PROBES, BESIDE = 3, 1e-6
 ROUNDED, STUCK, GROWN = 1e-6, 0.7, 20.0
 #: gaps that differ from the one foretold by this factor at most agree
 AGREE = 2.0
-#: powers of the factor by which a gap is above, or below, the one foretold: so many times the error may be larger
+#: a gap that is off the one foretold by a factor makes the error larger by this power of it, above and below
 ABOVE, BELOW = 3, 2
-#: as many times as the gap over the part of the steps by which they are shorter an error is at most, where gaps fall
+#: where gaps fall, an error is at most so many times the slope of its gap
 MOST = 2.0
 #: saved states from which on two pilots that agree need no third one
 MANY = 32
@@ -67,11 +70,11 @@ MANY = 32
 ROUND_OFF = 1e-13
 #: steps of a first pilot at most, and a hundredth of it for every unit of the motion's time; octaves of more steps
 WILD, SPENT = 1e4, 6
-#: steps that follow the motion are those of another motion if their number grows by another factor, this much off
+#: of steps that follow the motion: pilots have followed different motions if their numbers of steps are this far off
 OTHER = 1.25
 #: pilots in a row that leave any scale, after which a method with step control is asked whether the motion does
 BLOWN, WITNESS, WITNESS_RTOL = 3, "rk8-7", 1e-8
-#: steps of such a pilot after twice as many of them that end the search, and octaves
+#: the search ends at a pilot of so many steps after twice as many in a row, or so many octaves below the first
 LAST, OCTAVES = 10**6, 20
 #: a pilot's step is at most so many times shorter than that of the one before, where they agree once, and again
 NEAR, FAR = 4.0, 32.0
@@ -108,7 +111,7 @@ class Room:
         return known()
 
     def prepare(self, rung: int) -> Callable[[], Pilot]:
-        """Return the pilot as a function of nothing, all it needs in place."""
+        """Prepare the pilot as a function without arguments, on memory that is allocated once."""
         run = self.chosen.run_at(rung)
         octaves = math.log2(self.chosen.first / run.steps_taken[1])
         self.rungs[rung] = max(rung, math.floor(RUNGS * octaves))
@@ -361,7 +364,7 @@ class ChosenStep(Prepared):
         return self.nothing(pilot.counts, Status.failed, message)
 
     def failed(self, y0: np.ndarray, pilot: Pilot) -> Outcome:
-        """Return the outcome of the last pilot, of more steps than it is worth to take, in terms of the tolerance."""
+        """Return the outcome of the last pilot of a search that is given up, its message in terms of rtol."""
         out: Outcome = pilot.run.integrate(y0)
         step, rtol = pilot.run.steps_taken[0], self.request.rtol
         if out.status is Status.failed:
@@ -383,7 +386,7 @@ class ChosenStep(Prepared):
         return out if out.status is Status.diverged else None, out.counts.evaluations or 0
 
     def until(self, y0: np.ndarray, end: Outcome, pilot: Pilot, evaluations: int) -> Choice:
-        """Return what is saved before a motion ends, to the tolerance, and that it ends."""
+        """Solve for the saved times before the motion ends; return these states with the status `diverged`."""
         before = self.request.save_at[self.request.save_at < end.end_time]
         out = self.nothing(pilot.counts, Status.diverged, end.message, end.end_time)
         if len(before) and before[-1] > 0:
@@ -402,9 +405,9 @@ class ChosenStep(Prepared):
         return max(math.ceil(RUNGS * math.log2(self.first / longest)), 0) if longest < self.first else 0
 
     def push(self) -> float:
-        """Return the time in which a force changes that depends on it, as it is at the start; infinite for one at rest.
+        """Return the time scale on which the force at the start's position changes; infinite where it does not.
 
-        Steps of a period of the force, and halves of them, all meet it in the same phase.
+        Pilots whose steps are whole periods of the force meet it in one phase, and agree on a wrong motion.
         """
         scene, span, begins = self.request.scene, self._end, self.request.scene.begins
         near = max(NEXT * span, APART * math.ulp(abs(begins) + span))
@@ -423,7 +426,7 @@ class ChosenStep(Prepared):
         return math.inf
 
     def time_scale_at(self, y: np.ndarray) -> Callable[[], float]:
-        """Return the function that gives 1/ω of the motion at what a packed state holds when it is called.
+        """Return a function that gives 1/ω of the motion at the packed state y, read when it is called.
 
         ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still.
         """

@@ -95,7 +95,7 @@ class Elapsed(NamedTuple):
 
 
 def time_between(start: float, end: float) -> float:
-    """Return end − start of the decimals that they print as: 2.05 − 0.75 is 1.3."""
+    """Return end − start, computed from their printed decimals: 2.05 − 0.75 is 1.3."""
     return float(Decimal(repr(end)) - Decimal(repr(start))) if start else end
 
 
@@ -658,12 +658,12 @@ class Scene(System):
 
     @property
     def alike(self) -> Sequence[int]:
-        """Return how many components each vector of the motion has whose components share a unit."""
+        """Return the lengths of the vectors of the motion, each of components that share a unit."""
         return [1] * self.motion
 
     @property
     def vectors(self) -> Sequence[int]:
-        """Return the same, or where the user says their scale each component by itself."""
+        """Return `alike`, or ones where the user gives each component a scale of its own."""
         return self.alike if self.scale is None else [1] * self.motion
 
     def groups(self, carry: Sequence[str]) -> list[int]:
