@@ -94,7 +94,7 @@ def test_a_tighter_setting_that_is_sooner_done_stands_at_the_looser_error_too(fr
     coarse, fine, finest = (
         tried(race.searches[0], 0.0, e, e, evaluations=round(1 / e), kind="rhs") for e in errors[:3]
     )
-    race.times = {id(coarse): {"time_median_s": 182e-6}, id(fine): {"time_median_s": 111e-6}}
+    race.times = {id(coarse): {"time_min_s": 182e-6}, id(fine): {"time_min_s": 111e-6}}
     assert [compare.soonest(race, race.searches[0], error) for error in errors] == [fine, fine, finest, None]
     for _, rows in frame[frame["time_s"].notna()].groupby("method"):
         assert rows.sort_values("error_asked")["time_s"].is_monotonic_decreasing

@@ -236,11 +236,11 @@ def least_time(race: Schedule, search: Search, error: float) -> float:
 
 
 def soonest(race: Schedule, search: Search, error: float) -> Attempt | None:
-    """Return the setting that reaches an error and is soonest done; one for a smaller error may be."""
+    """Return the setting that reaches an error and is soonest done, by its least round: one for less may be."""
     if race.chosen(search, error) is None:
         return None
     reach = filter(None, (race.chosen(search, e) for e in race.question.errors if e <= error))
-    return min(reach, key=lambda a: race.times.get(id(a), {}).get("time_median_s", math.inf))
+    return min(reach, key=lambda a: race.times.get(id(a), {}).get("time_min_s", math.inf))
 
 
 def unreached(race: Schedule, search: Search, error: float) -> Row:
