@@ -17,11 +17,11 @@ from contactbench.errors import BadInput
 from contactbench.measure.clock import Call
 from contactbench.measure.isolation import bind
 from contactbench.methods import METHODS
+from contactbench.runs import population
+from contactbench.runs.experiment import PROFILES, Experiment, experiments
+from contactbench.runs.runner import Run, Task
+from contactbench.runs.timetable import Timetable
 from contactbench.scenes import SCENES
-from contactbench.study import population
-from contactbench.study.experiment import PROFILES, Experiment, experiments
-from contactbench.study.runner import Run, Task
-from contactbench.study.timetable import Timetable
 from contactbench.tables.cells import DiskFull, disk
 
 #: what this process may use before it is bound to one of them
@@ -246,7 +246,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 
 
 def write_report(results: Path) -> None:
-    from contactbench.report import write
+    from contactbench.questions import write
 
     bind(CORES)  # nothing is timed any more
     readme = REPOSITORY / "README.md"

@@ -7,10 +7,10 @@ from typing import Any
 import pandas as pd
 
 from contactbench.report.chapters import Tables
+from contactbench.runs.search import Attempt, Search
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Status
 from contactbench.study.schedule import Schedule
-from contactbench.study.search import Attempt, Search
 from contactbench.tables.schema import TABLES
 from contactbench.tables.store import set_types
 

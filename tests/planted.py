@@ -45,7 +45,7 @@ NAMES = ("planted-hang", "planted-crash", "planted-raise", "planted-nan", "plant
 
 def row(method):
     """A row of the stability table, made where the planted methods are registered."""
-    from contactbench.study.stability import stability_row
+    from contactbench.runs.stability import stability_row
 
     for name in NAMES:
         if name not in METHODS:
@@ -69,7 +69,7 @@ class Truth(Planted):
 
 def attempt(run, cells, timetable=None):
     """As that of the runner, of cells one of which takes its process down and one fails."""
-    from contactbench.study import runner
+    from contactbench.runs import runner
 
     def measure(own, task, timetable=None):
         if "rk4" in task.cell:

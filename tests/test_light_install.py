@@ -57,8 +57,8 @@ def test_what_is_missing_is_one_line_with_the_command():
 def test_a_method_is_checked_and_timed_on_the_engines_that_are_there():
     printed = without_extras("""
         from contactbench import cli
-        from contactbench.study.choice import engines
-        from contactbench.study.experiment import PROFILES
+        from contactbench.runs.choice import engines
+        from contactbench.runs.experiment import PROFILES
         from contactbench.testing import check_method
         found = check_method(cb.METHODS["rk4"], scenes=[cb.SCENES["oscillator"]])
         print("checked", sorted({each.engine for each in found}))

@@ -19,7 +19,7 @@ from cases import REPOSITORY, bench, finished, run
 from contactbench import plugins
 from contactbench.cli import main
 from contactbench.limits import VARIABLE
-from contactbench.report import write
+from contactbench.questions import write
 from contactbench.tables.declared import CONVERGENCE, WORK_PRECISION
 from contactbench.tables.provenance import runs
 from contactbench.tables.store import read

@@ -46,7 +46,7 @@ SELDOM = {"scipy", "numpy.polynomial", "difflib", "logging", "concurrent.futures
         ("from contactbench.methods import METHODS", HEAVY | SELDOM),
         ("from contactbench.cli import main; main(['--help'])", HEAVY | SELDOM),
         ("from contactbench.cli import main; main(['list'])", HEAVY),
-        ("import contactbench.report.write", {"jax", "diffrax", "heyoka", "sksundae"}),
+        ("import contactbench.questions.write", {"jax", "diffrax", "heyoka", "sksundae"}),
     ],
 )
 def test_nothing_more_is_loaded_and_the_environment_is_left_alone(statement, without):

@@ -17,7 +17,7 @@ from cases import few_slow, run
 from contactbench.cli import main, parsing
 from contactbench.files import replacing
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.report import write
+from contactbench.questions import write
 from contactbench.testing import METHOD_RULES, SCENE_RULES
 
 RUN = "solve particle rk4 --step 0.1 --t-end 1"

@@ -6,9 +6,9 @@ import pytest
 
 from contactbench.gate import compare, speed
 from contactbench.measure import clock, law, statistics
-from contactbench.study import timetable
+from contactbench.runs import timetable
+from contactbench.runs.problems import FAMILIES
 from contactbench.study.compare import BUDGET
-from contactbench.study.problems import FAMILIES
 from contactbench.truth import survey
 
 #: the shortest pulse that is seen, in parts of the span

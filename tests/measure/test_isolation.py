@@ -10,7 +10,7 @@ import pytest
 import contactbench as cb
 import planted
 from contactbench.measure.isolation import Worker
-from contactbench.study.stability import rows_of
+from contactbench.runs.stability import rows_of
 
 EXPECTED = {
     "planted-hang": ("timeout", "no result after 2 s"),
@@ -62,7 +62,7 @@ def test_a_fault_of_the_experiment_is_no_row():
 ASKER = """
 import os, time
 from contactbench.measure.isolation import Worker
-from contactbench.study.stability import rows_of
+from contactbench.runs.stability import rows_of
 
 if __name__ == "__main__":
     with Worker() as worker:

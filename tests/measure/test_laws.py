@@ -13,12 +13,12 @@ from contactbench.measure import laws
 from contactbench.measure.law import JUDGEMENT, conformal, relative_deviation
 from contactbench.measure.laws import LAWS, laws_of, row
 from contactbench.methods import prepared
+from contactbench.runs.search import Question
+from contactbench.runs.settings import times as save_times
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import norms
 from contactbench.scenes.driven import DRIVEN
 from contactbench.solution import Solution, Status
-from contactbench.study.search import Question
-from contactbench.study.settings import times as save_times
 from contactbench.truth import OutOfTime
 from own_scenes import TIMED, UNDERFLOW
 

@@ -7,8 +7,8 @@ import pytest
 
 import contactbench as cb
 from contactbench.measure import stability as linear
+from contactbench.runs.stability import overdamped_row, weak_row
 from contactbench.scene import State
-from contactbench.study.stability import overdamped_row, weak_row
 from planted import Truth
 
 METHODS = [linear.kernel(method) for method in linear.fixed_step_methods()]

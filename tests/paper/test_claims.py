@@ -15,7 +15,7 @@ from contactbench.paper import CLAIMS, Correction, Verdict, algebra, geometry, i
 from contactbench.paper.curves import FIGURES, rows
 from contactbench.paper.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
 from contactbench.paper.ledger import BOUNDS, Claim, Measurement
-from contactbench.report import paper
+from contactbench.questions import paper
 from contactbench.scene import Mechanical, RigidBody
 from contactbench.splitting.tables import COMPOSITIONS
 from contactbench.tables.declared import CLAIMS_TABLE, PAPER_FIGURES

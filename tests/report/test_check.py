@@ -8,7 +8,7 @@ import pytest
 from cases import REPOSITORY
 from contactbench.cli import main
 from contactbench.gate import trees
-from contactbench.report.write import README_PART
+from contactbench.questions.write import README_PART
 from contactbench.tables.declared import CONVERGENCE, LAWS_TABLE
 from contactbench.tables.store import merge
 from frames import row

@@ -11,7 +11,8 @@ from matplotlib.text import Text
 
 import contactbench as cb
 from contactbench import METHODS
-from contactbench.report import convergence, draw, laws, paper, work_precision
+from contactbench.questions import convergence, laws, paper, work_precision
+from contactbench.report import draw
 from contactbench.report.chapters import Tables
 from contactbench.report.curves import MOST, cheapest, choose, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel

@@ -7,14 +7,16 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench.report import markdown, race, structure, work_precision
-from contactbench.report.headline import at_equal_cost, cost_answers, overview
-from contactbench.report.laws import along_time, equal_cost_view, least_errors, most_met_cost
+from contactbench.questions import structure, work_precision
+from contactbench.questions.contest import COMPILED
+from contactbench.questions.headline import at_equal_cost, cost_answers, overview
+from contactbench.questions.laws import along_time, equal_cost_view, least_errors, most_met_cost
+from contactbench.questions.stability import ending, rates_view, started_runs
+from contactbench.questions.write import glossary
+from contactbench.report import markdown
 from contactbench.report.numbers import duration
-from contactbench.report.stability import ending, rates_view, started_runs
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
-from contactbench.report.write import glossary
-from contactbench.tables.contest import COMPILED
+from contactbench.study import race
 from contactbench.tables.schema import TABLES
 from frames import frames, row, table
 

@@ -7,10 +7,10 @@ import pytest
 
 import contactbench as cb
 from cases import few_slow, mine, saved
+from contactbench.runs import stability
+from contactbench.runs.stability import TOLERANCES, rows_of, settings
 from contactbench.scene.base import Elapsed
 from contactbench.scenes import scenes_of
-from contactbench.study import stability
-from contactbench.study.stability import TOLERANCES, rows_of, settings
 from contactbench.truth import blow_up_time, condition_number
 
 HARD = scenes_of("stability")

@@ -13,12 +13,11 @@ import pytest
 import contactbench as cb
 from cases import Clock, reading
 from contactbench.methods.base import ENGINES
-from contactbench.report import race
+from contactbench.runs.search import Search
+from contactbench.runs.settings import ENDS, carry_of
 from contactbench.scene import rotation_matrix
-from contactbench.study import compare, schedule
+from contactbench.study import compare, race, schedule
 from contactbench.study.compare import COLUMNS, with_reasons, with_verdicts
-from contactbench.study.search import Search
-from contactbench.study.settings import ENDS, carry_of
 from contactbench.truth import OutOfTime
 from frames import race_of, tried
 

@@ -7,8 +7,8 @@ import pytest
 import contactbench as cb
 import planted_faults
 from contactbench.methods.contact import contact_method
+from contactbench.runs.definitions import FOLLOWED, STEPPED, method_lines, row
 from contactbench.splitting.tables import COMPOSITIONS
-from contactbench.study.definitions import FOLLOWED, STEPPED, method_lines, row
 
 
 @pytest.mark.parametrize("scene", cb.SCENES.values(), ids=cb.SCENES)

@@ -14,16 +14,16 @@ from contactbench.measure.laws import errors_of
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.paper import CLAIMS
 from contactbench.paper.curves import FIGURES
+from contactbench.runs import choice, work_precision
+from contactbench.runs.choice import DEAR, SMOKE
+from contactbench.runs.claims import LONG
+from contactbench.runs.decay import COSTS, SAVES, evaluations, value_at
+from contactbench.runs.experiment import PROFILES, Timing, experiments
+from contactbench.runs.search import step_at, tolerance_at
+from contactbench.runs.settings import DEAREST, ENDS, finer_steps, steps
+from contactbench.runs.timetable import SAMPLE, SPARED, Entry, Timetable
+from contactbench.runs.work_precision import errors, evaluations_spread, ladder, passes_through, runs
 from contactbench.scenes import scenes_of
-from contactbench.study import choice, work_precision
-from contactbench.study.choice import DEAR, SMOKE
-from contactbench.study.claims import LONG
-from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
-from contactbench.study.experiment import PROFILES, Timing, experiments
-from contactbench.study.search import step_at, tolerance_at
-from contactbench.study.settings import DEAREST, ENDS, finer_steps, steps
-from contactbench.study.timetable import SAMPLE, SPARED, Entry, Timetable
-from contactbench.study.work_precision import errors, evaluations_spread, ladder, passes_through, runs
 from contactbench.tables.declared import DEFINITIONS, WORK_PRECISION
 from contactbench.tables.schema import PROFILES as NAMES
 from contactbench.tables.store import read

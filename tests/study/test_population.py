@@ -10,13 +10,13 @@ import pytest
 import contactbench as cb
 from contactbench.measure.statistics import NORMAL, quantile_interval, wilson
 from contactbench.peers import heyoka
-from contactbench.report import population as report
+from contactbench.questions import population as report
+from contactbench.runs import population, trial
+from contactbench.runs.experiment import PROFILES
+from contactbench.runs.features import features, force_cost
+from contactbench.runs.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, SEED, draw
+from contactbench.runs.search import Question
 from contactbench.scene.base import Elapsed
-from contactbench.study import population, trial
-from contactbench.study.experiment import PROFILES
-from contactbench.study.features import features, force_cost
-from contactbench.study.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, SEED, draw
-from contactbench.study.search import Question
 from contactbench.tables.declared import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
 
 #: those that start at the bottom of a well whose smallest frequency is ω

@@ -9,7 +9,7 @@ import pytest
 import contactbench as cb
 from cases import mine
 from contactbench.measure.clock import Race, Visit
-from contactbench.report import race
+from contactbench.study import race
 from contactbench.study.compare import frame_of
 from contactbench.study.recommendation import recommendation
 from frames import race_of, tried

@@ -5,9 +5,9 @@ import pytest
 import contactbench as cb
 import planted
 from cases import refusal
-from contactbench.study import runner
-from contactbench.study.experiment import PROFILES, Experiment, experiments
-from contactbench.study.runner import Run, Task
+from contactbench.runs import runner
+from contactbench.runs.experiment import PROFILES, Experiment, experiments
+from contactbench.runs.runner import Run, Task
 from contactbench.tables.cells import Cells
 from contactbench.tables.declared import CONVERGENCE, DEFINITIONS
 from contactbench.tables.store import read

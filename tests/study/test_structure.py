@@ -3,7 +3,7 @@
 import pytest
 
 import contactbench as cb
-from contactbench.study import structure
+from contactbench.runs import structure
 from contactbench.tables.declared import STRUCTURE_BUYS
 
 SHORT = ("chaotic_ring", 1e-3, 200.0)

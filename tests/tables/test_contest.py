@@ -5,9 +5,9 @@ import math
 import pytest
 
 from contactbench.measure.law import is_kept
-from contactbench.tables import contest
-from contactbench.tables.contest import COMPILED, EVALUATIONS, TARGETS, contests, costs
-from contactbench.tables.judgement import law_rows
+from contactbench.questions import contest
+from contactbench.questions.contest import COMPILED, EVALUATIONS, TARGETS, contests, costs
+from contactbench.questions.judgement import law_rows
 from frames import frames, row, table
 
 

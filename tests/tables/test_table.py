@@ -11,7 +11,7 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY
 from contactbench.measure.law import STRUCTURE
-from contactbench.study.choice import controlled
+from contactbench.runs.choice import controlled
 from contactbench.tables import declared, provenance
 from contactbench.tables.declared import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 from contactbench.tables.schema import TABLES, Rule

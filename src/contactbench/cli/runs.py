@@ -166,7 +166,7 @@ def compare(arguments: argparse.Namespace) -> int:
         writable(f"--{option}", getattr(arguments, option), kinds)
     one_core()
     import contactbench as cb
-    from contactbench.report import race
+    from contactbench.study import race
 
     if errors := [word for word in arguments.method + arguments.more if is_number(word)]:
         given = f"--error {' '.join([arguments.error, *errors])}"

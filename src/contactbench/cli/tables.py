@@ -38,7 +38,7 @@ LABELS |= {"corrected_evidence": "measured"}
 
 def report(arguments: argparse.Namespace) -> int:
     import contactbench as cb
-    from contactbench.report import write
+    from contactbench.questions import write
 
     results, readme = arguments.results, arguments.readme
     registries = {"methods": cb.METHODS, "scenes": cb.SCENES}
@@ -61,10 +61,10 @@ def report(arguments: argparse.Namespace) -> int:
 def bench(arguments: argparse.Namespace) -> int:
     import contactbench as cb
     from contactbench.plugins import brought
-    from contactbench.report import write
-    from contactbench.study import runner
+    from contactbench.questions import write
+    from contactbench.runs import runner
+    from contactbench.runs.experiment import PROFILES
     from contactbench.study.ending import ending
-    from contactbench.study.experiment import PROFILES
 
     own = bool(brought()) and not arguments.all
     selection = " ".join([runner.OWN_ALONE] * own + [arguments.k] * bool(arguments.k))

@@ -33,7 +33,7 @@ from contactbench.gate.compare import (
 )
 from contactbench.gate.removed import Removed
 from contactbench.plugins import brought
-from contactbench.report.write import computed_part
+from contactbench.questions.write import computed_part
 from contactbench.tables import provenance
 from contactbench.tables.schema import TABLES, Rule, Table
 from contactbench.tables.store import OldTable, read

@@ -82,9 +82,13 @@ class Chapter:
 CHAPTERS = Registry("chapter", Chapter)
 
 
+#: where the questions are
+QUESTIONS = "contactbench.questions"
+
+
 # -- the chapters of this package: their prose is data -------------------------------------------------
 PROSE: dict[str, dict[str, Any]] = tomllib.loads(
-    files(__package__).joinpath("chapters.toml").read_text(encoding="utf-8")
+    files(QUESTIONS).joinpath("chapters.toml").read_text(encoding="utf-8")
 )
 #: the entries of all chapters, by name
 VIEWS, CHARTS = (
@@ -142,7 +146,7 @@ def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
 
 def discovered() -> dict[str, Chapter]:
     """Return every chapter; the modules of this package are imported for it."""
-    import_modules(__package__, without=("draw", "write"))  # these need matplotlib, which takes long to load
+    import_modules(QUESTIONS, without=("write",))  # these need matplotlib, which takes long to load
     return CHAPTERS
 
 

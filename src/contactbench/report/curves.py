@@ -12,8 +12,7 @@ import pandas as pd
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.report.drawing import Axis, Curve, Span
-from contactbench.report.look import CONTESTANTS, look
-from contactbench.tables.contest import CONTACT
+from contactbench.report.look import CONTACT, CONTESTANTS, look
 
 #: errors below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17

@@ -16,17 +16,17 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.measure.laws import laws_of
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.base import METHODS
-from contactbench.report.race import symbol
+from contactbench.questions.contest import CUT, standings
+from contactbench.runs.experiment import Row
+from contactbench.runs.search import Attempt, Search
+from contactbench.runs.settings import ENDS, carry_of, times
 from contactbench.scene import Scene
 from contactbench.scene.base import scene_of
 from contactbench.solution import Solution
-from contactbench.study.experiment import Row
 from contactbench.study.field import field
+from contactbench.study.race import symbol
 from contactbench.study.recommendation import recommendation
 from contactbench.study.schedule import LEFT_OUT, Schedule
-from contactbench.study.search import Attempt, Search
-from contactbench.study.settings import ENDS, carry_of, times
-from contactbench.tables.contest import CUT, standings
 from contactbench.truth import Reference
 
 ERRORS = (1e-3, 1e-6, 1e-9)

@@ -9,7 +9,7 @@ from pathlib import Path
 from contactbench.errors import BadInput, one_line
 from contactbench.gate import revisions
 from contactbench.gate.compare import compare_folders
-from contactbench.report import headline, write
+from contactbench.questions import headline, write
 
 WIDTH = 100
 #: measures that moved, shown by name

@@ -12,13 +12,13 @@ from contactbench.errors import BadInput
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.methods.base import METHODS
 from contactbench.plugins import brought
+from contactbench.questions.contest import CONTACT
+from contactbench.questions.regret import COSTS, regrets
+from contactbench.runs.features import features
+from contactbench.runs.problems import DAMPING
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
-from contactbench.study.features import features
-from contactbench.study.problems import DAMPING
-from contactbench.tables.contest import CONTACT
 from contactbench.tables.declared import results
-from contactbench.tables.regret import COSTS, regrets
 
 #: solvers that every reader knows: they race on every scene
 KNOWN = ("rk4", "scipy-dop853", "cyrk-dop853", "cvode-adams")

@@ -8,9 +8,9 @@ import pandas as pd
 
 from contactbench.measure.statistics import WIDEST, Verdict
 from contactbench.methods.base import METHODS
+from contactbench.questions.contest import CONTACT, CUT
 from contactbench.report.numbers import count, duration, exact_power, names, times
-from contactbench.report.race import kept_and_unknown
-from contactbench.tables.contest import CONTACT, CUT
+from contactbench.study.race import kept_and_unknown
 
 #: solvers of other libraries that are named beside the fastest
 PEERS = 2

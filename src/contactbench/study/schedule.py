@@ -18,13 +18,13 @@ from contactbench.measure.clock import VISITS, Call, Race, Visit, least, ratio_c
 from contactbench.measure.laws import row as laws_row
 from contactbench.measure.statistics import PROCESSES, margin, ties
 from contactbench.methods.base import prepare
+from contactbench.questions.contest import CUT
+from contactbench.runs.experiment import Row
+from contactbench.runs.search import Attempt, Question, Search
+from contactbench.runs.settings import ENDS, carry_of, setting_to, times
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.solution import GROWING, Solution
-from contactbench.study.experiment import Row
-from contactbench.study.search import Attempt, Question, Search
-from contactbench.study.settings import ENDS, carry_of, setting_to, times
-from contactbench.tables.contest import CUT
 from contactbench.truth import OutOfTime, Reference, confirmed, reference
 
 #: by when, in parts of the budget, the reference (half of it is for high precision, the rest for two solvers), its

@@ -16,15 +16,15 @@ from contactbench.measure.statistics import costs_to_reach
 from contactbench.methods.base import Method, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.peers.heyoka import SHARED
+from contactbench.questions.regret import WORST
+from contactbench.runs.experiment import Row
+from contactbench.runs.features import Features
+from contactbench.runs.search import Attempt, Question, cheapest
+from contactbench.runs.settings import carry_of
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
 from contactbench.solution import Solution, Status, keywords
-from contactbench.study.experiment import Row
-from contactbench.study.features import Features
-from contactbench.study.search import Attempt, Question, cheapest
-from contactbench.study.settings import carry_of
-from contactbench.tables.regret import WORST
 from contactbench.truth import Reference
 
 #: of what compiles for every tolerance, the only ones

@@ -10,12 +10,7 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
-from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
-from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.numbers import DASH, count, duration, how_often, power, times
-from contactbench.report.views import Cell, Mark, View, grid, matrix
-from contactbench.tables.contest import (
+from contactbench.questions.contest import (
     COMPILED,
     CONTACT,
     EVALUATIONS,
@@ -30,6 +25,11 @@ from contactbench.tables.contest import (
     of_this_package,
     standings,
 )
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
+from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
+from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.numbers import DASH, count, duration, how_often, power, times
+from contactbench.report.views import Cell, Mark, View, grid, matrix
 
 LEGEND: str = PROSE["work_precision"]["legend"]
 #: by kind of cost

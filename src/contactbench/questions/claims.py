@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from contactbench.report import paper
+from contactbench.questions import paper
 from contactbench.report.chapters import Answer, Frames, Part, Section, Text, chapter, view
 from contactbench.report.drawing import Figure
 from contactbench.report.numbers import DASH, how_often

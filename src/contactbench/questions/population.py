@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, quantile_interval, wilson
+from contactbench.questions.contest import CONTACT, OTHER, OURS
+from contactbench.questions.regret import COSTS, regrets
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, view
 from contactbench.report.numbers import DASH, power, times
 from contactbench.report.views import Cell, Mark, View, frame_of
-from contactbench.tables.contest import CONTACT, OTHER, OURS
-from contactbench.tables.regret import COSTS, regrets
 
 #: costs in words, and the questions about them
 LABELS = {"evaluations": "evaluations", "time_s": "compiled time"}

@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import COUNTED, costs_to_reach, ties
+from contactbench.questions.contest import CONTACT
 from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import by_method, choose, floats, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.numbers import duration, names, power, scientific, times
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
-from contactbench.tables.contest import CONTACT
 
 #: how far the energy left may be off
 ALLOWED = 0.01

@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import ALIKE, COUNTED
+from contactbench.questions.contest import EVALUATIONS
+from contactbench.questions.laws import least_errors
+from contactbench.questions.work_precision import Contest, contest, losses_view, tally, winners_view
 from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import by_method, choose, highest, only
 from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.laws import least_errors
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
-from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
-from contactbench.tables.contest import EVALUATIONS
 
 #: with which the others are compared under strong damping: a composition without steps against time
 BASE = "contact-strang"

@@ -9,11 +9,11 @@ import numpy as np
 import contactbench as cb
 from contactbench.measure.law import relative_deviation
 from contactbench.measure.laws import LAWS, energies, row
+from contactbench.runs.choice import affordable, outcome, pairs, step_budget
+from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
+from contactbench.runs.settings import halving_steps, times
 from contactbench.scene.base import Elapsed
 from contactbench.solution import Solution, keywords
-from contactbench.study.choice import affordable, outcome, pairs, step_budget
-from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
-from contactbench.study.settings import halving_steps, times
 from contactbench.tables.declared import LAWS_TABLE, LAWS_TIME
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]

@@ -8,7 +8,10 @@ from itertools import islice
 
 import pandas as pd
 
-from contactbench.report import claims, convergence, laws, population, structure, work_precision
+from contactbench.questions import claims, convergence, laws, population, structure, work_precision
+from contactbench.questions.contest import OTHER
+from contactbench.questions.judgement import law_rows
+from contactbench.questions.laws import cost_cells, law_label, most_met_cost
 from contactbench.report.chapters import (
     PROSE,
     Answer,
@@ -23,12 +26,9 @@ from contactbench.report.chapters import (
 )
 from contactbench.report.curves import floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.laws import cost_cells, law_label, most_met_cost
 from contactbench.report.numbers import DASH, duration, how_often, names
 from contactbench.report.views import Cell, View, frame_of
-from contactbench.tables.contest import OTHER
 from contactbench.tables.declared import ORBIT, TRUTH
-from contactbench.tables.judgement import law_rows
 
 NAME = "README"
 #: the scene whose work–precision picture stands here

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from contactbench.report import population, stability, structure
+from contactbench.questions import population, stability, structure
+from contactbench.questions.contest import CONTACT
+from contactbench.questions.regret import COSTS, regrets
 from contactbench.report.chapters import PROSE, Frames, Part, Section, Text, chapter, view
 from contactbench.report.numbers import DASH, names, power, times
 from contactbench.report.views import Cell, View, frame_of
-from contactbench.tables.contest import CONTACT
-from contactbench.tables.regret import COSTS, regrets
 
 NAME = "which"
 #: kinds of problem and the families that are of each, None: all the others; and the questions, in order

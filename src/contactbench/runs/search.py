@@ -15,12 +15,12 @@ from contactbench.methods.base import ENGINES, METHODS, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import IMPLICIT, Prepared
 from contactbench.numbers.protocol import CannotRecord
+from contactbench.runs.experiment import Row
+from contactbench.runs.settings import ENDS, carry_of, control_of, setting_to, steps, times, tolerances
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
 from contactbench.solution import Counts, Solution, Status
-from contactbench.study.experiment import Row
-from contactbench.study.settings import ENDS, carry_of, control_of, setting_to, steps, times, tolerances
 from contactbench.truth import OutOfTime, Reference
 
 

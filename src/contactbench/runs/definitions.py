@@ -18,9 +18,9 @@ from contactbench.methods.base import METHODS, Method
 from contactbench.methods.contact_exact import ExactMethod
 from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.runs.experiment import Cell, Profile, Recorded, experiment
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
-from contactbench.study.experiment import Cell, Profile, Recorded, experiment
 from contactbench.tables.declared import DEFINITIONS
 from contactbench.truth import decimal_context, with_decimals
 

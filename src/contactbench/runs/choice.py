@@ -9,10 +9,10 @@ from zlib import crc32
 from contactbench.methods import METHODS
 from contactbench.methods.base import Method
 from contactbench.plugins import OWN
+from contactbench.runs.experiment import Profile, Row
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
 from contactbench.solution import Solution, setting_key
-from contactbench.study.experiment import Profile, Row
 
 #: in the smoke profile what is soon compiled on one scene, and on every other one of our methods and one of theirs
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")

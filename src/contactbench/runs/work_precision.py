@@ -17,14 +17,11 @@ from contactbench.measure.laws import errors_of
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
-from contactbench.scene import Scene
-from contactbench.scene.base import Elapsed
-from contactbench.scenes import scenes_of
-from contactbench.solution import EXACT, GROWING, PILOTS
-from contactbench.study.choice import SMOKE, controlled, engines, outcome, step_budget
-from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
-from contactbench.study.search import STILL_BETTER
-from contactbench.study.settings import (
+from contactbench.questions.contest import CONTACT, TARGETS
+from contactbench.runs.choice import SMOKE, controlled, engines, outcome, step_budget
+from contactbench.runs.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
+from contactbench.runs.search import STILL_BETTER
+from contactbench.runs.settings import (
     BETWEEN,
     ENDS,
     LOOSEST,
@@ -36,7 +33,10 @@ from contactbench.study.settings import (
     times,
     tolerances,
 )
-from contactbench.tables.contest import CONTACT, TARGETS
+from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
+from contactbench.scenes import scenes_of
+from contactbench.solution import EXACT, GROWING, PILOTS
 from contactbench.tables.declared import WORK_PRECISION
 
 #: of tolerances down to this a profile chooses some; tighter ones are all run

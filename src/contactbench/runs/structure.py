@@ -16,11 +16,11 @@ import contactbench as cb
 from contactbench.measure.clock import Call
 from contactbench.methods.prepared import Prepared
 from contactbench.numbers.protocol import Arithmetic, Vector
+from contactbench.runs.choice import EVERYWHERE, key
+from contactbench.runs.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.solution import Solution, keywords
-from contactbench.study.choice import EVERYWHERE, key
-from contactbench.study.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed_experiment
 from contactbench.tables.declared import STRUCTURE_BUYS
 
 RING, QUADRATIC = "chaotic_ring", "chaotic_ring_quadratic"

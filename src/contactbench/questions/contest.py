@@ -25,13 +25,12 @@ from contactbench.measure.statistics import (
     process_spread,
     verdict,
 )
+from contactbench.report.look import CONTACT as CONTACT
 from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
 from contactbench.solution import EXACT, PILOTS
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
-#: the family of the contact methods
-CONTACT = "contact"
 #: the winner of a contest of two sides
 OURS, OTHER = "ours", "other"
 CALLBACKS = ("python", "c+python")

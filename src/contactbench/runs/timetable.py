@@ -22,7 +22,7 @@ from contactbench.measure.clock import (
     time_columns,
 )
 from contactbench.measure.isolation import Worker, usable_cores
-from contactbench.study.experiment import Row, Timing
+from contactbench.runs.experiment import Row, Timing
 from contactbench.tables.cells import Cell
 
 #: cells of every engine that a second process times too

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
+from contactbench.runs.experiment import Cell, Profile, Recorded, experiment
+from contactbench.runs.trial import agreed
 from contactbench.scene.base import Elapsed
-from contactbench.study.experiment import Cell, Profile, Recorded, experiment
-from contactbench.study.trial import agreed
 from contactbench.tables.declared import MOTION, ORBIT, TRUTH
 
 #: the central force, so weakly damped that a motion has many turns

@@ -24,15 +24,15 @@ from contactbench.measure.law import MEANINGFUL
 from contactbench.measure.laws import row as laws_row
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.runs.choice import controlled, key, left_to_full, outcome, small, step_budget
+from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
+from contactbench.runs.search import right_hand_sides, step_at, tolerance_at
+from contactbench.runs.settings import SAVES, times
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import sizes_of
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, Solution, keywords
-from contactbench.study.choice import controlled, key, left_to_full, outcome, small, step_budget
-from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
-from contactbench.study.search import right_hand_sides, step_at, tolerance_at
-from contactbench.study.settings import SAVES, times
 from contactbench.tables.declared import DAMPING_RATES, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
 from contactbench.truth import blow_up_time, condition_number
 

@@ -12,15 +12,15 @@ import pandas as pd
 
 from contactbench.measure.law import DECIDABLE, STRUCTURE, UNSURE
 from contactbench.measure.statistics import ALIKE, ties
+from contactbench.questions.contest import CONTACT
+from contactbench.questions.judgement import law_rows, laws_at_equal_cost, structural_laws
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import ROUND_OFF, above, by_method, choose, floats, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
 from contactbench.report.numbers import DASH, count, how_often, names, power, scientific, times
 from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
-from contactbench.tables.contest import CONTACT
 from contactbench.tables.declared import LAWS_TABLE
-from contactbench.tables.judgement import law_rows, laws_at_equal_cost, structural_laws
 
 DAGGER, DOUBLE_DAGGER = "†", "‡"
 LEGEND: str = PROSE["laws"]["legend"]

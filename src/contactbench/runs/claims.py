@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from contactbench.paper import CLAIMS, curves
-from contactbench.study.experiment import Cell, Profile, Recorded, experiment
+from contactbench.runs.experiment import Cell, Profile, Recorded, experiment
 from contactbench.tables.declared import CLAIMS_TABLE, PAPER_FIGURES
 
 #: claims that take longer than a second, which the smoke profile leaves out

@@ -12,13 +12,13 @@ import pandas as pd
 
 from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
+from contactbench.questions.judgement import structural_laws
+from contactbench.questions.laws import law_label
 from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
 from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.laws import law_label
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.tables.declared import LAWS_TABLE, shipped_folder
-from contactbench.tables.judgement import structural_laws
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: what a law is about, and what follows from what

@@ -11,11 +11,9 @@ import numpy as np
 from contactbench.measure.clock import Call
 from contactbench.methods.base import METHODS, Method, prepare
 from contactbench.peers.heyoka import SHARED
-from contactbench.scene import Scene
-from contactbench.scene.base import Elapsed
-from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
-from contactbench.study.features import Features, features
-from contactbench.study.problems import (
+from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
+from contactbench.runs.features import Features, features
+from contactbench.runs.problems import (
     COUNT,
     FAMILIES,
     HARD,
@@ -24,9 +22,11 @@ from contactbench.study.problems import (
     Problem,
     draw,
 )
-from contactbench.study.search import Attempt, Question
-from contactbench.study.settings import carry_of
-from contactbench.study.trial import CLEAR, ENDS, Trial, agreed, is_short
+from contactbench.runs.search import Attempt, Question
+from contactbench.runs.settings import carry_of
+from contactbench.runs.trial import CLEAR, ENDS, Trial, agreed, is_short
+from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
 from contactbench.tables.declared import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
 from contactbench.truth import Reference
 

@@ -19,8 +19,8 @@ from numpy.random import Generator
 from contactbench.numbers import functions as xm
 from contactbench.numbers.protocol import Arithmetic, Vector
 from contactbench.registry import Registry
+from contactbench.runs.features import force_cost
 from contactbench.scene import Driven, Mechanical, RigidBody, Scene, Spheres
-from contactbench.study.features import force_cost
 
 #: of the population, fixed before it was run; problems of each family
 SEED = 20261125

@@ -23,8 +23,8 @@ from contactbench.measure.isolation import Died, Worker, settle
 from contactbench.methods import METHODS
 from contactbench.methods.base import ENGINES
 from contactbench.plugins import OWN, brought
-from contactbench.study.experiment import Cell, Experiment, Profile, Row, experiments
-from contactbench.study.timetable import Entry, Timetable
+from contactbench.runs.experiment import Cell, Experiment, Profile, Row, experiments
+from contactbench.runs.timetable import Entry, Timetable
 from contactbench.tables import cells as journal
 from contactbench.tables import provenance
 from contactbench.tables.schema import TABLES, Table

@@ -8,13 +8,13 @@ import contactbench as cb
 from contactbench.measure.laws import row as law_columns
 from contactbench.methods.base import Method
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.runs.choice import outcome, pairs, step_budget
+from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
+from contactbench.runs.search import right_hand_sides, step_at, tolerance_at
+from contactbench.runs.settings import times
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.solution import EXACT, Solution, keywords
-from contactbench.study.choice import outcome, pairs, step_budget
-from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
-from contactbench.study.search import right_hand_sides, step_at, tolerance_at
-from contactbench.study.settings import times
 from contactbench.tables.declared import DECAY_LAWS
 
 #: of the scenes of every experiment

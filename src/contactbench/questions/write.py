@@ -12,7 +12,8 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
-from contactbench.report import draw, headline, markdown
+from contactbench.questions import headline
+from contactbench.report import draw, markdown
 from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, discovered, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View, frame_of

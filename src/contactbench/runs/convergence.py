@@ -16,13 +16,13 @@ from contactbench.measure.order import DIGITS, fit_order, march
 from contactbench.methods.base import Method
 from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.runs.choice import key, outcome, pairs
+from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
+from contactbench.runs.settings import halving_steps, times
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
 from contactbench.solution import keywords
-from contactbench.study.choice import key, outcome, pairs
-from contactbench.study.experiment import Cell, Profile, Recorded, Row, experiment
-from contactbench.study.settings import halving_steps, times
 from contactbench.tables.declared import CONVERGENCE
 from contactbench.truth import decimal_context
 
