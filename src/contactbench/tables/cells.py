@@ -11,7 +11,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -120,14 +120,17 @@ class Cells:
                 if known := _load(self._record(run)):
                     made_by = {name for entry in entries if entry.run == run for name, _ in entry.rows}
                     # rows of a larger profile stay, and with them the run that made them
-                    profile_of = {n: read(TABLES[n], self.results)["profile"] for n in whole}
-                    alone = [n for n, each in profile_of.items() if not others and each.isin(profiles).all()]
+                    alone = [name for name in whole if not others and self._all_of(name, profiles)]
                     save_run(run, known, made_by, alone if run == self.run else (), self.results)
             for entry in entries:
                 if entry.cell:
                     os.replace(entry.path, entry.path.with_name(f"{_digest(*entry.cell)}{DONE}"))
                 else:
                     entry.path.unlink()
+
+    def _all_of(self, name: str, profiles: Sequence[str]) -> bool:
+        frame = read(TABLES[name], self.results)
+        return bool(frame["profile"].isin(profiles).all()) if "profile" in frame else "standard" in profiles
 
     def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[Row]]:
         done = self.done() if expected else {}
