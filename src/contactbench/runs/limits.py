@@ -5,14 +5,13 @@ One cell: a method, or a method and a rate.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
 
 import contactbench as cb
 from contactbench.measure import stability as linear
-from contactbench.methods.base import CALLBACKS, Method
+from contactbench.methods.base import CALLBACKS, PACKAGES, Method
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.runs.search import right_hand_sides, step_at, tolerance_at
@@ -71,15 +70,20 @@ MOST_STEPS, MOST_CALLS = 1_000_000, 120_000
 
 
 def rate_cells(profile: Profile) -> list[Cell]:
-    """Return (rate, method, span): creep of all that is soon compiled, weak damping of what is compiled."""
+    """Return (rate, method, span): creep of what is soon compiled or meant for it, weak damping of what is compiled."""
     creep = cb.SCENES["overdamped"].t_end
     if profile.brief:
         first = next(iter(cb.METHODS))
         return [("creep", first, creep), ("weak", first, SPANS[0])]
     full = profile.reaches("full")
-    quick = [m.name for m in cb.METHODS.values() if full or m.engines[0] != "jax"]
-    compiled = [name for name in quick if cb.METHODS[name].engines[0] not in CALLBACKS]
-    return [("creep", m, creep) for m in quick] + [("weak", m, span) for span in SPANS for m in compiled]
+    soon = {m.name: full or m.engines[0] not in PACKAGES for m in cb.METHODS.values()}
+    found = [
+        ("creep", name, creep)
+        for name, soon_compiled in soon.items()
+        if soon_compiled or cb.METHODS[name].stiff
+    ]
+    compiled = [name for name, each in soon.items() if each and cb.METHODS[name].engines[0] not in CALLBACKS]
+    return [*found, *(("weak", name, span) for span in SPANS for name in compiled)]
 
 
 @experiment(rate_cells)

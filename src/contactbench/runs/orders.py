@@ -59,9 +59,7 @@ def largest_error(solution: Solution) -> float:
     return float(errors(scene, solution.y, truth, solution.y0, carry).max())
 
 
-def at_fifty_digits(
-    scene: Scene, method: FixedStep | Logarithmic, counts: Sequence[int]
-) -> Iterator[Point]:
+def at_fifty_digits(scene: Scene, method: FixedStep | Logarithmic, counts: Sequence[int]) -> Iterator[Point]:
     """Yield runs on mpmath numbers: the error at the end, in parts of the larger of the start and the truth."""
     end = ITERATED_TIME if method.iterates else EXTENDED_TIME
     carry, context = scene.optional, decimal_context(DIGITS)
@@ -94,7 +92,7 @@ def cells(profile: Profile) -> list[Cell]:
         if profile.brief and scene is not scenes[0] and method is not methods[0]:
             return False
         dear = method.iterates and is_extended(scene, method)
-        return not dear or scene.exact is not None or profile.reaches("full")
+        return not dear or scene.mission or profile.reaches("full")
 
     return [(scene.name, method.name) for scene in scenes for method in methods if runs(scene, method)]
 
@@ -113,7 +111,11 @@ def orders(cell: Cell, profile: Profile) -> Recorded:
         measured += at_fifty_digits(scene, method, [n])
     found = fit(measured, floor)
     assert math.isnan(found.order) or found.order > 0
-    row: Row = {"scene": scene.name, "method": method.name, "engine": "mpmath" if extended else method.engines[0]}
+    row: Row = {
+        "scene": scene.name,
+        "method": method.name,
+        "engine": "mpmath" if extended else method.engines[0],
+    }
     row |= {"order": found.order, "order_uncertainty": found.uncertainty, "order_nominal": method.order}
     for (h, status, error), used in zip(measured, found.used, strict=True):
         yield ORDERS, row | {"step": h, "status": status, "error": error, "in_fit": bool(used)}
