@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from contactbench.checks import positive
 from contactbench.cli.parsing import print_json, writable
@@ -20,7 +21,8 @@ def claim(arguments: argparse.Namespace) -> int:
     from contactbench.paper import CLAIMS
     from contactbench.tables.schema import SEPARATOR
 
-    row = CLAIMS[arguments.id.upper()].row()
+    own = CLAIMS[arguments.id.upper()]
+    row: dict[str, Any] = own.words | own.row()
     if arguments.json:
         print_json(row, arguments)
     else:
