@@ -125,6 +125,12 @@ class Method(ABC):
     unsolved: ClassVar[str] = ""
     #: what is imported for it; blank where this package runs it by itself
     package: str = ""
+    #: whether it is one of those that the benchmark is about, which is run by all of its engines
+    mission: bool = False
+    #: whether it is meant for stiff problems
+    stiff: bool = False
+    #: the method of another maker whose formulas it has; blank for what is run for its own sake
+    like: str = ""
 
     @property
     def control(self) -> str:

@@ -91,6 +91,7 @@ def contact_method(composition: Composition) -> ContactMethod:
         about=composition.source,
         contact=True,
         symmetric=composition.palindromic,
+        mission=composition.mission,
         composition=composition,
     )
 

@@ -52,6 +52,7 @@ class FixedStep(Method):
     contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
     symmetric: bool = False
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
+    mission: bool = False
     adaptive = False
     #: the step of the first pilot at most
     longest = math.inf

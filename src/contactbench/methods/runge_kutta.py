@@ -454,18 +454,17 @@ def refusal(method: Method, tableau: Tableau, scene: Scene) -> str | None:
     return unfit(method, scene, fits, "a configuration q in Rⁿ and damping Γ = γ s")
 
 
-def runge_kutta(name: str, tableau: Tableau, about: str) -> RungeKutta:
+def runge_kutta(name: str, tableau: Tableau, about: str, mission: bool = False) -> RungeKutta:
     def step(scene: Scene, x: OwnState, h: Arithmetic, xp: Namespace) -> OwnState:
         return METHODS[name].advance(scene, x, h, 1, xp)
 
     kind = "gradient" if tableau.nystrom else "rhs"
-    return RungeKutta(
-        name, tableau.order, step, tableau.used, kind, f"{about}; {tableau.source}", tableau=tableau
-    )
+    known = name, tableau.order, step, tableau.used, kind, f"{about}; {tableau.source}"
+    return RungeKutta(*known, mission=mission, tableau=tableau)
 
 
 RKN8, RKN12, RK8 = map(read_tableau, ("rkn8-6", "rkn12-10", "rk8"))
-METHODS.add(runge_kutta("rk4", read_tableau("rk4"), "classical Runge–Kutta"))
+METHODS.add(runge_kutta("rk4", read_tableau("rk4"), "classical Runge–Kutta", mission=True))
 METHODS.add(runge_kutta("rk8", RK8, "explicit Runge–Kutta"))
 METHODS.add(runge_kutta("rkn8", RKN8, "explicit Runge–Kutta–Nyström on z = e^{γt/2} q"))
 METHODS.add(runge_kutta("rkn12", RKN12, "explicit Runge–Kutta–Nyström on z = e^{γt/2} q"))

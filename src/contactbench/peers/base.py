@@ -43,6 +43,9 @@ class Peer(Adaptive):
     takes_atol: bool = True
     costs: Mapping[str, float] = field(default_factory=dict)
     largest: int = Adaptive.largest
+    mission: bool = False
+    stiff: bool = False
+    like: str = ""
     own_time = True
 
     def refuses(self, scene: Scene) -> str | None:

@@ -9,7 +9,7 @@ from `max_steps` and the result's status is read.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -129,4 +129,5 @@ def cvode(method: Peer, request: Request) -> Call:
 for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
     _about = f"variable-order {_name}, Newton with analytic Jacobian (differences beyond 64 components)"
     _named = f"cvode-{_solver.lower()}", _about, cvode, ("c", "c+python"), (ROUNDING, 1e-1)
-    METHODS.add(Peer(*_named, _solver, "sksundae", implicit=True, costs={"c+python": 2}))
+    _about_it: dict[str, Any] = {"mission": True, "stiff": _solver == "BDF"}
+    METHODS.add(Peer(*_named, _solver, "sksundae", implicit=True, costs={"c+python": 2}, **_about_it))

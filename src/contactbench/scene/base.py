@@ -34,8 +34,6 @@ from contactbench.trace.formula import Formula, formula
 
 #: by how much a function of floats may differ from its formula: powers are products there
 SAME = 1e-6
-#: what a scene may ask to be run by
-EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability")
 #: what the functions of scenes, and step maps, are called with besides the parameters
 ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time
@@ -56,10 +54,8 @@ def optional(check: Check) -> Check:
     return lambda name, value: None if value is None else check(name, value)
 
 
-def experiment_names(name: str, value: object) -> tuple[str, ...]:
-    if isinstance(value, tuple) and all(isinstance(e, str) and e in EXPERIMENTS for e in value):
-        return value
-    raise BadInput(f"{name} = {excerpt(value)}: must be a tuple of names among {', '.join(EXPERIMENTS)}")
+def durations(name: str, value: object) -> tuple[float, ...]:
+    return tuple(positive(name, each) for each in items_of(name, value, "a tuple of numbers > 0"))
 
 
 def named_numbers(name: str, value: object) -> dict[str, float]:
@@ -447,10 +443,14 @@ class Scene(System):
     slows_after
         The time after which the motion slows down as 1/t: steps that grow with the time suit it
         (`geometric_steps`).
-    hard
-        Whether only the stability experiment runs it.
-    experiments
-        The experiments that run it; by default all but the one of stability.
+    hard, stiff
+        Whether runs on it may end badly, and are made for their laws and their endings alone; whether explicit methods
+        are held back by what has decayed, or hardly moves.
+    mission
+        Whether all contestants are run on it by all engines, and all that is dear is measured.
+    pace
+        The time for every evaluation that a run of the benchmark is given, from coarse to fine; a single one is the
+        coarsest, by default a 400th of the span, and the others are each a quarter of the one before.
 
     Raises
     ------
@@ -464,7 +464,9 @@ class Scene(System):
     scale: Any = None
     slows_after: float | None = None
     hard: bool = False
-    experiments: tuple[str, ...] = ()
+    stiff: bool = False
+    mission: bool = False
+    pace: tuple[float, ...] = ()
 
     #: the NamedTuple of its states
     state: ClassVar[Any] = None
@@ -481,7 +483,9 @@ class Scene(System):
         "about": text,
         "slows_after": optional(positive),
         "hard": switch,
-        "experiments": experiment_names,
+        "stiff": switch,
+        "mission": switch,
+        "pace": durations,
         "exact": optional(function),
         "scale": optional(vector),
         "t_end": positive,

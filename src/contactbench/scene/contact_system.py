@@ -83,7 +83,7 @@ class ContactSystem(Canonical):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`; the name is "contact_system" by default.
     hamiltonian
         ``H(q, p, s, **parameters) -> number``, plain arithmetic and `cb.math` on the components of the tuples q and p

@@ -69,7 +69,7 @@ class Driven(Mechanical):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     hessian, q, p, kappa, mass, parameters, rotation_invariant
         As of `Mechanical`; κ = 0, no Hessian and no symmetry are allowed.

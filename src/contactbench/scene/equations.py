@@ -55,7 +55,7 @@ class Equations(Scene):
 
     Parameters
     ----------
-    name, about, t_end, scale, slows_after, hard, experiments
+    name, about, t_end, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`; the name may be left out.
     rhs
         ``f(t, y, **parameters)`` → n numbers, plain arithmetic on the n-tuple y, functions from `contactbench.math`.

@@ -148,7 +148,7 @@ class GeneralDamping(Mechanical):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     potential, gradient, hessian, q, p, gamma, kappa, mass, parameters, rotation_invariant
         As of `Mechanical`; gamma and kappa stay 0, Γ is in their place.

@@ -192,7 +192,7 @@ class Mechanical(Canonical):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     potential
         ``V(q, **parameters) -> number``.

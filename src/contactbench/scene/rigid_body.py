@@ -190,7 +190,7 @@ class RigidBody(Scene):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     inertia
         Three principal moments > 0.

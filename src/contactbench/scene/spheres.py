@@ -189,7 +189,7 @@ class Spheres(Mechanical):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     potential
         ``V(q, **parameters) -> number`` of a point, d numbers, or of several, a tuple of such.  It is a function near

@@ -53,6 +53,8 @@ class Composition:
     processor
         Stages that act once before the first step and, in reverse order, once after the last (Nyström
         compositions).  Palindromic stages between them make the whole run palindromic.
+    mission
+        Whether the benchmark is about the method, as `Method.mission`.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Composition:
     source: str
     nystrom: bool = False
     processor: tuple[Stage, ...] = ()
+    mission: bool = False
 
     @property
     def palindromic(self) -> bool:

@@ -209,13 +209,13 @@ def row(race: Schedule, search: Search, error: float) -> Row:
     at_least = least_time(race, search, error) if cut and not unlikely else math.nan
     row = {"scene": race.question.scene.name, "method": search.method.name, "family": search.method.family}
     row |= {"engine": search.engine, "kind": search.kind, "error_asked": error, **known}
-    row |= {"time_s": clock.get("time_min_s", math.nan), "at_least": at_least}
+    row |= {"time_s": clock.get("least_s", math.nan), "at_least": at_least}
     own_laws = laws_in(race.question.scene)
     row |= {name: laws.get(name, math.nan) for name in (*own_laws, "map_growth")}
     for known_as in ("kept", "undecided"):
         found = (symbol(law) for law in own_laws if laws.get(f"{law}_{known_as}"))
         row[f"laws_{known_as}"] = ", ".join(found)
-    return row | {"time_halves_ratio": clock.get("time_halves_ratio", math.nan)}
+    return row | {"time_halves_ratio": clock.get("halves", math.nan)}
 
 
 def least_time(race: Schedule, search: Search, error: float) -> float:
@@ -224,7 +224,7 @@ def least_time(race: Schedule, search: Search, error: float) -> float:
     Of one that was not begun it is the least time on its engine.
     """
     timed = {
-        each: [clock["time_min_s"] for a in each.attempts if (clock := race.times.get(id(a)))]
+        each: [clock["least_s"] for a in each.attempts if (clock := race.times.get(id(a)))]
         for each in race.searches
     }
     if not search.attempts:
@@ -240,7 +240,7 @@ def soonest(race: Schedule, search: Search, error: float) -> Attempt | None:
     if race.chosen(search, error) is None:
         return None
     reach = filter(None, (race.chosen(search, e) for e in race.question.errors if e <= error))
-    return min(reach, key=lambda a: race.times.get(id(a), {}).get("time_min_s", math.inf))
+    return min(reach, key=lambda a: race.times.get(id(a), {}).get("least_s", math.inf))
 
 
 def unreached(race: Schedule, search: Search, error: float) -> Row:
