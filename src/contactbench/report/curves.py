@@ -55,24 +55,15 @@ def best(curves: Iterable[Curve], score: Score) -> list[str]:
     return [] if np.isnan(scores).all() else [own[int(np.nanargmax(scores))].method]
 
 
-def choose(
-    curves: Sequence[Curve], score: Score, by_order: bool = False, subjects: Sequence[str] = ()
-) -> list[str]:
+def choose(curves: Sequence[Curve], score: Score, subjects: Sequence[str] = ()) -> list[str]:
     """Return the methods that a figure shows, at most MOST.
 
-    First its subjects (by default the best of all and the best contact method), then the contestants of the mission,
-    and where there is room the best of every other family (and order).
+    First its subjects, or the best of all and the best contact method; then the contestants of the mission.
     """
-    groups: dict[tuple[str, int | None], list[Curve]] = {}
-    for curve in curves:
-        own = look(curve.method, curve.family)
-        groups.setdefault((own.family, own.order if by_order else None), []).append(curve)
     contact = [curve for curve in curves if look(curve.method, curve.family).family == CONTACT]
     chosen = [*(subjects or [*best(curves, score), *best(contact, score)])]
     for names in CONTESTANTS:
         chosen += best((curve for curve in curves if curve.method in names), score)
-    for group in groups.values():
-        chosen += best(group, score)
     return list(dict.fromkeys(chosen))[:MOST]
 
 
