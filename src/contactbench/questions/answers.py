@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -22,7 +23,8 @@ WIDTH = 110
 WORD = re.compile(r"\b[a-z_]+\b")
 
 
-def evaluate(query: str, frames: Mapping[str, pd.DataFrame]) -> pd.Series:
+@lru_cache(256)
+def evaluate(query: str, frames: Frames) -> pd.Series:
     """Return what a line of pandas finds; it knows the tables by their names, `FUNCTIONS`, pd and np."""
     found = eval(query, {"pd": pd, "np": np, **FUNCTIONS, **frames})
     assert isinstance(found, pd.Series), query

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import wraps
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -36,6 +37,8 @@ CUT = ("budget", "timeout")
 ENOUGH = 8
 #: what a row of runs.csv and one of times.csv have in common
 KEY = ["scene", "method", "engine", "control", "setting", "saved"]
+#: so many results are kept of each function that many questions call
+KEPT = 16
 #: how far the energy left in the ring may be off, and the part of its run that is timed
 ALLOWED, TIMED_SPAN = 0.01, 500.0
 
@@ -56,6 +59,22 @@ class Cost(Protocol):
     processes: float
     ratio: float
     verdict: str
+
+
+def once[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Have a function of tables, which many questions call, compute what it finds of the same tables once."""
+    found: dict[tuple[object, ...], tuple[object, R]] = {}
+
+    @wraps(function)
+    def call(*given: P.args, **which: P.kwargs) -> R:
+        key = (*(id(one) if isinstance(one, pd.DataFrame) else one for one in given), *sorted(which.items()))
+        if key not in found:
+            if len(found) >= KEPT:
+                found.pop(next(iter(found)))
+            found[key] = given, function(*given, **which)  # tables that are kept keep their identity
+        return found[key][1]
+
+    return call
 
 
 def cost_rows(frame: pd.DataFrame) -> list[Cost]:
@@ -95,6 +114,7 @@ def comparable(
     return rows.assign(spent=rows["least_s"])
 
 
+@once
 def costs(runs: pd.DataFrame, times: pd.DataFrame | None = None, **which: Any) -> pd.DataFrame:
     """Return the cost of each error for each method and scene, on its best engine where times are compared.
 
@@ -207,6 +227,7 @@ def of_contact(costs: pd.DataFrame) -> pd.Series:
     return costs["family"] == CONTACT
 
 
+@once
 def contests(runs: pd.DataFrame, times: pd.DataFrame | None = None, **which: Any) -> pd.DataFrame:
     """Return the best contact method beside the best other, a row for each scene and error that anybody reaches.
 
@@ -252,6 +273,7 @@ def drawn(population: pd.DataFrame, problems: pd.DataFrame) -> pd.DataFrame:
     return population.merge(usual, on=["seed", "scene"])
 
 
+@once
 def random_contests(
     population: pd.DataFrame, problems: pd.DataFrame, runs: pd.DataFrame, cost: str
 ) -> pd.DataFrame:
@@ -280,12 +302,13 @@ def ring_runs(ring: pd.DataFrame, times: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(run_s=rows["least_s"] / TIMED_SPAN * rows["t_end"])
 
 
+@once
 def ring_costs(ring: pd.DataFrame, times: pd.DataFrame, cost: str = "run_s") -> pd.Series:
-    """Return what the energy left in the ring to `ALLOWED` costs, by γ, span and method; cheapest first."""
+    """Return what the energy left in the ring to `ALLOWED` costs, by γ, span and method."""
     good = ring_runs(ring, times).query("status == 'ok'")
     found = {
         key: costs_to_reach(floats(own["energy_error"]), floats(own[cost]), (ALLOWED,))[0]
         for key, own in good.groupby(["gamma", "t_end", "method"])
     }
     index = pd.MultiIndex.from_tuples(found, names=["gamma", "t_end", "method"])
-    return pd.Series(list(found.values()), index, dtype=float).sort_values(kind="stable")
+    return pd.Series(list(found.values()), index, dtype=float).sort_index()

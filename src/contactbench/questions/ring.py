@@ -40,7 +40,7 @@ def answers(frames: Frames) -> Iterator[Answer]:
     gamma, end = rows["gamma"].max(), rows["t_end"].max()
     known = families(frames["runs"])
     for column, (asked, unit, show, within) in COSTS.items():
-        query = f"ring_costs(ring, times, '{column}').dropna().loc[{gamma!r}, {end!r}]"
+        query = f"ring_costs(ring, times, '{column}').loc[{gamma!r}, {end!r}].dropna().sort_values()"
         if not len(ring_costs(frames["ring"], frames["times"], column).dropna()):
             continue
         found = evaluate(query, frames)
