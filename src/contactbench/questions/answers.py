@@ -19,7 +19,8 @@ FUNCTIONS = {
     name: getattr(contest, name)
     for name in ("contests", "drawn", "families", "hard_runs", "random_contests", "ring_costs")
 }
-WIDTH = 110
+#: what is counted beside an answer, in words
+BESIDE = {"alone": ", alone on {}", "idle": "; {} do not tell"}
 WORD = re.compile(r"\b[a-z_]+\b")
 
 
@@ -40,13 +41,15 @@ def count(frames: Frames, query: str) -> tuple[int, int]:
 def share(frames: Frames, question: str, what: str, query: str, **beside: str) -> Answer | None:
     """Return the answer to a question by the share of what is counted; None where there is nothing to count.
 
-    query : gives a series of truth values.  beside : by what it says of them (underscores are spaces) a query more.
+    query : gives a series of truth values.  beside : "alone" and "idle" are queries of what is counted beside it.
     """
     part, whole = count(frames, query)
     if not whole:
         return None
-    more = "".join(f", {words.replace('_', ' ')} {count(frames, own)[0]}" for words, own in beside.items())
-    return Answer(question, how_often(part, whole), f"{part} of {whole} {what}{more}", (query, *beside.values()))
+    more = "".join(BESIDE[name].format(count(frames, own)[0]) for name, own in beside.items())
+    return Answer(
+        question, how_often(part, whole), f"{part} of {whole} {what}{more}", (query, *beside.values())
+    )
 
 
 def fold(answers: Iterable[Answer]) -> Fold | None:
@@ -59,9 +62,7 @@ def fold(answers: Iterable[Answer]) -> Fold | None:
     lines = ["import contactbench as cb"]
     if functions:
         lines.append(f"from contactbench.questions.contest import {', '.join(functions)}")
-    lines.append(f"{', '.join(tables)} = map(cb.results, {tuple(tables)})" if len(tables) > 1 else "")
-    if len(tables) == 1:
-        lines[-1] = f'{tables[0]} = cb.results("{tables[0]}")'
+    lines += [f'{name} = cb.results("{name}")' for name in tables]
     last = ""
     for answer, query in found:
         if answer.question != last:

@@ -46,24 +46,26 @@ def known(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def claims_view(frame: pd.DataFrame) -> View:
+    """Return the claims that do not hold as printed."""
     rows = []
-    for _, row in frame.iterrows():
+    for _, row in frame[frame["verdict"] != "holds"].iterrows():
         needed = DASH if pd.isna(row["bound"]) else f"{row['relation']} {row['bound']:.2g}"
-        rows.append((row["id"], row["verdict"] or row["status"], row["claim"], row["where"], row["measured"], needed))
+        verdict = row["verdict"] or row["status"]
+        rows.append((row["id"], verdict, row["claim"], row["where"], row["measured"], needed))
     labels = ["id", "verdict", "claim", "where in the paper", "measured", "needed"]
     return view("claims", frame_of(rows, labels), {"": "{:.2g}".format})
 
 
 def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
-    title, command = f"{row['id']} · {row['verdict'] or row['status']}", f"`contactbench claim {row['id']}`"
+    title = f"{row['id']} · {row['verdict'] or row['status']}"
     parts: list[Part] = [Text(f"**Claim** ({row['where']}). {row['claim']}")]
     if row["status"] != "ok":
-        return Section(title, (*parts, Text(f"Not measured: {row['message']}. {command}")))
-    parts.append(Text(f"**Measured** on {row['scene']}. Method: {row['method']}.", items(row["evidence"])))
+        return Section(title, (*parts, Text(f"Not measured: {row['message']}")))
+    method = "" if row["method"].startswith("none") else f", {row['method']}"
+    parts.append(Text(f"**Measured** on {row['scene']}{method}.", items(row["evidence"])))
     if row["correction"]:
         caption = CAPTIONS.get(row["correction_kind"], "Corrected")
         parts.append(Text(f"**{caption}.** {row['correction']}", items(row["corrected_evidence"])))
-    parts.append(Text(f"Measure it again: {command}"))
     parts += [drawn.pop(name) for name in row["figures"] if name in drawn]
     return Section(title, tuple(parts))
 

@@ -307,7 +307,7 @@ def ring_costs(ring: pd.DataFrame, times: pd.DataFrame, cost: str = "run_s") -> 
     """Return what the energy left in the ring to `ALLOWED` costs, by γ, span and method."""
     good = ring_runs(ring, times).query("status == 'ok'")
     found = {
-        key: costs_to_reach(floats(own["energy_error"]), floats(own[cost]), (ALLOWED,))[0]
+        key: costs_to_reach(floats(own["energy_error"]).tolist(), floats(own[cost]).tolist(), (ALLOWED,))[0]
         for key, own in good.groupby(["gamma", "t_end", "method"])
     }
     index = pd.MultiIndex.from_tuples(found, names=["gamma", "t_end", "method"])

@@ -12,7 +12,6 @@ import pandas as pd
 
 from contactbench.questions.answers import share
 from contactbench.questions.contest import (
-    CALLBACKS,
     CONTACT,
     Cost,
     by_pilots,
@@ -36,8 +35,6 @@ KINDS: dict[str, tuple[bool, dict[str, bool]]] = {
     "tolerance_evaluations": (False, {"tolerance": True}),
 }
 ENTRIES: dict[str, dict[str, str]] = PROSE["cost"]["kinds"]
-#: the most methods that one cell names
-NAMED = 3
 #: what the contests by tolerance are judged by: looser tolerances are no wish, tighter ones are round-off
 ASKED = (1e-10, 1e-3)
 
@@ -61,7 +58,7 @@ def answer(frames: Frames, kind: str) -> Answer | None:
     if not timed:
         return share(frames, asked, what, f"{query}.ratio < 1")
     alone = f"{query}.eval('ratio * margin < 1')"
-    return share(frames, asked, what, f"{query}.ratio <= 1.25", alone_on=alone)
+    return share(frames, asked, what, f"{query}.ratio <= 1.25", alone=alone)
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
@@ -85,7 +82,7 @@ def leaders(rows: pd.DataFrame, timed: bool) -> Cell:
     if math.isnan(first.cost):
         return Cell(cost_text(first, timed))
     near = rows[rows["verdict"].isin(["win", "tie", "undecided"])]
-    named = names(list(near["method"]), NAMED)
+    named = names(list(near["method"]))
     contact = rows[rows["family"] == CONTACT]["ratio"].min()
     ours = (near["family"] == CONTACT).any()
     behind = f" (contact {times(contact)})" if contact > 1 and not ours else ""
@@ -158,7 +155,7 @@ def parts(frames: Frames) -> list[Part | None]:
 #: beyond an error of two there is nothing left of the motion, below round-off nothing is known
 ERROR = Axis("error of the solution (more accurate to the right)", "log", inverted=True, within=(1e-16, 2.0))
 #: the axis of each kind of cost that is drawn, and its scale
-AXES = {"compiled": ("time of a solve, ms", 1e3), "evaluations": ("evaluations", 1.0)}
+AXES = {"compiled": ("time of a solve, µs", 1e6), "evaluations": ("evaluations", 1.0)}
 
 
 def compared(frames: Frames, scene: str, kind: str) -> pd.DataFrame:
@@ -197,4 +194,4 @@ def message(frames: Frames, scene: str) -> tuple[str, list[str]]:
         return f"{scene}: {both[0]} and {both[1]} {found} of each other's time {at}", both
     if ratio > 1:
         both, ratio = both[::-1], 1 / ratio
-    return f"{scene}: {both[0]} needs {ratio:.0%} of the time of {both[1]} {at}", both
+    return f"{scene}: {both[0]} needs {100 * ratio:.0f} % of the time of {both[1]} {at}", both

@@ -75,7 +75,7 @@ def stability_map(limits: pd.DataFrame) -> Figure | None:
         subjects = [str(finite.idxmax())]
         first = f"{subjects[0]} is stable to {finite.max():.3g}/ω an evaluation"
         title = f"At γ = {rows['gamma'].max():g} ω {first}, the median method to {last.median():.2g}/ω"
-    drawn = only(curves, choose(curves, highest, subjects))
+    drawn = only(curves, choose(curves, highest, subjects, by_order=True))
     panel = Panel("", Axis("γ/ω", "log"), Axis("ω × first unstable step / evaluations", "log"), drawn)
     return chart("stability_map", [panel], title=title) if curves else None
 
@@ -89,7 +89,7 @@ def rates_view(limits: pd.DataFrame) -> View:
         for scene, own in ok[ok["question"] == "creep"].groupby("scene", sort=False)
         for most in CREEP
     ]
-    for (scene, span), own in ok[ok["question"] == "weak"].groupby(["scene", "t_end"], sort=False):
+    for (scene, span), own in ok[ok["question"] == "weak"].groupby(["scene", "t_end"]):
         most = WEAK * float(span)
         what = f"rate of weak damping, `{scene}`, T = {span:.0e}"
         rows.append((what, count(most), best_cell(own[own["evaluations"] <= most])))

@@ -40,7 +40,9 @@ def law_rows(runs: pd.DataFrame, law: str) -> pd.DataFrame:
     kept = rows[f"{law}_kept"]
     own = {"law": law, "value": rows[law], "claimed": rows[f"{law}_claimed"], "kept": kept.fillna(False)}
     own |= {"judged": kept.notna() | follows, "undecided": kept.isna() & follows}
-    return rows.assign(**own, broken=kept.eq(False).fillna(False)).astype(dict.fromkeys(("kept", "broken"), bool))
+    return rows.assign(**own, broken=kept.eq(False).fillna(False)).astype(
+        dict.fromkeys(("kept", "broken"), bool)
+    )
 
 
 # -- equal cost ------------------------------------------------------------------------------------
@@ -65,7 +67,9 @@ def at_cost(own: pd.DataFrame, evaluations: float, columns: list[str]) -> pd.Ser
     ok = ok.sort_values("evaluations", kind="stable").drop_duplicates("evaluations")
     spent = np.nan_to_num(floats(ok["evaluations"]))
     cost = float(np.clip(evaluations, spent[0], spent[-1]))
-    beside = ok.iloc[[max(0, int(np.searchsorted(spent, cost, "right")) - 1), int(np.searchsorted(spent, cost))]]
+    beside = ok.iloc[
+        [max(0, int(np.searchsorted(spent, cost, "right")) - 1), int(np.searchsorted(spent, cost))]
+    ]
     found: dict[str, object] = {"evaluations": cost}
     for name in columns:
         values = floats(ok[name])

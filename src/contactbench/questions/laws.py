@@ -32,7 +32,7 @@ def structural_rows(frames: Frames) -> pd.DataFrame:
 
 def kept(frames: Frames, law: str, question: str) -> Answer | None:
     query = KEPT.format(law)
-    return share(frames, question, "runs that tell", f"{query}.dropna()", not_told_by=f"{query}.isna()")
+    return share(frames, question, "runs that tell", f"{query}.dropna()", idle=f"{query}.isna()")
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
@@ -64,7 +64,9 @@ def broken_view(rows: pd.DataFrame) -> View:
     for (law, scene), own in broken.groupby(["law", "scene"], sort=False):
         worst, methods = own.loc[own["value"].idxmax()], names(list(dict.fromkeys(own["method"])), 3)
         setting = f"{worst['method']}, {worst['control']}={worst['setting']:.3g}"
-        lines.append((law_label(law), f"`{scene}`", methods, len(own), worst["value"], worst["bound"], setting))
+        lines.append(
+            (law_label(law), f"`{scene}`", methods, len(own), worst["value"], worst["bound"], setting)
+        )
     labels = ["law or drift", "scene", "methods", "runs", "deviation", "round-off", "worst"]
     show: dict[str, Show] = {"deviation": scientific, "round-off": scientific}
     return view("law_exceptions", frame_of(lines, labels), show)

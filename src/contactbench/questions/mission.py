@@ -14,7 +14,7 @@ import pandas as pd
 
 from contactbench.questions import claims, cost, hard, laws, orders, problems, ring
 from contactbench.questions.answers import evaluate
-from contactbench.questions.contest import CONTACT, cost_rows
+from contactbench.questions.contest import CONTACT, cost_rows, families
 from contactbench.questions.judgement import SAVED, at_cost, law_label, met_cost, structural_laws
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Text, chapter, chapters, chart, view
 from contactbench.report.curves import floats
@@ -74,8 +74,8 @@ def contestants(frames: Frames, scene: str) -> list[str]:
     runs = frames["runs"]
     able = set(runs["method"][(runs["scene"] == scene) & (runs["status"] != "unsupported")])
     found = dict.fromkeys([*METHODS, *contact["method"].head(1), *here["method"].head(1)])
-    first = [name for name in found if name in able]
-    return sorted(first, key=lambda name: name not in set(contact["method"]))  # contact methods first
+    known = families(runs)
+    return sorted((name for name in found if name in able), key=lambda name: known[name] != CONTACT)
 
 
 @lru_cache(8)
@@ -95,7 +95,12 @@ def at_equal_cost(frames: Frames, scene: str, method: str) -> pd.Series:
     timed = cost.compared(frames, scene, "compiled")
     spent = at_cost(timed[timed["method"] == method], most, ["spent"])
     nothing = pd.Series({"evaluations": np.nan, "error": np.nan, **dict.fromkeys(LAWS, np.nan)})
-    return pd.concat([nothing if found is None else found, pd.Series({"time": spent["spent"] if spent is not None else np.nan})])
+    return pd.concat(
+        [
+            nothing if found is None else found,
+            pd.Series({"time": spent["spent"] if spent is not None else np.nan}),
+        ]
+    )
 
 
 def claimed(frames: Frames, scene: str, law: str) -> bool:
@@ -125,14 +130,19 @@ def scene_view(frames: Frames, scene: str) -> View | None:
         line: list[object] = [method, orders.order_of(frames, scene, method)]
         line += [as_cell(found["evaluations"], count), as_cell(found["error"], scientific)]
         line += [laws.law_cell(found, law) for law in shown] + [as_cell(found["time"], duration)]
-        line += [cost_cell(frames, kind, scene, method, e) for e in ERRORS for kind in ("evaluations", "compiled")]
+        line += [
+            cost_cell(frames, kind, scene, method, e) for e in ERRORS for kind in ("evaluations", "compiled")
+        ]
         lines.append(line)
-    at = f"at {count(equal_cost(frames, scene))} evaluations"
-    labels = [("", "method"), ("", "order"), (at, "evaluations"), (at, "error")]
-    labels += [*((at, law_label(law)) for law in shown), (at, "time")]
+    labels = [
+        ("", name) for name in ("method", "order", "evaluations", "error", *map(law_label, shown), "time")
+    ]
     labels += [(f"to {power(error)}", what) for error in ERRORS for what in ("evaluations", "time")]
     made = view("mission", frame_of(lines, labels))
-    return replace(made, name=f"mission_{scene}", title=scene, legend="" if scene != SCENES[0] else made.legend)
+    title = f"{scene}, at {count(equal_cost(frames, scene))} evaluations and to an error"
+    return replace(
+        made, name=f"mission_{scene}", title=title, legend=made.legend if scene == SCENES[0] else ""
+    )
 
 
 def overview(frames: Frames) -> View | None:
@@ -143,17 +153,20 @@ def overview(frames: Frames) -> View | None:
     if not methods:
         return None
     lines = []
-    for method in sorted(methods, key=lambda name: (name not in METHODS, list(methods).index(name))):
+    for method in [*(m for m in METHODS if m in methods), *(m for m in methods if m not in METHODS)]:
         there = [scene for scene in scenes if method in contestants(frames, scene)]
         found = {scene: at_equal_cost(frames, scene, method) for scene in there}
-        line: list[object] = [method, next(order for s in there for order in [orders.order_of(frames, s, method)])]
+        line: list[object] = [
+            method,
+            next(order for s in there for order in [orders.order_of(frames, s, method)]),
+        ]
         line += [as_cell(found[s]["error"] if s in there else None, scientific) for s in scenes]
         line += [worst(frames, found, law) for law in LAWS]
         line += [cost_cell(frames, "compiled", s, method, ERRORS[-1]) for s in scenes]
         lines.append(line)
-    at = {scene: f"{scene}, {count(equal_cost(frames, scene))} evaluations" for scene in scenes}
-    labels = [("", "method"), ("", "order"), *(("error", at[scene]) for scene in scenes)]
-    labels += [("largest there", law_label(law)) for law in LAWS]
+    labels = [("", "method"), ("", "order")]
+    labels += [(f"error at {count(equal_cost(frames, scene))}", scene) for scene in scenes]
+    labels += [("largest", law_label(law)) for law in LAWS]
     labels += [(f"time to {power(ERRORS[-1])}", scene) for scene in scenes]
     return view("overview", frame_of(lines, labels))
 
@@ -183,7 +196,9 @@ def motion_figure(table: pd.DataFrame) -> Figure | None:
 def paths(rows: pd.DataFrame, line: bool) -> Iterator[Curve]:
     """Yield the truth as a line, below the methods, each a line or points."""
     rows = rows.sort_values("point", kind="stable")
-    for (kind, name), own in sorted(rows.groupby(["kind", "curve"], sort=False), key=lambda e: e[0][0] != "truth"):
+    for (kind, name), own in sorted(
+        rows.groupby(["kind", "curve"], sort=False), key=lambda e: e[0][0] != "truth"
+    ):
         points, truth = (floats(own["x"]), floats(own["y"])), kind == "truth"
         method, role = ("", "truth") if truth else (str(name), "")
         yield Curve(*points, str(name), method, role, truth or line, not (truth or line))
@@ -203,7 +218,9 @@ def parts(frames: Frames) -> list[Part | None]:
     for one in chapters(frames):
         questions.setdefault(one.file, []).append(one.question)
     questions["glossary.md"] = ["What is each method, scene and column?"]
-    rows = [(f"[{file}]({file})", " ".join(asked)) for file, asked in questions.items() if file != f"{NAME}.md"]
+    rows = [
+        (f"[{file}]({file})", " ".join(asked)) for file, asked in questions.items() if file != f"{NAME}.md"
+    ]
     return [*found, view("documents", frame_of(rows, ["document", "question"]))]
 
 

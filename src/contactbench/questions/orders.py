@@ -87,7 +87,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     if not len(off):
         return None
     curves = by_method(rows, "step", "error")
-    curves = only(curves, choose(curves, lowest))
+    curves = only(curves, choose(curves, lowest, by_order=True))
     x = Axis("step size h (smaller to the right)", "log", inverted=True)
     y = Axis("error of the solution", "log")
     slopes = guides(rows, [curve.method for curve in curves])

@@ -48,7 +48,7 @@ def seeds(frames: Frames) -> list[int]:
 @lru_cache(4)
 def won(frames: Frames, cost: str) -> pd.DataFrame:
     """Return the best contact method beside the best other, a row for each problem and error."""
-    found = random_contests(*(frames[name] for name in ("population", "problems", "runs")), cost)
+    found = random_contests(frames["population"], frames["problems"], frames["runs"], cost)
     ratio, most = found["ratio"], found["margin"]
     near = ratio <= 1.25 if cost == "time_s" else ratio <= 1
     winner = np.select([ratio * most < 1, near, ratio <= most], ["alone", "near", "near"], "other")
@@ -121,10 +121,19 @@ def contests_view(frames: Frames) -> View:
         line += [quantile(ratio, 0.5), quantile(np.maximum(1.0, 1 / ratio), 0.9)]
         for seed in others:
             again = of(frames, seed, cost, error)["near"]
-            inside = len(again) and overlap(*(wilson(int(near.sum()), len(near)) for near in (own["near"], again)))
+            inside = len(again) and overlap(
+                *(wilson(int(near.sum()), len(near)) for near in (own["near"], again))
+            )
             line.append(Cell(share(again).text, mark=None if inside else Mark.exception))
         lines.append(line)
-    labels = ["cost, error", "contact near the least", "alone", "another alone", "other / contact, median", "regret, 90 %"]
+    labels = [
+        "cost, error",
+        "contact near the least",
+        "alone",
+        "another alone",
+        "other / contact, median",
+        "regret, 90 %",
+    ]
     return view("random_contests", frame_of(lines, [*labels, *(f"near, seed {seed}" for seed in others)]))
 
 

@@ -18,9 +18,9 @@ from contactbench.report.numbers import duration, names, power, scientific, time
 from contactbench.report.views import Mark, View, as_cell, frame_of, matrix
 
 FEW = "{:.2g}".format
-#: families of the contact methods, and of those that keep no structure
-OURS, THEIRS = (CONTACT,), ("established",)
-#: the kinds of cost: the question about the least one, the unit, how it is written, and up to which factor two are alike
+#: the families of the methods that keep no structure
+THEIRS = ("established",)
+#: the kinds of cost: the question about the least one, the unit, how it is written, and the factor up to which two tie
 COSTS = {
     "run_s": ("takes the least time", "", duration, WIDEST),
     "evaluations": ("needs the fewest evaluations", " per unit of time", FEW, 1.0),
@@ -37,7 +37,7 @@ def main_rows(frames: Frames) -> pd.DataFrame:
 
 def answers(frames: Frames) -> Iterator[Answer]:
     rows = main_rows(frames)
-    gamma, end = rows["gamma"].max(), rows["t_end"].max()
+    gamma, end = float(rows["gamma"].max()), float(rows["t_end"].max())
     known = families(frames["runs"])
     for column, (asked, unit, show, within) in COSTS.items():
         query = f"ring_costs(ring, times, '{column}').loc[{gamma!r}, {end!r}].dropna().sort_values()"
@@ -47,7 +47,9 @@ def answers(frames: Frames) -> Iterator[Answer]:
         ratio = found / found.iloc[0]
         others = [m for m in found.index[ratio > within] if known.get(m) != CONTACT]
         beside = ", ".join(f"{method} {times(ratio[method])}" for method in others)
-        where = f"after T = {power(end)}, γ = {power(gamma)}, within {ALLOWED:.0%} (median of the starts)"
+        where = (
+            f"after T = {power(end)}, γ = {power(gamma)}, within {100 * ALLOWED:g} % (median of the starts)"
+        )
         text = "; ".join(filter(None, [show(found.iloc[0]) + unit, beside]))
         question = f"Which {asked} to have the energy left in a chaotic ring {where}?"
         yield Answer(question, names(list(found.index[ratio <= within]), 3), text, (query,))
@@ -101,7 +103,9 @@ def costs_view(frames: Frames, rows: pd.DataFrame) -> View:
 def others_view(frames: Frames, gamma: float) -> View:
     """Return the evaluations at the other dampings."""
     found = ring_costs(frames["ring"], frames["times"], "evaluations").drop(gamma).reset_index(name="least")
-    case = [f"γ = {power(g)}, T = {power(end)}" for g, end in zip(found["gamma"], found["t_end"], strict=True)]
+    case = [
+        f"γ = {power(g)}, T = {power(end)}" for g, end in zip(found["gamma"], found["t_end"], strict=True)
+    ]
     table = matrix(found.assign(case=case), "method", "case", lambda own: as_cell(own["least"].iloc[0], FEW))
     return view("ring_others", table)
 
@@ -118,7 +122,7 @@ def figure(frames: Frames, rows: pd.DataFrame) -> Figure | None:
     if not spans or spans[-1] not in found.index:
         return None
     seconds, known = found.loc[spans[-1]]["run_s"], families(frames["runs"])
-    sides = [seconds[[known.get(m) in some for m in seconds.index]] for some in (OURS, THEIRS)]
+    sides = [seconds[[known.get(m) in some for m in seconds.index]] for some in ((CONTACT,), THEIRS)]
     if not all(map(len, sides)):
         return None
     (own, first), (other, second) = (next(iter(side.items())) for side in sides)
@@ -132,7 +136,12 @@ def figure(frames: Frames, rows: pd.DataFrame) -> Figure | None:
         panels.append(Panel(f"T = {power(end)}", Axis("time, ms", "log"), y, only(curves, drawn), (floor,)))
     grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in drawn])
     panels.append(
-        Panel("one setting, with 1 % at first", Axis("T", "log"), y, only(by_method(grown, "t_end", "energy_error"), drawn))
+        Panel(
+            "one setting, with 1 % at first",
+            Axis("T", "log"),
+            y,
+            only(by_method(grown, "t_end", "energy_error"), drawn),
+        )
     )
     named = {"method": own, "other": other, "time": duration(first), "ratio": times(second / first)}
     more = {"gamma": power(rows["gamma"].max()), "end": power(spans[-1])}

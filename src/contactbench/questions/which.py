@@ -66,7 +66,9 @@ def kinds_view(frames: Frames) -> View:
 def hard_view(frames: Frames) -> View:
     rows = problems.hard_rows(frames)
     right = rows["end"] == "right"
-    runs = rows.assign(right=right, spent=rows["evaluations"].where(right)).groupby(["hard", "method"], sort=False)
+    runs = rows.assign(right=right, spent=rows["evaluations"].where(right)).groupby(
+        ["hard", "method"], sort=False
+    )
     shares = runs.agg(right=("right", "sum"), runs=("right", "size"), cost=("spent", "median")).reset_index()
     lines = []
     for kind, own in shares.groupby("hard", sort=False):

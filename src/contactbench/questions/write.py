@@ -91,8 +91,9 @@ def with_answers(readme: Path, frames: Frames) -> str:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
     answers = list(mission.findings(frames))
-    shown, how = mission.overview(frames), fold(answers)
-    found = [shown and markdown.view(shown, 2), markdown.answers(answers), how and markdown.fold(how, 2)]
+    table, how = mission.overview(frames), fold(answers)
+    found = ["" if table is None else markdown.view(table, 2), markdown.answers(answers)]
+    found.append("" if how is None else markdown.fold(how, 2))
     return "\n".join([around[0], "\n\n".join(filter(None, found)), "", around[1]])
 
 

@@ -55,15 +55,24 @@ def best(curves: Iterable[Curve], score: Score) -> list[str]:
     return [] if np.isnan(scores).all() else [own[int(np.nanargmax(scores))].method]
 
 
-def choose(curves: Sequence[Curve], score: Score, subjects: Sequence[str] = ()) -> list[str]:
+def choose(
+    curves: Sequence[Curve], score: Score, subjects: Sequence[str] = (), by_order: bool = False
+) -> list[str]:
     """Return the methods that a figure shows, at most MOST.
 
     First its subjects, or the best of all and the best contact method; then the contestants of the mission.
+    by_order : where there is room the best of every family and order, too.
     """
-    contact = [curve for curve in curves if look(curve.method, curve.family).family == CONTACT]
+    groups: dict[tuple[str, int | None], list[Curve]] = {}
+    for curve in curves:
+        own = look(curve.method, curve.family)
+        groups.setdefault((own.family, own.order), []).append(curve)
+    contact = [curve for (family, _), some in groups.items() if family == CONTACT for curve in some]
     chosen = [*(subjects or [*best(curves, score), *best(contact, score)])]
     for names in CONTESTANTS:
         chosen += best((curve for curve in curves if curve.method in names), score)
+    for group in groups.values() if by_order else ():
+        chosen += best(group, score)
     return list(dict.fromkeys(chosen))[:MOST]
 
 

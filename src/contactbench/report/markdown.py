@@ -12,7 +12,7 @@ from contactbench.report.views import Cell, Mark, View
 #: how a mark is written
 WRITTEN = {Mark.best: "**{}**", Mark.kept: "**{}**", Mark.tie: "*{}*", Mark.exception: "{} !"}
 #: a longer cell is not worth lining its column up for
-PADDED = 40
+PADDED = 20
 
 
 def without_html(text: str) -> str:
@@ -77,7 +77,13 @@ def heading(title: str, depth: int) -> str:
     return f"{'#' * min(depth, 6)} {' '.join(without_html(title).split())}"
 
 
-WRITERS: dict[type, Callable[..., str]] = {Section: section, View: view, Text: text, Figure: figure, Fold: fold}
+WRITERS: dict[type, Callable[..., str]] = {
+    Section: section,
+    View: view,
+    Text: text,
+    Figure: figure,
+    Fold: fold,
+}
 
 
 def parts(items: Iterable[Part | None], depth: int = 2) -> str:
