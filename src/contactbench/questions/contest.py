@@ -1,24 +1,23 @@
-"""Cost at equal error: what each error costs every method, who is cheapest, and up to which ratio two costs tie.
+"""Cost at equal error: what each error costs every method, who is within a quarter of the least, and who leads alone.
 
-Three kinds of cost are compared and never mixed: evaluations (the engine does not matter), time of compiled engines,
-and time of solvers that call back into Python.  A method is of the family its rows declare.
+Evaluations (the engine does not matter), times of compiled engines and times of solvers that call back into Python
+are never mixed.  The functions without an underscore are those that the counts of the documents are made with.
 """
 
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal, Protocol, cast
+from functools import wraps
+from typing import Any, Protocol, cast
 
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import (
-    COUNTED,
+    WIDEST,
     Verdict,
+    costs_to_reach,
     envelope,
     interpolate,
     margin,
@@ -26,72 +25,25 @@ from contactbench.measure.statistics import (
     verdict,
 )
 from contactbench.report.look import CONTACT as CONTACT
-from contactbench.scene.rigid_body import FREE_COST, MOMENTUM_COST
-from contactbench.solution import EXACT, PILOTS
+from contactbench.scenes import SCENES
+from contactbench.solution import EXACT
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
-#: the winner of a contest of two sides
-OURS, OTHER = "ours", "other"
 CALLBACKS = ("python", "c+python")
 #: statuses of runs that our own limits ended: a finer setting might be more accurate
 CUT = ("budget", "timeout")
-#: one integrator of two makers: where engines do not matter one contestant
-SAME_INTEGRATOR = {"scipy-dop853": "dop853", "cyrk-dop853": "dop853"}
 #: cells of an engine timed by two processes from which on it has a spread of its own
 ENOUGH = 8
-#: the difference of two times is resolved where its own halves agree within this; else it is noise of what is fixed
-RESOLVED = 1.5
+#: what a row of runs.csv and one of times.csv have in common
+KEY = ["scene", "method", "engine", "control", "setting", "saved"]
+#: so many results are kept of each function that many questions call
+KEPT = 16
+#: how far the energy left in the ring may be off, and the part of its run that is timed
+ALLOWED, TIMED_SPAN = 0.01, 500.0
 
 #: the columns of a row
 type Record = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of cost, declared in kinds.toml.
-
-    cost, halves, processes : its column, those of the ratio of a cell's halves, and of a second process to the first.
-    by : who sets a method to an error: an oracle, or a tolerance that each is given, contact methods by their pilots.
-    resolved : neither a cost whose halves differ by more than `RESOLVED` takes part, nor a closed form.
-    """
-
-    name: str
-    title: str
-    cost: str
-    engines: Literal["any", "compiled", "callbacks"]
-    about: str
-    timed: bool = True
-    halves: str = "time_halves_ratio"
-    processes: str = "time_process_ratio"
-    resolved: bool = False
-    by: Literal["oracle", "tolerance"] = "oracle"
-
-    def compares(self, rows: pd.DataFrame) -> pd.Series:
-        pilots = rows["variant"].fillna("") == PILOTS
-        chosen = pilots | rows["control"].isin(["rtol", EXACT]) if self.by == "tolerance" else ~pilots
-        if self.engines != "any":
-            chosen &= rows["engine"].isin(CALLBACKS) == (self.engines == "callbacks")
-        if self.resolved:
-            halves = rows[self.halves].astype(float)
-            chosen &= (rows["control"] != EXACT) & halves.between(1 / RESOLVED, RESOLVED)
-        return chosen
-
-    def process_spread(self, rows: pd.DataFrame, engine: str = "") -> float:
-        """Return by what factor two processes differ on an engine; on all where few of its cells were timed twice."""
-        if not self.timed:
-            return COUNTED
-        own = rows[rows["engine"] == engine]
-        sample = own if own[self.processes].notna().sum() >= ENOUGH else rows
-        return process_spread(*(sample[name].astype(float) for name in (self.processes, self.halves)))
-
-
-DECLARED = tomllib.loads(Path(__file__).with_name("kinds.toml").read_text(encoding="utf-8"))
-ROTATIONS = {"free": FREE_COST, "momentum": MOMENTUM_COST}
-KINDS = tuple(
-    Kind(name, **given | {"about": given["about"].format(**ROTATIONS)}) for name, given in DECLARED.items()
-)
-EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK, *BY_TOLERANCE = KINDS
 
 
 class Cost(Protocol):
@@ -103,42 +55,94 @@ class Cost(Protocol):
     cost: float
     bound: bool
     reason: str
-    fixed: float
     halves: float
     processes: float
+    ratio: float
     verdict: str
+
+
+def once[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Have a function of tables, which many questions call, compute what it finds of the same tables once."""
+    found: dict[tuple[object, ...], tuple[object, R]] = {}
+
+    @wraps(function)
+    def call(*given: P.args, **which: P.kwargs) -> R:
+        key = (*(id(one) if isinstance(one, pd.DataFrame) else one for one in given), *sorted(which.items()))
+        if key not in found:
+            if len(found) >= KEPT:
+                found.pop(next(iter(found)))
+            found[key] = given, function(*given, **which)  # tables that are kept keep their identity
+        return found[key][1]
+
+    return call
 
 
 def cost_rows(frame: pd.DataFrame) -> list[Cost]:
     return cast(list[Cost], list(frame.itertuples(index=False)))
 
 
-def costs(rows: pd.DataFrame, kind: Kind, keys: Sequence[str] = ("scene", "method")) -> pd.DataFrame:
-    """Return the cost of each error for each method, on its best engine where times are compared.
+def floats(column: pd.Series) -> np.ndarray:
+    return np.asarray(column.to_numpy(dtype=float, na_value=math.nan))
 
-    One row per `keys` and error, with the columns
 
-    - family, engine; package: the library, blank where this one runs it
+# -- what an error costs ---------------------------------------------------------------------------
+def by_pilots(runs: pd.DataFrame) -> pd.Series:
+    """Return which rows are of a method with fixed steps that is given a tolerance: it chooses its step by pilots."""
+    fixed = runs["method"][runs["control"].isin(["step", "growing"])]
+    return (runs["control"] == "rtol") & runs["method"].isin(fixed)
+
+
+def comparable(
+    runs: pd.DataFrame,
+    times: pd.DataFrame | None = None,
+    tolerance: bool = False,
+    callbacks: bool = False,
+    saved: int = 1,
+) -> pd.DataFrame:
+    """Return the runs that meet in one contest, with a column `spent`: evaluations, or seconds where `times` is given.
+
+    tolerance : every method is given a tolerance; else an oracle picks every setting.  callbacks : of times, those of
+    solvers that call back into Python; else those of compiled ones.
+    """
+    pilots = by_pilots(runs)
+    chosen = runs["control"].isin(["rtol", EXACT]) if tolerance else ~pilots
+    rows = runs[chosen & (runs["saved"] == saved) & (runs["status"] != "unsupported")]
+    if times is None:
+        counted = rows.groupby(["scene", "method"])["evaluations"].transform("count")  # by some solvers never
+        return rows[counted > 0].assign(spent=rows["evaluations"])
+    rows = rows[rows["engine"].isin(CALLBACKS) == callbacks].merge(times, on=KEY, how="left")
+    return rows.assign(spent=rows["least_s"])
+
+
+@once
+def costs(runs: pd.DataFrame, times: pd.DataFrame | None = None, **which: Any) -> pd.DataFrame:
+    """Return the cost of each error for each method and scene, on its best engine where times are compared.
+
+    which : as in `comparable`.  Columns beside scene, method, family, engine and error:
+
     - cost : nan where the error is not reached.  reason : why no finer setting was tried, blank where none would help.
     - bound : every setting is more accurate than the error; the cost is that of the cheapest.
-    - fixed : the share of the cost that does not grow with the run, nan where it was not measured.
-    - halves, processes : the ratios by which the halves of its visits, and two processes, differ.
+    - halves, processes : the ratios by which the halves of its visits, and two processes, differ; 1 of evaluations.
     """
-    part = rows[kind.compares(rows) & (rows["status"] != "unsupported")]
-    spreads = {str(engine): kind.process_spread(part, engine) for engine in part["engine"].unique()}
-    if not kind.timed:
-        part = part.assign(method=part["method"].replace(SAME_INTEGRATOR))
-        said = part.groupby(list(keys))[kind.cost].transform("count")  # by some solvers never
-        part = part[said > 0]
+    part = comparable(runs, times, **which)
+    timed = times is not None
+    engines = part["engine"].unique() if timed else ()
+    spreads = {engine: _process_spread(part, engine) for engine in engines}
     found: list[Record] = []
-    for key, own in part.groupby(list(keys), sort=False):
-        engines = [one for _, one in own.groupby("engine", sort=False)] if kind.timed else [own]
-        tried = [list(_costs_on(one, kind, spreads[one["engine"].iloc[0]])) for one in engines]
-        declared = {name: own[name].iloc[0] for name in ("family", "package") if name in own}
-        lead = dict(zip(keys, key, strict=True)) | declared
+    for (scene, method), own in part.groupby(["scene", "method"], sort=False):
+        each = [one for _, one in own.groupby("engine", sort=False)] if timed else [own]
+        tried = [list(_costs_on(one, spreads.get(one["engine"].iloc[0]))) for one in each]
+        lead = {"scene": scene, "method": method, "family": own["family"].iloc[0]}
         found += [lead | min(same, key=_preference) for same in zip(*tried, strict=True)]
-    names = "family package engine error cost bound reason fixed halves processes"
-    return pd.DataFrame(found, columns=list(dict.fromkeys([*keys, *names.split()])))
+    names = "scene method family engine error cost bound reason halves processes"
+    return pd.DataFrame(found, columns=names.split())
+
+
+def _process_spread(rows: pd.DataFrame, engine: str) -> float:
+    """Return by what factor two processes differ on an engine; on all where few of its cells were timed twice."""
+    own = rows[rows["engine"] == engine]
+    sample = own if own["process"].notna().sum() >= ENOUGH else rows
+    return process_spread(*(sample[name].astype(float) for name in ("process", "halves")))
 
 
 def _preference(row: Record) -> tuple[bool, float]:
@@ -146,52 +150,48 @@ def _preference(row: Record) -> tuple[bool, float]:
     return not reached, row["cost"] if reached else not row["reason"]
 
 
-def _costs_on(rows: pd.DataFrame, kind: Kind, processes: float) -> Iterator[Record]:
+def _costs_on(rows: pd.DataFrame, processes: float | None) -> Iterator[Record]:
     ok = (rows["status"] == "ok").to_numpy(dtype=bool)
-    errors, spent = (_floats(rows[name])[ok].tolist() for name in ("solution_error", kind.cost))
+    errors, spent = (floats(rows[name])[ok].tolist() for name in ("error", "spent"))
     front = envelope(errors, spent)
     reached = interpolate(errors, spent, front, TARGETS)
     reason = cut_off(rows) if any(map(math.isnan, reached)) else ""
-    halves = _floats(rows[kind.halves])[ok].tolist() if kind.timed else [1.0] * len(errors)
+    halves = floats(rows["halves"])[ok].tolist() if processes else [1.0] * len(errors)
     halves = interpolate(errors, [max(r, 1 / r) for r in halves], front, TARGETS)
-    shares = [math.nan] * len(errors)
-    if kind.timed and not kind.resolved and "fixed_s" in rows:
-        shares = (_floats(rows["fixed_s"]) / _floats(rows["time_min_s"]))[ok].tolist()
     loosest = max(errors, default=math.nan)
     engine = rows["engine"][ok].iloc[0] if errors else ""
     for target, cost, own in zip(TARGETS, reached, halves, strict=True):
-        reach = [(c, s) for e, c, s in zip(errors, spent, shares, strict=True) if e <= target and c == c]
         yield {
             "error": target,
             "engine": engine,
             "cost": cost,
             "bound": target > loosest,
             "reason": reason if math.isnan(cost) else "",
-            "fixed": min(reach)[1] if reach else math.nan,
             "halves": own,
-            "processes": processes,
+            "processes": processes or 1.0,
         }
 
 
 def cut_off(rows: pd.DataFrame) -> str:
     """Return the status of a finer setting that our own limit ended, or "": no finer one would be more accurate."""
-    settings = list(zip(rows["status"], _floats(rows["value"]), _floats(rows["solution_error"]), strict=True))
+    settings = list(zip(rows["status"], floats(rows["setting"]), floats(rows["error"]), strict=True))
     done = [(error, value) for status, value, error in settings if status == "ok"]
     best = min(done, key=lambda one: (math.isnan(one[0]), *one), default=(0.0, math.inf))[1]
     ended = [(value, str(status)) for status, value, _ in settings if status in CUT and value < best]
     return max(ended, default=(0.0, ""))[1]
 
 
-def _floats(column: pd.Series) -> np.ndarray:
-    return np.asarray(column.to_numpy(dtype=float, na_value=math.nan))
+# -- who is near the least, and who leads ----------------------------------------------------------
+def pair_margin(one: Cost, other: Cost, within: float = WIDEST) -> float:
+    return margin((one.halves, other.halves), max(one.processes, other.processes), within)
 
 
-def pair_margin(one: Cost, other: Cost) -> float:
-    return margin((one.halves, other.halves), max(one.processes, other.processes))
-
-
-def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd.DataFrame:
+def standings(
+    costs: pd.DataFrame, by: Sequence[str] = ("scene", "error"), within: float = WIDEST
+) -> pd.DataFrame:
     """Return the costs with their standing beside the least of the same scene and error, cheapest first.
+
+    within : no lead is smaller; 1 of evaluations, which have their exact order.
 
     Columns beside theirs: ratio and margin, to the least; verdict: of the least *win*, or *tie* or *undecided* where
     it is not alone; of the others *tie*, *undecided* or *loss*; blank where the error is not reached.
@@ -204,7 +204,9 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
         part = part.sort_values("cost", kind="stable")
         least = cost_rows(part.head(1))[0]
         ratios = part["cost"] / least.cost
-        margins = [pair_margin(row, least) if row.cost == row.cost else math.nan for row in cost_rows(part)]
+        margins = [
+            pair_margin(row, least, within) if row.cost == row.cost else math.nan for row in cost_rows(part)
+        ]
         pairs = zip(ratios, margins, strict=True)
         verdicts = [str(verdict(ratio, most)) if ratio == ratio else "" for ratio, most in pairs]
         if verdicts[0]:
@@ -216,40 +218,97 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
     return pd.concat(ranked, ignore_index=True) if ranked else costs.assign(ratio=[], margin=[], verdict=[])
 
 
+def ranked(runs: pd.DataFrame, times: pd.DataFrame | None = None, **which: Any) -> pd.DataFrame:
+    """Return the standings of every contest of a kind; which : as in `comparable`."""
+    return standings(costs(runs, times, **which), within=1.0 if times is None else WIDEST)
+
+
 def of_contact(costs: pd.DataFrame) -> pd.Series:
     return costs["family"] == CONTACT
 
 
-def of_this_package(costs: pd.DataFrame) -> pd.Series:
-    return costs["package"].fillna("") == ""
+@once
+def contests(runs: pd.DataFrame, times: pd.DataFrame | None = None, **which: Any) -> pd.DataFrame:
+    """Return the best contact method beside the best other, a row for each scene and error that anybody reaches.
 
-
-def contests(costs: pd.DataFrame, ours: Callable[[pd.DataFrame], pd.Series] = of_contact) -> pd.DataFrame:
-    """Return the best method of one side beside the best other, a row per error and scene on which both sides ran.
-
-    ours : which costs are of the side.  ratio : the other's cost over that side's, inf and 0 where one is alone.
-    winner : ours, other, tie, undecided, or blank where nobody reaches the error.
+    which : as in `comparable`.  ratio : the contact method's cost over the other's, 0 and inf where one is alone.
+    margin : by so much either must lead to lead alone.
     """
-    rows = []
-    for scene, here in costs.groupby("scene", sort=False):
-        if ours(here).nunique() < 2:
-            continue
-        for target, part in here.groupby("error", sort=False):
-            part = part[part["cost"].notna()].sort_values("cost", kind="stable")
-            own = ours(part)
-            pair = (next(iter(cost_rows(part[side].head(1))), None) for side in (own, ~own))
-            rows.append({"scene": scene, "error": target} | _contest(*pair))
-    names = "scene error ours our_cost other other_cost ratio margin winner"
-    return pd.DataFrame(rows, columns=names.split())
+    return sides(costs(runs, times, **which), within=1.0 if times is None else WIDEST)
 
 
-def _contest(ours: Cost | None, theirs: Cost | None) -> Record:
-    row = {"ours": ours.method, "our_cost": ours.cost} if ours else {"ours": ""}
-    row |= {"other": theirs.method, "other_cost": theirs.cost} if theirs else {"other": ""}
-    if ours is None or theirs is None:
-        alone = (OURS, math.inf) if ours else (OTHER, 0.0) if theirs else ("", math.nan)
-        return row | {"ratio": alone[1], "winner": alone[0]}
-    most = pair_margin(ours, theirs)
-    found = verdict(ours.cost / theirs.cost, most)
-    winner = {Verdict.win: OURS, Verdict.loss: OTHER}.get(found, str(found))
-    return row | {"ratio": theirs.cost / ours.cost, "margin": most, "winner": winner}
+def sides(
+    costs: pd.DataFrame,
+    keys: Sequence[str] = ("scene", "error"),
+    ours: Callable[[pd.DataFrame], pd.Series] = of_contact,
+    within: float = WIDEST,
+) -> pd.DataFrame:
+    """Return the best of one side beside the best other, of all `keys` on which both sides run; as `contests`."""
+    own, runs = ours(costs), [costs[key] for key in keys if key != "error"]
+    both = own.groupby(runs).transform("nunique") == 2
+    reached = costs[both & costs["cost"].notna()].sort_values("cost", kind="stable")
+    first = [
+        reached[side[reached.index]].groupby(list(keys), sort=False).head(1).set_index(list(keys))
+        for side in (own, ~own)
+    ]
+    found = first[0].join(first[1], how="outer", lsuffix="_ours", rsuffix="_other")
+    cost, halves, processes = (
+        [found[f"{name}_{side}"].where(found[f"cost_{side}"].notna(), none) for side in ("ours", "other")]
+        for name, none in (("cost", math.inf), ("halves", 1.0), ("processes", 1.0))
+    )
+    pairs = zip(*halves, np.maximum(*processes), strict=True)
+    margins = [margin(pair, most, within) for *pair, most in pairs]
+    made = found[["method_ours", "method_other"]].set_axis(["ours", "other"], axis=1).fillna("")
+    return made.assign(ratio=(cost[0] / cost[1]).astype(float), margin=margins).reset_index()
+
+
+# -- other tables ----------------------------------------------------------------------------------
+def families(runs: pd.DataFrame) -> dict[str, str]:
+    return dict(zip(runs["method"], runs["family"], strict=True))
+
+
+def drawn(population: pd.DataFrame, problems: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the random problems that are not hard, with what a pilot says of each problem."""
+    usual = problems[problems["hard"] == ""].rename(columns={"cost": "force"})
+    return population.merge(usual, on=["seed", "scene"])
+
+
+@once
+def random_contests(
+    population: pd.DataFrame, problems: pd.DataFrame, runs: pd.DataFrame, cost: str
+) -> pd.DataFrame:
+    """Return the best contact method beside the best other on each random problem; as `contests`.
+
+    cost : evaluations, or time_s, which was measured in one process.
+    """
+    rows = drawn(population, problems)
+    rows = rows.assign(family=rows["method"].map(families(runs)), halves=1.0, processes=1.0)
+    rows["cost"] = rows[cost].where(rows["status"] == "ok")
+    within = WIDEST if cost == "time_s" else 1.0
+    return sides(rows, ("seed", "scene", "error"), within=within).merge(problems, on=["seed", "scene"])
+
+
+def hard_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs of the hard scenes that were started."""
+    hard = [name for name in runs["scene"].unique() if name in SCENES and SCENES[name].hard]
+    skipped = (runs["status"] == "budget") & runs["end_time"].isna()
+    return runs[runs["scene"].isin(hard) & (runs["status"] != "unsupported") & ~skipped]
+
+
+def ring_runs(ring: pd.DataFrame, times: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs of the ring with the time of each whole, from that of its beginning: `run_s`."""
+    begun = times[times["scene"].isin(ring["scene"])][["scene", "method", "control", "setting", "least_s"]]
+    rows = ring.merge(begun, on=["scene", "method", "control", "setting"], how="left")
+    return rows.assign(run_s=rows["least_s"] / TIMED_SPAN * rows["t_end"])
+
+
+@once
+def ring_costs(ring: pd.DataFrame, times: pd.DataFrame, cost: str = "run_s") -> pd.Series:
+    """Return what the energy left in the ring to `ALLOWED` costs, by γ, span and method."""
+    good = ring_runs(ring, times).query("status == 'ok'")
+    found = {
+        key: costs_to_reach(floats(own["energy_error"]).tolist(), floats(own[cost]).tolist(), (ALLOWED,))[0]
+        for key, own in good.groupby(["gamma", "t_end", "method"])
+    }
+    index = pd.MultiIndex.from_tuples(found, names=["gamma", "t_end", "method"])
+    return pd.Series(list(found.values()), index, dtype=float).sort_index()

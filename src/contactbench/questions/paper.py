@@ -129,5 +129,8 @@ PLANS: dict[str, Callable[[pd.DataFrame], Iterable[Panel]]] = {
 
 
 def all_figures(table: pd.DataFrame) -> Iterator[Figure]:
-    charts = (chart(name, PLANS[name](rows), across=3) for name, rows in table.groupby("figure", sort=False))
+    own = table[table["figure"].isin([*PLANS])]
+    charts = (
+        chart(str(name), PLANS[str(name)](rows), across=3) for name, rows in own.groupby("figure", sort=False)
+    )
     return filter(None, charts)

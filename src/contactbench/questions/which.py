@@ -1,24 +1,21 @@
-"""Which method?  A decision in a few questions, each branch with what the tables have of it."""
+"""Which method?  For each kind of problem and error the method with the least mean cost, and what it costs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-from contactbench.questions import population, stability, structure
-from contactbench.questions.contest import CONTACT
+from contactbench.questions import problems
+from contactbench.questions.contest import CONTACT, families
 from contactbench.questions.regret import COSTS, regrets
-from contactbench.report.chapters import PROSE, Frames, Part, Section, Text, chapter, view
+from contactbench.report.chapters import PROSE, Frames, Part, chapter, view
 from contactbench.report.numbers import DASH, names, power, times
 from contactbench.report.views import Cell, View, frame_of
 
-NAME = "which"
-#: kinds of problem and the families that are of each, None: all the others; and the questions, in order
-KINDS: dict[str, list[str]] = PROSE[NAME]["kinds"]
-QUESTIONS: dict[str, dict[str, str]] = PROSE[NAME]["asked"]
+#: kinds of problem and the families that are of each, none: all the others
+KINDS: dict[str, list[str]] = PROSE["which"]["kinds"]
 #: of a potential with linear damping by the damping over the frequency, above which and up to which
 STRENGTHS = {"weak": (0.0, 1e-3), "middling": (1e-3, 1e-1), "strong": (1e-1, np.inf)}
 #: so many methods are named for each hard kind
@@ -30,11 +27,11 @@ def kind_of(structure: str) -> str:
     return next((kind for kind, own in KINDS.items() if structure in own), next(iter(KINDS)))
 
 
-def groups(problems: pd.DataFrame) -> dict[str, pd.Series]:
+def groups(rows: pd.DataFrame) -> dict[str, pd.Series]:
     """Return labels of kinds of problem, and which rows are of each."""
-    kinds = problems["structure"].map(kind_of)
+    kinds = rows["structure"].map(kind_of)
     first, *others = KINDS
-    strength = problems["damping"].astype(float)
+    strength = rows["damping"].astype(float)
     found = {
         f"{first}, damping {name}": (kinds == first) & (strength > low) & (strength <= high)
         for name, (low, high) in STRENGTHS.items()
@@ -52,31 +49,27 @@ def best(table: pd.DataFrame) -> Cell:
 
 
 def kinds_view(frames: Frames) -> View:
-    seed, rows = population.seeds(frames)[0], frames["population"]
-    rows = rows[rows["seed"] == seed]
-    contact = {str(name) for name in rows["method"][rows["family"] == CONTACT]}
-    problems = population.problems_of(frames).set_index(["seed", "scene"])
+    rows, known = problems.usual(frames), families(frames["runs"])
+    rows = rows[rows["seed"] == problems.seeds(frames)[0]]
     lines = []
-    for label, inside in groups(problems).items():
-        for error in population.errors(frames):
-            tables = [regrets(rows, error, cost) for cost in COSTS]
-            tables = [table[inside.reindex(table.index).to_numpy(dtype=bool)] for table in tables]
-            cells = [best(own) for each in tables for own in (each, each[[m for m in each if m in contact]])]
+    for label, inside in groups(rows).items():
+        for error in problems.errors(frames):
+            tables = [regrets(rows[inside], error, cost) for cost in COSTS]
+            ours = [each[[m for m in each if known.get(m) == CONTACT]] for each in tables]
+            cells = [best(own) for pair in zip(tables, ours, strict=True) for own in pair]
             lines.append([f"{label}, {power(error)}", len(tables[0]), *cells])
     labels = [("", "problems, error"), ("", "how many")]
-    labels += [(population.LABELS[cost], what) for cost in COSTS for what in ("any", "a contact method")]
+    labels += [(problems.LABELS[cost], what) for cost in COSTS for what in ("any", "a contact method")]
     return view("which_kinds", frame_of(lines, labels), strong=f"{STRENGTHS['strong'][0]:g}")
 
 
-def hard_view(frames: Frames) -> View | None:
-    rows = frames["population_hard"]
-    if not len(rows):
-        return None
-    right = rows["right"].fillna(False).astype(bool)
-    runs = rows.assign(right=right, cost=rows["evaluations"].where(right)).groupby(
+def hard_view(frames: Frames) -> View:
+    rows = problems.hard_rows(frames)
+    right = rows["end"] == "right"
+    runs = rows.assign(right=right, spent=rows["evaluations"].where(right)).groupby(
         ["hard", "method"], sort=False
     )
-    shares = runs.agg(right=("right", "sum"), runs=("right", "size"), cost=("cost", "median")).reset_index()
+    shares = runs.agg(right=("right", "sum"), runs=("right", "size"), cost=("spent", "median")).reset_index()
     lines = []
     for kind, own in shares.groupby("hard", sort=False):
         first = own.sort_values(["right", "cost"], ascending=[False, True], kind="stable").head(NAMED)
@@ -85,24 +78,8 @@ def hard_view(frames: Frames) -> View | None:
     return view("which_hard", frame_of(lines, ["problems", "most often right"]))
 
 
-def parts_of(name: str, frames: Frames) -> tuple[Part | None, ...]:
-    """Return what the tables have of a question."""
-    if name == "long" and len(frames["structure_buys"]):
-        return (Text(items=tuple(f"{one.answer}: {one.count}" for one in structure.answers(frames))),)
-    if name == "stiff":
-        rates = frames["damping_rates"]
-        return (
-            replace(stability.rates_view(rates[rates["experiment"] == "overdamped"]), name="which_rates"),
-        )
-    if name == "hard":
-        return (hard_view(frames),)
-    return (kinds_view(frames),) if name == "kind" else ()
-
-
-@chapter(NAME)
+@chapter("which")
 def parts(frames: Frames) -> Iterator[Part | None]:
-    if not population.told(frames):
-        return
-    for number, (name, asked) in enumerate(QUESTIONS.items(), 1):
-        text = Text(" ".join(asked["text"].split()))
-        yield Section(f"{number}. {asked['question']}", (text, *parts_of(name, frames)))
+    if len(problems.usual(frames)):
+        yield kinds_view(frames)
+        yield hard_view(frames)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,21 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
-from contactbench.questions import headline
+from contactbench.questions import mission
+from contactbench.questions.answers import fold
 from contactbench.report import draw, markdown
-from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, discovered, every
+from contactbench.report.chapters import (
+    Chapter,
+    Frames,
+    Part,
+    Section,
+    Tables,
+    Text,
+    chapters,
+    discovered,
+    every,
+    shown,
+)
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View, frame_of
 from contactbench.tables.provenance import runs
@@ -48,12 +61,15 @@ def documents(
     results: Path, registries: Registries, readme: Path | None
 ) -> tuple[dict[Path, str], list[Figure]]:
     frames, pages, drawn = tables(results), dict[str, str](), dict[str, Figure]()
-    for chapter in chapters(frames):
-        parts = chapter.fill(frames)
+    for file, own in groupby(chapters(frames), key=lambda chapter: chapter.file):
+        first, *others = own
+        answers = list(first.answers(frames))
+        parts: list[Part] = [*first.fill(frames)]
+        parts += [Section(one.title, chapter_parts(one, frames)) for one in others]
         drawn |= {figure.name: figure for figure in every(Figure, parts)}
-        if chapter.name == headline.NAME:
-            parts = (*parts, headline.machine(runs(results)))
-        pages[chapter.file] = markdown.document(chapter.title, chapter.answers(frames), parts)
+        if first.name == mission.NAME:
+            parts.append(mission.machine(runs(results)))
+        pages[file] = markdown.document(first.title, answers, shown([fold(answers), *parts]))
     pages["glossary.md"] = markdown.document("Glossary", (), glossary(registries))
     if not (results.parent / "docs" / "reading.md").exists():  # as in a repository of one's own
         pages = {name: TO_DOCS.sub("", text) for name, text in pages.items()}
@@ -62,15 +78,23 @@ def documents(
     return paths | ({readme: with_answers(readme, frames)} if readme else {}), list(drawn.values())
 
 
+def chapter_parts(chapter: Chapter, frames: Frames) -> tuple[Part, ...]:
+    """Return a chapter as a section of another's document."""
+    answers = list(chapter.answers(frames))
+    summary = Text(markdown.answers(answers)) if answers else None
+    return tuple(shown([summary, fold(answers), *chapter.parts(frames)]))
+
+
 def with_answers(readme: Path, frames: Frames) -> str:
     around = computed_part(readme)
     if around is None:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    shown = headline.overview(frames)
-    tables = [markdown.table(shown)] if shown is not None else []
-    tables.append(markdown.answers(headline.findings(frames)))
-    return "\n".join([around[0], "\n\n".join(tables), "", around[1]])
+    answers = list(mission.findings(frames))
+    table, how = mission.overview(frames), fold(answers)
+    found = ["" if table is None else markdown.view(table, 2), markdown.answers(answers)]
+    found.append("" if how is None else markdown.fold(how, 2))
+    return "\n".join([around[0], "\n\n".join(filter(None, found)), "", around[1]])
 
 
 def computed_part(readme: Path) -> tuple[str, str] | None:

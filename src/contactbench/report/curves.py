@@ -56,22 +56,22 @@ def best(curves: Iterable[Curve], score: Score) -> list[str]:
 
 
 def choose(
-    curves: Sequence[Curve], score: Score, by_order: bool = False, subjects: Sequence[str] = ()
+    curves: Sequence[Curve], score: Score, subjects: Sequence[str] = (), by_order: bool = False
 ) -> list[str]:
     """Return the methods that a figure shows, at most MOST.
 
-    First its subjects (by default the best of all and the best contact method), then the contestants of the mission,
-    and where there is room the best of every other family (and order).
+    First its subjects, or the best of all and the best contact method; then the contestants of the mission.
+    by_order : where there is room the best of every family and order, too.
     """
     groups: dict[tuple[str, int | None], list[Curve]] = {}
     for curve in curves:
         own = look(curve.method, curve.family)
-        groups.setdefault((own.family, own.order if by_order else None), []).append(curve)
-    contact = [curve for curve in curves if look(curve.method, curve.family).family == CONTACT]
+        groups.setdefault((own.family, own.order), []).append(curve)
+    contact = [curve for (family, _), some in groups.items() if family == CONTACT for curve in some]
     chosen = [*(subjects or [*best(curves, score), *best(contact, score)])]
     for names in CONTESTANTS:
         chosen += best((curve for curve in curves if curve.method in names), score)
-    for group in groups.values():
+    for group in groups.values() if by_order else ():
         chosen += best(group, score)
     return list(dict.fromkeys(chosen))[:MOST]
 

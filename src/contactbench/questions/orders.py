@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 import pandas as pd
 
+from contactbench.questions.answers import share
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import by_method, choose, floats, lowest, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.numbers import how_often
-from contactbench.report.views import Cell, Mark, matrix
+from contactbench.report.numbers import DASH
+from contactbench.report.views import Cell, Mark, as_cell, matrix
 
 #: a measured order further than this from the claimed one, and than its own spread, is an exception
 AGREES = 0.1
@@ -30,11 +31,26 @@ def fits(frame: pd.DataFrame) -> pd.DataFrame:
     return first.assign(off=off & first["order"].notna())
 
 
+RIGHT = (
+    "orders.drop_duplicates(['scene', 'method']).dropna(subset='order')"
+    f".eval('abs(order - order_nominal) <= order_uncertainty.fillna(0).clip(lower={AGREES})')"
+)
+
+
 def answers(frames: Frames) -> Iterator[Answer]:
-    known = fits(frames["convergence"]).dropna(subset="order")
-    right = int((~known["off"]).sum())
-    count = f"{right} of {len(known)} pairs of method and scene, within {AGREES:g} or the spread"
-    yield Answer(PROSE["convergence"]["question"], how_often(right, len(known)), count)
+    what = f"pairs of method and scene, within {AGREES:g} or the spread"
+    if answer := share(frames, PROSE["orders"]["question"], what, RIGHT):
+        yield answer
+
+
+def order_of(frames: Frames, scene: str, method: str) -> Cell:
+    """Return the order of a method on a scene, for a table of other things; or how it chooses its steps."""
+    orders, runs = frames["orders"], frames["runs"]
+    here = orders[(orders["method"] == method) & (orders["scene"] == scene)]
+    if len(here):
+        return as_cell(here["order"].iloc[0], "{:.2f}".format)
+    controls = set(runs["control"][(runs["method"] == method) & (runs["scene"] == scene)])
+    return Cell("adaptive" if controls == {"rtol"} else DASH)
 
 
 def order_cell(rows: pd.DataFrame) -> Cell:
@@ -47,33 +63,33 @@ def order_cell(rows: pd.DataFrame) -> Cell:
     return Cell(f"{row['order']:.2f}{spread}", float(row["order"]), Mark.exception if row["off"] else None)
 
 
-@chapter("convergence", answers)
+@chapter("orders", answers)
 def parts(frames: Frames) -> list[Part | None]:
-    orders = matrix(fits(frames["convergence"]), "method", "scene", order_cell)
-    return [view("orders", orders, agrees=AGREES), figure(frames["convergence"])]
+    orders = matrix(fits(frames["orders"]), "method", "scene", order_cell)
+    return [view("orders", orders, agrees=AGREES), figure(frames["orders"])]
 
 
 def guides(rows: pd.DataFrame, methods: list[str]) -> Iterator[Curve]:
-    part = rows[rows["method"].isin(methods) & (rows["solution_error"] > ROUNDING)]
+    part = rows[rows["method"].isin(methods) & (rows["error"] > ROUNDING)]
     for order, own in part.groupby("order_nominal"):
         line = own[own["method"] == own["method"].iloc[0]].sort_values("step")
         line = line.iloc[: max(2, len(line) - 2)]  # the coarsest are not asymptotic
         steps = line["step"].to_numpy(dtype=float)
         middle = len(line) // 2
-        slope = BELOW * line["solution_error"].iloc[middle] * (steps / steps[middle]) ** float(order)
+        slope = BELOW * line["error"].iloc[middle] * (steps / steps[middle]) ** float(order)
         yield Curve(floats(steps), floats(slope), role="guide", markers=False)
 
 
 def figure(frame: pd.DataFrame) -> Figure | None:
-    rows = frame[(frame["scene"] == SCENE) & (frame["status"] == "ok") & frame["solution_error"].notna()]
+    rows = frame[(frame["scene"] == SCENE) & (frame["status"] == "ok") & frame["error"].notna()]
     first = rows.drop_duplicates("method")
     off = (first["order"] - first["order_nominal"]).abs().dropna()
     if not len(off):
         return None
-    curves = by_method(rows, "step", "solution_error")
+    curves = by_method(rows, "step", "error")
     curves = only(curves, choose(curves, lowest, by_order=True))
     x = Axis("step size h (smaller to the right)", "log", inverted=True)
     y = Axis("error of the solution", "log")
     slopes = guides(rows, [curve.method for curve in curves])
     panel = Panel("", x, y, (*slopes, *curves))
-    return chart("convergence", [panel], scene=SCENE, count=len(off), off=off.max())
+    return chart("orders", [panel], scene=SCENE, count=len(off), off=off.max())
