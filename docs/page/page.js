@@ -20,8 +20,8 @@ const drawn = (row) => row.status === "ok" && row.error !== null && row[cost().c
 
 /** Curves of the chosen methods: one for each way to set the step; of several engines the first, compiled ones first. */
 function curves() {
-  const found = new Map();
-  for (const row of rows.filter((row) => fits(row) && drawn(row) && chosen().has(row.method))) {
+  const found = new Map(), own = chosen();
+  for (const row of rows.filter((row) => fits(row) && drawn(row) && own.has(row.method))) {
     const key = `${row.method}, ${row.control}`;
     if (!found.has(key)) found.set(key, new Map());
     const engines = found.get(key);
@@ -30,11 +30,13 @@ function curves() {
   }
   const rank = (engine) => Number(data.engines[engine] !== "compiled");
   const all = [...found.values()].map((engines) => engines.get([...engines.keys()].sort((a, b) => rank(a) - rank(b))[0]));
-  const controls = (method) => all.filter(([row]) => row.method === method).length;
+  const others = (own) => all.filter(([row]) => row.method === own.method && row.control !== own.control);
   return all.map((points) => {
-    const [{ method, control }] = points;
-    const name = controls(method) > 1 ? `${method}, ${control}` : method;
-    return { method, control, name, points: points.sort((a, b) => a[cost().column] - b[cost().column]) };
+    const [row] = points;
+    const several = others(row).length > 0;
+    const name = several ? `${row.method}, ${row.control}` : row.method;
+    points.sort((a, b) => b.setting - a.setting);
+    return { method: row.method, name, points, second: several && row.control !== "step" }; // drawn thinner
   });
 }
 
@@ -42,6 +44,7 @@ const plain = (value) => (Math.abs(value) >= 1e-3 && Math.abs(value) < 1e6) || v
   ? String(Number(value.toPrecision(6))) : value.toExponential(2);
 const SI = [[1, "s"], [1e-3, "ms"], [1e-6, "µs"], [0, "ns"]];
 function seconds(value) {
+  if (value === 0) return "0 s";
   const [unit, name] = SI.find(([unit]) => value >= unit);
   return `${Number((value / (unit || 1e-9)).toPrecision(3))} ${name}`;
 }
@@ -54,9 +57,9 @@ function text(name, value) {
 
 // -- the figure ------------------------------------------------------------------------------------
 /** A logarithmic axis around some values; ticks at decades, and at 2 and 5 where there are few of them. */
-function logarithmic(values, most, label) {
+function logarithmic(values, most, label, count = 9) {
   const low = Math.log10(Math.min(...values)), high = Math.log10(Math.min(Math.max(...values), most));
-  const margin = 0.04 * (high - low) + 0.1, every = Math.ceil((high - low) / 9);
+  const margin = 0.04 * (high - low) + 0.1, every = Math.ceil((high - low) / count);
   const decades = Array.from({ length: Math.max(0, Math.ceil(high) - Math.floor(low) + 2) }, (_, i) => Math.floor(low) + i);
   const steps = high - low < 2 ? [1, 2, 5] : [1];
   const ticks = decades.filter((n) => n % every === 0).flatMap((n) => steps.map((k) => Number(`${k}e${n}`)));
@@ -71,32 +74,34 @@ function hover(name, row) {
   return [`<b>${name}</b>`, ...lines, how, `engine ${row.engine}`].join("<br>");
 }
 
+// plotly's others send the figure away
+const BUTTONS = ["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"];
+
 function plot() {
   const css = getComputedStyle(document.documentElement);
   const color = (name) => css.getPropertyValue(`--${name}`).trim();
   const own = curves();
-  const several = new Set(own.filter((curve) => curve.name !== curve.method && curve.control === "rtol").map((c) => c.name));
-  const traces = own.map(({ method, name, points }) => {
+  const traces = own.map(({ method, name, points, second }) => {
     const look = data.methods[method];
     return {
       name, mode: "lines+markers", type: "scatter", text: points.map((row) => hover(name, row)),
       x: points.map((row) => row[cost().column]), y: points.map((row) => Math.max(row.error, data.floor)),
-      hovertemplate: "%{text}<extra></extra>", opacity: several.has(name) ? 0.6 : 1,
-      line: { color: look[theme()], dash: look.dash, width: 2 },
-      marker: { color: look[theme()], symbol: look.symbol, size: 9, line: { width: 1.6, color: look[theme()] } },
+      hovertemplate: "%{text}<extra></extra>",
+      line: { color: look[theme()], dash: look.dash, width: second ? 1 : 2 },
+      marker: { color: look[theme()], symbol: look.symbol, size: second ? 6 : 9, line: { width: second ? 1 : 1.6, color: look[theme()] } },
     };
   });
   const axis = { gridcolor: color("grid"), linecolor: color("line"), zeroline: false };
   const label = cost().column.endsWith("_s") ? seconds : (value) => value.toLocaleString("en");
   const below = narrow.matches;
-  $("plot").style.height = below ? `${440 + 20 * Math.ceil(own.length / 2)}px` : "";
+  $("plot").style.height = below ? `${400 + 19 * own.length}px` : "";
   const layout = {
     paper_bgcolor: color("ground"), plot_bgcolor: color("ground"), hovermode: "closest", showlegend: true,
-    font: { color: color("ink"), family: css.fontFamily || "sans-serif", size: 13 },
-    margin: below ? { l: 58, r: 8, t: 8, b: 50 } : { l: 70, r: 10, t: 10, b: 60 },
-    xaxis: { ...axis, ...logarithmic(traces.flatMap((trace) => trace.x), Infinity, label), title: { text: cost().axis } },
+    font: { color: color("ink"), family: css.fontFamily || "sans-serif", size: below ? 12 : 13 },
+    margin: below ? { l: 58, r: 8, t: 8, b: 64 + 19 * own.length } : { l: 70, r: 10, t: 30, b: 60 },
+    xaxis: { ...axis, ...logarithmic(traces.flatMap((trace) => trace.x), Infinity, label, below ? 5 : 9), tickangle: 0, title: { text: cost().axis, standoff: 8 } },
     yaxis: { ...axis, ...logarithmic(traces.flatMap((trace) => trace.y), 10, power), title: { text: "relative error at the end" } },
-    legend: below ? { orientation: "h", y: -70 / 360, yanchor: "top", x: -0.15, entrywidth: 0.55, entrywidthmode: "fraction" } : {},
+    legend: below ? { orientation: "h", yref: "container", y: 0, yanchor: "bottom", x: 0, entrywidth: 1, entrywidthmode: "fraction" } : {},
     hoverlabel: { bgcolor: color("raised"), bordercolor: color("line"), font: { color: color("ink") }, align: "left" },
     annotations: own.length ? [] : [{ text: "nothing to draw", showarrow: false, xref: "paper", yref: "paper", x: 0.5, y: 0.5 }],
   };
@@ -104,7 +109,7 @@ function plot() {
   const shown = new Set(own.map((curve) => curve.method));
   const absent = [...chosen()].filter((method) => !shown.has(method));
   $("missing").textContent = absent.length ? `No point by ${cost().name}: ${absent.join(", ")}.` : "";
-  return Plotly.react("plot", traces, layout, { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] });
+  return Plotly.react("plot", traces, layout, { responsive: true, displaylogo: false, modeBarButtons: [BUTTONS] });
 }
 
 // -- the table -------------------------------------------------------------------------------------
@@ -120,13 +125,13 @@ function passes(row, term) {
   return columns.some((column) => text(column, row[column]).toLowerCase().includes(term));
 }
 
-function listed() {
+function listed(of) {
   const terms = $("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
   const [by, sign] = state.sort;
   const blank = (row) => row[by] === null || row[by] === "";
   const order = (a, b) => (a < b ? -sign : a > b ? sign : 0);
-  return rows.filter((row) => fits(row) && chosen().has(row.method) && terms.every((term) => passes(row, term)))
-    .sort((a, b) => blank(a) - blank(b) || order(a[by], b[by])); // blanks are last, whatever the order
+  return of.filter((row) => terms.every((term) => passes(row, term)))
+    .sort((a, b) => blank(a) - blank(b) || order(a[by], b[by])); // blanks come last in either order
 }
 
 function element(tag, properties, ...children) {
@@ -137,8 +142,10 @@ function element(tag, properties, ...children) {
 
 function fill() {
   const [by, sign] = state.sort;
-  const found = listed();
-  const used = columns.filter((name) => found.some((row) => row[name] !== null && row[name] !== ""));
+  const own = chosen();
+  const all = rows.filter((row) => fits(row) && own.has(row.method));
+  const used = columns.filter((name) => all.some((row) => row[name] !== null && row[name] !== ""));
+  const found = listed(all);
   const kind = (name) => (numeric.has(name) ? "number" : "");
   const heads = used.map((name) => {
     const button = element("button", { type: "button", title: data.meanings[name], onclick: () => sortBy(name) }, name);
@@ -194,6 +201,7 @@ function draw() {
   $("cost").value = state.cost;
   $("title").textContent = `${state.scene}: error against ${cost().name}`;
   $("about").textContent = data.scenes[state.scene];
+  $("about").innerHTML = $("about").innerHTML.replace(/\^\{([^}]*)\}/g, "<sup>$1</sup>");
   $("query").textContent = `cb.results("runs").query("scene == '${state.scene}' and saved == 1")`;
   const scroll = $("methods").scrollTop;
   offer();

@@ -28,7 +28,7 @@ ROOT = HERE.parents[1]
 NAME = "explore.html"
 #: columns of runs.csv and times.csv that the page shows
 RUN = ["scene", "method", "engine", "control", "setting", "status", "error", "evaluations", "steps"]
-RUN += ["rejected", "jacobians", "message"]
+RUN += ["rejected", "jacobians"]
 TIME = ["least_s", "compile_s", "first_s"]
 #: matplotlib's markers as plotly names them
 SYMBOLS = {"o": "circle", "s": "square", "D": "diamond", "d": "diamond-tall", "*": "star", "p": "pentagon"}
@@ -88,7 +88,7 @@ def preset(rows: pd.DataFrame, cost: Cost) -> list[str]:
 
 def content(rows: pd.DataFrame) -> dict[str, Any]:
     """Return all that the page shows, as plain data."""
-    shown = rows[[*RUN, *TIME]].astype(object)
+    shown = rows[[*RUN, *TIME, "message"]].astype(object)
     families = rows.drop_duplicates("method").set_index("method")["family"]
     methods = {str(name): style(str(name), str(family)) for name, family in families.items()}
     known = cb.SCENES
