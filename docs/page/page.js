@@ -103,7 +103,7 @@ function plot() {
     yaxis: { ...axis, ...logarithmic(traces.flatMap((trace) => trace.y), 10, power), title: { text: "relative error at the end" } },
     legend: below ? { orientation: "h", yref: "container", y: 0, yanchor: "bottom", x: 0, entrywidth: 1, entrywidthmode: "fraction" } : {},
     hoverlabel: { bgcolor: color("raised"), bordercolor: color("line"), font: { color: color("ink") }, align: "left" },
-    annotations: own.length ? [] : [{ text: "nothing to draw", showarrow: false, xref: "paper", yref: "paper", x: 0.5, y: 0.5 }],
+    annotations: own.length ? [] : [{ text: "no chosen method has a point here", showarrow: false, xref: "paper", yref: "paper", x: 0.5, y: 0.5 }],
   };
   layout.legend.itemclick = layout.legend.itemdoubleclick = false;
   const shown = new Set(own.map((curve) => curve.method));

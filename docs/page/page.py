@@ -32,7 +32,13 @@ RUN += ["rejected", "jacobians"]
 TIME = ["least_s", "compile_s", "first_s"]
 #: matplotlib's markers as plotly names them
 SYMBOLS = {"o": "circle", "s": "square", "D": "diamond", "d": "diamond-tall", "*": "star", "p": "pentagon"}
-SYMBOLS |= {"v": "triangle-down", "^": "triangle-up", "<": "triangle-left", ">": "triangle-right", "x": "x-thin"}
+SYMBOLS |= {
+    "v": "triangle-down",
+    "^": "triangle-up",
+    "<": "triangle-left",
+    ">": "triangle-right",
+    "x": "x-thin",
+}
 SYMBOLS |= {"X": "x", "P": "cross", "h": "hexagon", "H": "hexagon2", "8": "octagon"}
 #: plotly's dashes are pixels, ours are line widths
 WIDTH = 2
