@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from contactbench.checks import positive
 from contactbench.cli.parsing import print_json, writable
 from contactbench.cli.printing import print_item
 from contactbench.errors import BadInput
@@ -81,8 +80,6 @@ def bench(arguments: argparse.Namespace) -> int:
 
 
 def gate(arguments: argparse.Namespace) -> int:
-    if arguments.budget is not None:
-        positive("--budget", arguments.budget)
     with ending_by_sigterm():
         return judge(arguments)
 
@@ -114,7 +111,7 @@ def judge(arguments: argparse.Namespace) -> int:
             return status
         parts = (arguments.only,) if arguments.only else trees.PARTS
         folders = Path.cwd(), arguments.results, arguments.fresh
-        found = trees.gate(*folders, arguments.base, parts, arguments.tables_changed, arguments.budget)
+        found = trees.gate(*folders, arguments.base, parts, arguments.tables_changed)
     print(found.as_json() if arguments.json else found.as_markdown(), file=arguments.stdout)
     return found.status
 
