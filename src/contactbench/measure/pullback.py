@@ -13,7 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contactbench.scene import AnyState, Scene, norm
+from contactbench.methods.base import prepare
+from contactbench.numbers.dual import Dual, slope
+from contactbench.numbers.protocol import Arithmetic, Vector
+from contactbench.scene import AnyState, Equations, Scene, norm
+from contactbench.scene.base import Elapsed
 from contactbench.solution import SAFETY, Differential, Solution, closest
 
 
@@ -55,6 +59,30 @@ def pullback(solution: Solution, differential: Differential) -> Pulled | None:
     chosen = np.arange(len(best))
     size, gap = (norm(tuple(each[best, chosen])) for each in (terms, gaps))
     return Pulled(values[best, chosen].T, form, size, SAFETY * gap)
+
+
+def variational(solution: Solution) -> Differential:
+    """Return dΦ by the variational equations y' = f(y), v' = Df(y) v, solved by the method of the run.
+
+    Its tolerance bounds the errors of y and v alike.  Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995),
+    doi:10.1016/0168-9274(95)00033-Q, §1.
+    """
+    assert solution.run is not None
+    scene, carry, request = solution.scene, solution.carry, solution.run.request
+    begins, y0 = scene.split_clock(solution.y0)
+    tangents = [scene.without_clock(scene.pack(v)) for v in scene.tangents(solution.start())]
+    d, m = len(y0), len(tangents)
+
+    def rhs(t: Arithmetic, z: Vector) -> list[Arithmetic]:
+        y, *moved = (z[i : i + d] for i in range(0, len(z), d))
+        rates = [scene.slopes(t, list(map(Dual, y, v)), carry) for v in moved]
+        return [*scene.slopes(t, y, carry), *(slope(c) for rate in rates for c in rate)]
+
+    larger = Equations(rhs=rhs, y0=np.concatenate([y0, *tangents]), t=begins, t_end=scene.t_end)
+    given = {"rtol": request.rtol, "engine": request.engine, "save_at": Elapsed(request.save_at)}
+    v = prepare(larger, solution.method, **given)().y[:, d:-1].reshape(-1, m, d)
+    v = v if scene.clock is None else np.insert(v, scene.clock, 0.0, axis=2)
+    return Differential("variational equations", np.moveaxis(v, 1, 2)[None])
 
 
 def growth(differential: Differential) -> float:

@@ -29,7 +29,7 @@ from contactbench.numbers import quadrature
 from contactbench.numbers.control import Repeat, repeat, settle
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace, Vector
-from contactbench.scene import Scene, State, System
+from contactbench.scene import Scene, State
 from contactbench.scene.algebra import DrivenState, dot, scaled
 from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damped_time
@@ -191,13 +191,13 @@ def table(values: Sequence[Fraction], xp: Any, loop: Repeat | None) -> Any:
 
 
 # -- y' = f(y) -----------------------------------------------------------------------------------------
-def explicit_slope(scene: System, x: OwnState) -> list[Arithmetic]:
+def explicit_slope(scene: Scene, x: OwnState) -> list[Arithmetic]:
     return leaves(scene.rhs(x))
 
 
 def explicit_step[X](
     tableau: Tableau,
-    scene: System,
+    scene: Scene,
     x: X,
     h: Arithmetic,
     xp: Namespace,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from contactbench.methods.base import Adaptive
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request, RunByTolerance
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
-from contactbench.scene import AnyState, Scene, System, dot, key
-from contactbench.scene.scales import in_order
+from contactbench.scene import AnyState, Scene
 from contactbench.solution import Counts, Status
 from contactbench.trace.form import Function, Unpack, execute
 from contactbench.trace.recording import Recorded, Tape, attempt
@@ -117,23 +116,6 @@ class PeerRun(RunByTolerance):
         reached = np.empty((0, len(y0))) if y is None else self.from_start(y0, y)
         return self.finish(y0, reached, counts, status, message, stopped)
 
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        """As in `Prepared`, by variational equations: a run of its own, the tangents part of its error control."""
-        r, scene = self.request, self.request.scene
-        x = scene.unpack(tuple(y0.tolist()), r.carry)
-        tangents = tuple(scene.tangents(x))
-        name = f"variational equations of {scene.name}"
-        larger: Any = Variational(name=name, t_end=scene.t_end, base=scene, count=len(tangents))
-        request = replace(r, scene=larger)
-        if np.ndim(r.scales):
-            request = request.to_scale(self.method_.takes_atol)
-        start = np.array(larger.pack(Bundle(x, tangents)), dtype=float)
-        y = replace(self, request=request).integrate(start).y
-        v = y[:, len(y0) :].reshape(len(y), len(tangents), -1)
-        if scene.clock is not None:
-            v = np.insert(v, scene.clock, np.where(np.isnan(y[:, :1]), np.nan, 0.0), axis=2)
-        return np.moveaxis(v, 1, 2)
-
 
 @dataclass
 class Pieces(Prepared):
@@ -202,90 +184,6 @@ class Pieces(Prepared):
         reached = int(np.argmin(np.append(np.isfinite(states).all(axis=1), False)))
         found = self.finish(y0, states[:reached], counts, status, message)
         return replace(found, end_time=max(found.end_time, begin + out.end_time))
-
-
-class Bundle(NamedTuple):
-    x: AnyState
-    v: tuple[AnyState, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variational(System):
-    """A scene and tangent vectors as one larger scene: y' = f(y), v_j' = Df(y) v_j.
-
-    Any solver runs it as it runs the scene itself; the tangents are part of the error control.
-    Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995), doi:10.1016/0168-9274(95)00033-Q, §1.
-    """
-
-    base: Scene
-    count: int
-
-    def labels(self, carry: Sequence[str]) -> list[str]:
-        own = self.base.labels(carry)
-        moved = self.base.without_clock(own)
-        return own + [f"d{j + 1} {name}" for j in range(self.count) for name in moved]
-
-    # tangents do not move the time, and have none; they may grow as they like
-    clock = property(lambda self: self.base.clock)
-    motion = property(lambda self: self.base.motion)
-    canonical = property(lambda self: self.base.canonical)
-
-    def initial(self, carry: Sequence[str], **data: object) -> Bundle:
-        x = self.base.initial(carry, **data)
-        return Bundle(x, tuple(self.base.tangents(x)))
-
-    def unpack(self, y: Sequence[Arithmetic], carry: Sequence[str]) -> Bundle:
-        base, d = self.base, len(self.base.labels(carry))
-        each = len(base.without_clock(y[:d]))
-        v = (base.unpack(base.with_clock(y[i : i + each], 0.0), carry) for i in range(d, len(y), each))
-        return Bundle(base.unpack(y[:d], carry), tuple(v))
-
-    def pack(self, state: Bundle) -> list[Arithmetic]:  # type: ignore[override]
-        moved = (self.base.without_clock(System.pack(v)) for v in state.v)
-        return [*System.pack(state.x), *(c for v in moved for c in v)]
-
-    def scales(self, z: Bundle, end: float) -> np.ndarray:
-        """Return the scale of every component but the time; of a tangent as of a displacement by itself."""
-        own = self.base.scales(z.x, end)
-        moved = [np.array(self.base.without_clock(System.pack(v)), dtype=float) for v in z.v]
-        return np.concatenate([own, *(own * in_order((abs(v) / own).max()) for v in moved)])
-
-    def numbers(self) -> list[float]:
-        return self.base.numbers()
-
-    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
-        return self._replaced(base=self.base.with_numbers(numbers))
-
-    @property
-    def structure(self) -> tuple[object, ...]:
-        return (Variational, self.count, *self.base.structure)
-
-    @property
-    def identity(self) -> Hashable | None:
-        return key(self.base.identity, Variational, self.count)
-
-    def rhs(self, z: Bundle) -> Bundle:
-        base, carry = self.base, self.carried(z)
-        rows = derivative(base, z.x, carry)
-        v = (base.unpack([dot(row, flat) for row in rows], carry) for flat in map(base.pack, z.v))
-        return Bundle(base.rhs(z.x), tuple(v))
-
-    def jacobian(self, z: Bundle) -> list[list[Arithmetic]]:
-        """Return diag(Df, …, Df), without the coupling D²f(y) v_j of tangents to the state, strictly block triangular.
-
-        So Newton's iteration converges all the same, the tangents one turn later, and the solver's test sees both.
-        """
-        rows = derivative(self.base, z.x, self.carried(z))
-        moved = [self.base.without_clock(row) for row in self.base.without_clock(rows)]
-        blocks = [rows] + [moved] * self.count
-        size, found = sum(map(len, blocks)), list[list[Arithmetic]]()
-        for block in blocks:
-            before = [0.0] * len(found)
-            found += [[*before, *row, *[0.0] * (size - len(before) - len(row))] for row in block]
-        return found
-
-    def carried(self, z: Bundle) -> tuple[str, ...]:
-        return tuple(name for name in self.base.optional if getattr(z.x, name) is not None)
 
 
 def derivative(scene: Scene, x: AnyState, carry: tuple[str, ...]) -> list[list[Arithmetic]]:
@@ -398,7 +296,7 @@ class Callback(Call):
         return Ending(found, counts, status, message, (float(solver.t), solver.y))
 
 
-def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Rates | None:
+def record_function(scene: Scene, what: str, carry: tuple[str, ...]) -> Rates | None:
     tape = Tape()
     names = tuple(f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry)))))
     t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
@@ -411,7 +309,7 @@ def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Rates |
 
 
 def motion_jacobian(
-    scene: System, t: Arithmetic, y: Sequence[Arithmetic], carry: tuple[str, ...]
+    scene: Scene, t: Arithmetic, y: Sequence[Arithmetic], carry: tuple[str, ...]
 ) -> list[Sequence[Arithmetic]]:
     rows = scene.jacobian(scene.unpack(scene.with_clock(y, t), carry))
     return [scene.without_clock(row) for row in scene.without_clock(rows)]

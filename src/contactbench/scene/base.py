@@ -162,18 +162,88 @@ def instead() -> dict[str, str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class System(metaclass=Kind):
-    """Give solvers what they need: a state and its packing, numbers that can be replaced, a right-hand side.
+class Scene(metaclass=Kind):
+    """Describe a system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
 
-    Attributes
+    A kind of scene of one's own (most need none: `Mechanical` takes any potential) writes the abstract methods
+    and keeps these rules, which `contactbench.testing.check_scene` tests:
+
+     1. It declares itself: `name`, `t_end` > 0, `initial_fields` among its own fields, `optional` those of them
+        that a run may leave out.
+     2. ``pack`` and ``unpack`` are each other's inverse for every choice of optional fields, in the order of
+        ``labels``; a slope has the fields of its state.
+     3. ``with_numbers(numbers())`` is the same scene; each number that has a name is changed by it in ``with_``.
+     4. Everything is plain arithmetic on tuples of components, without branches on values, so that it runs on
+        floats, arrays, traced, recorded and mpmath numbers, with the same result.
+     5. ``jacobian`` is the derivative of ``rhs``, where it `has_jacobian`.
+     6. Where it `is_contact`, the right-hand side X is the contact vector field of ``hamiltonian``: η(X) = −H
+        and L_X η = −Γ' η, Γ' = ∂H/∂s; a `conformal_rate` that is not None is Γ'.
+     7. H0 does not grow unless it `may_gain_energy`; J' = −Γ' J where it `has_momentum_law`.
+     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies;
+        ``displaced`` leaves along them.
+     9. ``exact``, where given, starts at the initial state and solves the equations.
+
+    Parameters
     ----------
-    name, t_end
-        A key in tables, and the time > 0 at which a run ends.
+    name, about
+        A key in tables and a word on the command line, and one line with the source.
+    t_end
+        How long a run is, > 0.  It starts at 0, and so ends at t_end; a driven scene starts at its t.  In its place
+        (and that of t) `t_span=(start, end)` is taken.
+    s
+        The action at the start.
+    exact
+        Closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None.
+    scale
+        What is large of each component of the motion (q, then p; M; y), numbers > 0 as many as there are: what errors
+        are parts of, and what the default atol and divergence are taken from.  By default the largest true size of
+        each vector in one unit: q of one mass, p, M, R, a point of a sphere; components with masses of their own, and
+        those of a `ContactSystem` or `Equations`, each by itself.
+    slows_after
+        The time after which the motion slows down as 1/t: steps that grow with the time suit it
+        (`geometric_steps`).
+    hard
+        Whether only the stability experiment runs it.
+    experiments
+        The experiments that run it; by default all but the one of stability.
+
+    Raises
+    ------
+    BadInput
+        For a name that is no argument, and a value that is not allowed.
     """
 
     name: str
     t_end: float
+    s: float = 0.0
+    exact: Callable[..., OwnState] | None = None
+    about: str = ""
+    scale: Any = None
+    slows_after: float | None = None
+    hard: bool = False
+    experiments: tuple[str, ...] = ()
 
+    #: the NamedTuple of its states
+    state: ClassVar[Any] = None
+    #: the fields that are its initial data: those of its states
+    initial_fields: ClassVar[tuple[str, ...]] = ()
+    #: the fields whose numbers are its parameters, in their order; those in `parameters` come last
+    coefficients: ClassVar[tuple[str, ...]] = ()
+    #: coefficients that are kept as reciprocals too, and under which name: compiled loops run up to twice as fast
+    #: where no division is left in the right-hand side
+    reciprocals: ClassVar[dict[str, str]] = {}
+    #: how its fields are validated
+    checks: ClassVar[dict[str, Check]] = {
+        "name": text,
+        "about": text,
+        "slows_after": optional(positive),
+        "hard": switch,
+        "experiments": experiment_names,
+        "exact": optional(function),
+        "scale": optional(vector),
+        "t_end": positive,
+        "s": finite,
+    }
     #: which subflows and which formulas apply
     kind: ClassVar[str] = ""
     #: the functions a user gives, and what each is called with: fields and arguments, "xp" for a namespace of
@@ -185,6 +255,170 @@ class System(metaclass=Kind):
     required: ClassVar[tuple[str, ...]] = ()
     #: whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise
     has_jacobian: ClassVar[bool] = True
+    #: its exact subflows by name, and the two that a composition of two parts takes, in their order
+    flows: ClassVar[Mapping[str, Flow]] = {}
+    parts: ClassVar[tuple[str, ...]] = ()
+    #: its flows for the paper's A, B and C, where they are not `drift`, `kick` and `damp`
+    paper_flows: ClassVar[Mapping[str, str]] = {}
+    #: whether it has an energy H0, and what stands behind the refusal of a method that wants a Hamiltonian
+    has_energy: ClassVar[bool] = True
+    lacks: ClassVar[str] = ""
+    #: its components are numbers, coordinates q and momenta p as many of each, and η = ds − p dq
+    canonical: ClassVar[bool] = False
+    #: it is canonical, and H = T(p) + V(q) + Γ(s): velocities are those of p, forces those of q
+    separable: ClassVar[bool] = False
+    #: Γ(s) is not γ s
+    nonlinear_damping: ClassVar[bool] = False
+    #: what its equations or flows choose by, computed once of the numbers it was made with
+    decided: ClassVar[tuple[Hashable, ...]] = ()
+    #: φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant
+    rate_changes: ClassVar[bool] = False
+    #: what is damped moves, times e^{γt}, as if undamped in the time τ = (1 − e^{−γt})/γ: see `RigidBody.decayed`
+    slows_its_clock: ClassVar[bool] = False
+    #: J' = −Γ'(s) J
+    has_momentum_law: ClassVar[bool] = False
+    #: R, where it has one, is part of the motion that runs are raced on
+    attitude: ClassVar[bool] = True
+    #: its states lie on a manifold that methods may drift off: see `departure`
+    constrained: ClassVar[bool] = False
+    #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
+    may_gain_energy: ClassVar[bool] = False
+
+    def __new__(cls, *_: object, **given: object) -> Self:
+        for name in given.keys() - cls.__dataclass_fields__.keys():
+            taken = inspect.signature(cls.__init__).parameters  # a class of a user's may have its own
+            if name not in taken and not any(p.kind is p.VAR_KEYWORD for p in taken.values()):
+                near = instead().get(name, f"choose from {', '.join([*taken][1:])}")
+                raise BadInput(f"{name}: {cls.__name__} takes none: {near}")
+        return super().__new__(cls)
+
+    def __post_init__(self) -> None:
+        taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
+        wanted = f"must have a name of its own, none of {', '.join(sorted(taken))}"
+        for name, check in self.checks.items():
+            self._fix(name, check(name, getattr(self, name)))
+        for name in getattr(self, "parameters", {}):
+            if name in taken:
+                raise BadInput(f"parameter {name!r}: {wanted}")
+        for name in self.given:
+            self._require_arguments(name)
+        for name, kept in self.reciprocals.items():
+            value = getattr(self, name)
+            self._fix(kept, reciprocal(value))
+            if not all(map(math.isfinite, leaves(getattr(self, kept)))):
+                raise BadInput(f"{name} = {excerpt(value)}: 1/{name} must be finite")
+        if (scale := self.scale) is not None and not (len(scale) == self.motion and min(scale) > 0):
+            names = ", ".join(self.without_clock(self.labels(()))[: self.motion])
+            raise BadInput(f"scale = {excerpt(scale)}: must be {self.motion} numbers > 0, for {names}")
+
+    def _require_arguments(self, name: str) -> None:
+        """Raise `BadInput`, which names another way, unless a function takes what it is called with."""
+        function, called = getattr(self, name), self.functions[name]
+        parameters = dict(getattr(self, "parameters", {})) if "**" in called else {}
+        if isinstance(function, Formula) or is_ours(function):
+            return
+        try:
+            inspect.signature(function).bind(*(each for each in called if each != "**"), **parameters)
+        except TypeError as why:
+            plain = [each.removesuffix("0") for each in called if each != "**"]
+            taken = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
+            more = [x for x in taken if x not in parameters and x not in plain]
+            known = (x for x in more if f"argument {x}" in instead())
+            other = next(known, taken[-1] if len(taken) > len(plain) + len(parameters) else "")
+            named = f", then {', '.join(parameters)} by name" if parameters else ""
+            way = instead().get(f"argument {other}", f"another is given by parameters={{{other!r}: …}}")
+            says = (
+                f"{name}: is called with {', '.join(plain)}{named}; it takes {', '.join(taken) or 'nothing'}"
+            )
+            raise BadInput(f"{says}: {way}" if other else says) from why
+        except ValueError:  # a function written in C has no signature
+            pass
+
+    def _fix(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+    def with_(self, **changes: Any) -> Self:
+        """Return a copy with some parameters changed, any of them by keyword.
+
+        Raises `BadInput` for an unknown parameter or a value that is not allowed.
+        """
+        allowed = [f.name for f in dataclasses.fields(self) if f.init]
+        changes = with_duration(changes, "t" in allowed)
+        extra = dict(getattr(self, "parameters", {}))
+        for name in changes:
+            if name not in extra and name not in allowed:
+                raise unknown_name(f"parameter of scene {self.name!r}", name, [*extra, *allowed])
+        named = {name: finite(name, changes.pop(name)) for name in extra if name in changes}
+        if extra:
+            changes = {"parameters": extra | named} | changes
+        return dataclasses.replace(self, **changes)
+
+    def _repr_html_(self) -> str:
+        names = (*self.initial_fields, *self.coefficients, "t_end")
+        rows = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
+        rows |= getattr(self, "parameters", {})
+        return html_table(rows, f"{self.name}: {self.about or self.kind}")
+
+    def numbers(self) -> list[float]:
+        own = Scene.pack([getattr(self, name) for name in self.coefficients])
+        return [*own, *getattr(self, "parameters", {}).values()]
+
+    def number_names(self) -> list[str]:
+        """Return the names by which `with_` knows each of `numbers`; empty where it is part of a larger parameter."""
+        names: list[str] = []
+        for name in self.coefficients:
+            value = getattr(self, name)
+            names += [""] * len(leaves(value)) if isinstance(value, tuple) else [name]
+        return [*names, *getattr(self, "parameters", {})]
+
+    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
+        own = [getattr(self, name) for name in self.coefficients]
+        changed = dict(zip(self.coefficients, rebuild(own, numbers), strict=True))
+        changed |= {kept: reciprocal(changed[name]) for name, kept in self.reciprocals.items()}
+        if names := list(getattr(self, "parameters", {})):
+            changed["parameters"] = dict(zip(names, numbers[len(leaves(own)) :], strict=True))
+        return self._replaced(**changed)
+
+    @property
+    def layout(self) -> Sequence[object]:
+        """Return what the motion depends on besides functions, numbers and initial data."""
+        return ()
+
+    def orders(self) -> list[tuple[int, int, bool]]:
+        """Return pairs (i, j, strict): number i is below number j, 0 being one more number, or else not above it.
+
+        Flows are those of numbers that are; others are of another structure, or not allowed.
+        """
+        own = [getattr(self, name) for name in self.coefficients]
+        ends = np.cumsum([0, *(len(leaves(value)) for value in own)]).tolist()
+        spans = zip(self.coefficients, pairwise(ends), strict=True)
+        zero = len(self.numbers())
+        return [(zero, i, True) for name, span in spans if name in self.reciprocals for i in range(*span)]
+
+    def decided_by(self, numbers: Sequence[Arithmetic]) -> Self:
+        """Return the scene with other numbers, arrays too, and what they decide; `BadInput` for any not allowed."""
+        own, ends = [getattr(self, name) for name in self.coefficients], []
+        for end in (np.min, np.max):
+            extreme = [float(end(np.asarray(number))) for number in numbers]
+            for name, value in zip(self.coefficients, rebuild(own, extreme), strict=True):
+                self.checks.get(name, lambda *_: None)(name, value)
+            ends.append(self.with_numbers(extreme)._decide())
+        least, most = ends
+        if least.decided != most.decided:
+            both = f"{least.numbers()} and {most.numbers()}"
+            raise BadInput(f"numbers: {both} make two problems of scene {self.name!r}: one call for each")
+        return least.with_numbers(numbers)
+
+    def _decide(self) -> Self:
+        """Return the scene with what its numbers decide anew."""
+        return self
+
+    @property
+    def structure(self) -> tuple[Hashable, ...]:
+        functions = (getattr(self, name) for name in self.functions)
+        values = ((name, getattr(self, name)) for name in (*self.initial_fields, *self.coefficients))
+        sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
+        return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
     # -- packing -------------------------------------------------------------------------------
     def carry(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
@@ -198,18 +432,10 @@ class System(metaclass=Kind):
             raise BadInput(f"carry = {excerpt(names)}: must be {wanted}")
         return tuple(name for name in self.optional if name in given or name in self.required)
 
-    @abstractmethod
-    def labels(self, carry: Sequence[str]) -> list[str]:
-        """Return the component names of the packed state, in order."""
-
     @cached_property
     def motion(self) -> int:
         """Return how many leading components of a packed state are (q, p) or M: what may not leave its scale."""
         return len(self.without_clock(self.labels(())))
-
-    @abstractmethod
-    def initial(self, carry: Sequence[str], **data: object) -> OwnState:
-        """Return the initial state; `data` overrides the scene's own initial values."""
 
     @property
     def clock(self) -> int | None:
@@ -284,19 +510,6 @@ class System(metaclass=Kind):
         return flat
 
     # -- numbers -------------------------------------------------------------------------------
-    @abstractmethod
-    def numbers(self) -> list[float]:
-        """Return the scene's parameters as a flat list (initial data and end time are not among them)."""
-
-    @abstractmethod
-    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
-        """Return the same scene with its parameters replaced, unchecked: tracers, mpmath numbers, …"""
-
-    @property
-    @abstractmethod
-    def structure(self) -> tuple[Hashable, ...]:
-        """Return everything but the numbers."""
-
     @property
     def given(self) -> dict[str, Callable[..., object]]:
         """Return the functions that it has, by name."""
@@ -404,253 +617,6 @@ class System(metaclass=Kind):
     def slopes(self, t: Numeric, y: Packed, carry: Sequence[str]) -> Sequence[Numeric]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scene(System):
-    """Describe a system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
-
-    A kind of scene of one's own (most need none: `Mechanical` takes any potential) writes the abstract methods here
-    and in `System`, and keeps these rules, which `contactbench.testing.check_scene` tests:
-
-     1. It declares itself: `name`, `t_end` > 0, `initial_fields` among its own fields, `optional` those of them
-        that a run may leave out.
-     2. ``pack`` and ``unpack`` are each other's inverse for every choice of optional fields, in the order of
-        ``labels``; a slope has the fields of its state.
-     3. ``with_numbers(numbers())`` is the same scene; each number that has a name is changed by it in ``with_``.
-     4. Everything is plain arithmetic on tuples of components, without branches on values, so that it runs on
-        floats, arrays, traced, recorded and mpmath numbers, with the same result.
-     5. ``jacobian`` is the derivative of ``rhs``, where it `has_jacobian`.
-     6. Where it `is_contact`, the right-hand side X is the contact vector field of ``hamiltonian``: η(X) = −H
-        and L_X η = −Γ' η, Γ' = ∂H/∂s; a `conformal_rate` that is not None is Γ'.
-     7. H0 does not grow unless it `may_gain_energy`; J' = −Γ' J where it `has_momentum_law`.
-     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies;
-        ``displaced`` leaves along them.
-     9. ``exact``, where given, starts at the initial state and solves the equations.
-
-    Parameters
-    ----------
-    name, about
-        A key in tables and a word on the command line, and one line with the source.
-    t_end
-        How long a run is, > 0.  It starts at 0, and so ends at t_end; a driven scene starts at its t.  In its place
-        (and that of t) `t_span=(start, end)` is taken.
-    s
-        The action at the start.
-    exact
-        Closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None.
-    scale
-        What is large of each component of the motion (q, then p; M; y), numbers > 0 as many as there are: what errors
-        are parts of, and what the default atol and divergence are taken from.  By default the largest true size of
-        each vector in one unit: q of one mass, p, M, R, a point of a sphere; components with masses of their own, and
-        those of a `ContactSystem` or `Equations`, each by itself.
-    slows_after
-        The time after which the motion slows down as 1/t: steps that grow with the time suit it
-        (`geometric_steps`).
-    hard
-        Whether only the stability experiment runs it.
-    experiments
-        The experiments that run it; by default all but the one of stability.
-
-    Raises
-    ------
-    BadInput
-        For a name that is no argument, and a value that is not allowed.
-    """
-
-    s: float = 0.0
-    exact: Callable[..., OwnState] | None = None
-    about: str = ""
-    scale: Any = None
-    slows_after: float | None = None
-    hard: bool = False
-    experiments: tuple[str, ...] = ()
-
-    #: the NamedTuple of its states
-    state: ClassVar[Any] = None
-    #: the fields that are its initial data: those of its states
-    initial_fields: ClassVar[tuple[str, ...]] = ()
-    #: the fields whose numbers are its parameters, in their order; those in `parameters` come last
-    coefficients: ClassVar[tuple[str, ...]] = ()
-    #: coefficients that are kept as reciprocals too, and under which name: compiled loops run up to twice as fast
-    #: where no division is left in the right-hand side
-    reciprocals: ClassVar[dict[str, str]] = {}
-    #: how its fields are validated
-    checks: ClassVar[dict[str, Check]] = {
-        "name": text,
-        "about": text,
-        "slows_after": optional(positive),
-        "hard": switch,
-        "experiments": experiment_names,
-        "exact": optional(function),
-        "scale": optional(vector),
-        "t_end": positive,
-        "s": finite,
-    }
-    #: its exact subflows by name, and the two that a composition of two parts takes, in their order
-    flows: ClassVar[Mapping[str, Flow]] = {}
-    parts: ClassVar[tuple[str, ...]] = ()
-    #: its flows for the paper's A, B and C, where they are not `drift`, `kick` and `damp`
-    paper_flows: ClassVar[Mapping[str, str]] = {}
-    #: whether it has an energy H0, and what stands behind the refusal of a method that wants a Hamiltonian
-    has_energy: ClassVar[bool] = True
-    lacks: ClassVar[str] = ""
-    #: its components are numbers, coordinates q and momenta p as many of each, and η = ds − p dq
-    canonical: ClassVar[bool] = False
-    #: it is canonical, and H = T(p) + V(q) + Γ(s): velocities are those of p, forces those of q
-    separable: ClassVar[bool] = False
-    #: Γ(s) is not γ s
-    nonlinear_damping: ClassVar[bool] = False
-    #: what its equations or flows choose by, computed once of the numbers it was made with
-    decided: ClassVar[tuple[Hashable, ...]] = ()
-    #: φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant
-    rate_changes: ClassVar[bool] = False
-    #: what is damped moves, times e^{γt}, as if undamped in the time τ = (1 − e^{−γt})/γ: see `RigidBody.decayed`
-    slows_its_clock: ClassVar[bool] = False
-    #: J' = −Γ'(s) J
-    has_momentum_law: ClassVar[bool] = False
-    #: R, where it has one, is part of the motion that runs are raced on
-    attitude: ClassVar[bool] = True
-    #: its states lie on a manifold that methods may drift off: see `departure`
-    constrained: ClassVar[bool] = False
-    #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
-    may_gain_energy: ClassVar[bool] = False
-
-    def __new__(cls, *_: object, **given: object) -> Self:
-        for name in given.keys() - cls.__dataclass_fields__.keys():
-            taken = inspect.signature(cls.__init__).parameters  # a class of a user's may have its own
-            if name not in taken and not any(p.kind is p.VAR_KEYWORD for p in taken.values()):
-                near = instead().get(name, f"choose from {', '.join([*taken][1:])}")
-                raise BadInput(f"{name}: {cls.__name__} takes none: {near}")
-        return super().__new__(cls)
-
-    def __post_init__(self) -> None:
-        taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
-        wanted = f"must have a name of its own, none of {', '.join(sorted(taken))}"
-        for name, check in self.checks.items():
-            self._fix(name, check(name, getattr(self, name)))
-        for name in getattr(self, "parameters", {}):
-            if name in taken:
-                raise BadInput(f"parameter {name!r}: {wanted}")
-        for name in self.given:
-            self._require_arguments(name)
-        for name, kept in self.reciprocals.items():
-            value = getattr(self, name)
-            self._fix(kept, reciprocal(value))
-            if not all(map(math.isfinite, leaves(getattr(self, kept)))):
-                raise BadInput(f"{name} = {excerpt(value)}: 1/{name} must be finite")
-        if (scale := self.scale) is not None and not (len(scale) == self.motion and min(scale) > 0):
-            names = ", ".join(self.without_clock(self.labels(()))[: self.motion])
-            raise BadInput(f"scale = {excerpt(scale)}: must be {self.motion} numbers > 0, for {names}")
-
-    def _require_arguments(self, name: str) -> None:
-        """Raise `BadInput`, which names another way, unless a function takes what it is called with."""
-        function, called = getattr(self, name), self.functions[name]
-        parameters = dict(getattr(self, "parameters", {})) if "**" in called else {}
-        if isinstance(function, Formula) or is_ours(function):
-            return
-        try:
-            inspect.signature(function).bind(*(each for each in called if each != "**"), **parameters)
-        except TypeError as why:
-            plain = [each.removesuffix("0") for each in called if each != "**"]
-            taken = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
-            more = [x for x in taken if x not in parameters and x not in plain]
-            known = (x for x in more if f"argument {x}" in instead())
-            other = next(known, taken[-1] if len(taken) > len(plain) + len(parameters) else "")
-            named = f", then {', '.join(parameters)} by name" if parameters else ""
-            way = instead().get(f"argument {other}", f"another is given by parameters={{{other!r}: …}}")
-            says = (
-                f"{name}: is called with {', '.join(plain)}{named}; it takes {', '.join(taken) or 'nothing'}"
-            )
-            raise BadInput(f"{says}: {way}" if other else says) from why
-        except ValueError:  # a function written in C has no signature
-            pass
-
-    def _fix(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
-
-    def with_(self, **changes: Any) -> Self:
-        """Return a copy with some parameters changed, any of them by keyword.
-
-        Raises `BadInput` for an unknown parameter or a value that is not allowed.
-        """
-        allowed = [f.name for f in dataclasses.fields(self) if f.init]
-        changes = with_duration(changes, "t" in allowed)
-        extra = dict(getattr(self, "parameters", {}))
-        for name in changes:
-            if name not in extra and name not in allowed:
-                raise unknown_name(f"parameter of scene {self.name!r}", name, [*extra, *allowed])
-        named = {name: finite(name, changes.pop(name)) for name in extra if name in changes}
-        if extra:
-            changes = {"parameters": extra | named} | changes
-        return dataclasses.replace(self, **changes)
-
-    def _repr_html_(self) -> str:
-        names = (*self.initial_fields, *self.coefficients, "t_end")
-        rows = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
-        rows |= getattr(self, "parameters", {})
-        return html_table(rows, f"{self.name}: {self.about or self.kind}")
-
-    def numbers(self) -> list[float]:
-        own = System.pack([getattr(self, name) for name in self.coefficients])
-        return [*own, *getattr(self, "parameters", {}).values()]
-
-    def number_names(self) -> list[str]:
-        """Return the names by which `with_` knows each of `numbers`; empty where it is part of a larger parameter."""
-        names: list[str] = []
-        for name in self.coefficients:
-            value = getattr(self, name)
-            names += [""] * len(leaves(value)) if isinstance(value, tuple) else [name]
-        return [*names, *getattr(self, "parameters", {})]
-
-    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
-        own = [getattr(self, name) for name in self.coefficients]
-        changed = dict(zip(self.coefficients, rebuild(own, numbers), strict=True))
-        changed |= {kept: reciprocal(changed[name]) for name, kept in self.reciprocals.items()}
-        if names := list(getattr(self, "parameters", {})):
-            changed["parameters"] = dict(zip(names, numbers[len(leaves(own)) :], strict=True))
-        return self._replaced(**changed)
-
-    @property
-    def layout(self) -> Sequence[object]:
-        """Return what the motion depends on besides functions, numbers and initial data."""
-        return ()
-
-    def orders(self) -> list[tuple[int, int, bool]]:
-        """Return pairs (i, j, strict): number i is below number j, 0 being one more number, or else not above it.
-
-        Flows are those of numbers that are; others are of another structure, or not allowed.
-        """
-        own = [getattr(self, name) for name in self.coefficients]
-        ends = np.cumsum([0, *(len(leaves(value)) for value in own)]).tolist()
-        spans = zip(self.coefficients, pairwise(ends), strict=True)
-        zero = len(self.numbers())
-        return [(zero, i, True) for name, span in spans if name in self.reciprocals for i in range(*span)]
-
-    def decided_by(self, numbers: Sequence[Arithmetic]) -> Self:
-        """Return the scene with other numbers, arrays too, and what they decide; `BadInput` for any not allowed."""
-        own, ends = [getattr(self, name) for name in self.coefficients], []
-        for end in (np.min, np.max):
-            extreme = [float(end(np.asarray(number))) for number in numbers]
-            for name, value in zip(self.coefficients, rebuild(own, extreme), strict=True):
-                self.checks.get(name, lambda *_: None)(name, value)
-            ends.append(self.with_numbers(extreme)._decide())
-        least, most = ends
-        if least.decided != most.decided:
-            both = f"{least.numbers()} and {most.numbers()}"
-            raise BadInput(f"numbers: {both} make two problems of scene {self.name!r}: one call for each")
-        return least.with_numbers(numbers)
-
-    def _decide(self) -> Self:
-        """Return the scene with what its numbers decide anew."""
-        return self
-
-    @property
-    def structure(self) -> tuple[Hashable, ...]:
-        functions = (getattr(self, name) for name in self.functions)
-        values = ((name, getattr(self, name)) for name in (*self.initial_fields, *self.coefficients))
-        sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
-        return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
     # -- units ---------------------------------------------------------------------------------
     #: components of the motion have units of their own
