@@ -106,11 +106,10 @@ class FixedStepRun(Prepared):
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, None if self.method_.iterates else evaluations, 0, 0, self.kind)
 
-    def intervals(
-        self, y0: np.ndarray, y: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None
-    ) -> np.ndarray:
-        """Return packed states after each interval of n[k] steps of size h[k], (k, d), from y on, in a run from y0."""
-        return self.loop.take(from_origin(self.request.scene, y, y0), self.loop.ready(h, n, since))[0]
+    def part(self, y0: np.ndarray, y: np.ndarray, h: Any, n: Any, since: np.ndarray | None) -> np.ndarray:
+        """Return packed states after each of some intervals, (k, d), from y on, in a run from y0."""
+        ready = self.loop.ready(np.array(h), np.array(n), since)
+        return self.loop.take(from_origin(self.request.scene, y, y0), ready)[0]
 
     def take(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
         """Take the steps of this division: packed states after each of its intervals, and the counts."""
@@ -144,32 +143,30 @@ class FixedStepRun(Prepared):
         return out if out.status is not Status.diverged else self._locate(y0, out)
 
     def _locate(self, y0: np.ndarray, out: Outcome) -> Outcome:
-        """A divergence pinned down to the step, by bisecting the interval in which it happened."""
+        """Return the outcome with the step at which the run diverges, found by bisecting its interval."""
         r = self.request
         k = int(np.argmax(np.isnan(out.y).all(axis=1)))  # the first saved time not reached
         good, time = (out.y[k - 1], float(r.save_at[k - 1])) if k else (y0, 0.0)
         ends = np.append(0, np.arange(1, len(self.n) + 1)[self.saved])
         i, end = ends[k - int(self.saves_start) :][:2]
-        i, since = min(i, end - 1), self.since
+        i = min(i, end - 1)
         if i + 1 < end:  # several intervals lead there
-            rolled = None if since is None else np.roll(since, -i, axis=0)
-            y = self.intervals(y0, good, np.roll(self.h, -i), np.roll(self.n, -i), rolled)[: end - i]
+            rows = slice(i, end)
+            since = None if self.since is None else self.since[rows]
+            y = self.part(y0, good, self.h[rows], self.n[rows], since)
             reached = self.first_divergence(y0, y)
             assert reached is not None
             good = y[reached - 1] if reached else good
             time += float(self.h[i : i + reached] @ self.n[i : i + reached])
             i += reached
-        h, left = self.h[i], int(self.n[i])
-        taken = 0  # of the interval
+        h, left, taken = self.h[i], int(self.n[i]), 0
         while left > 1:
-            half = np.ones_like(self.n)  # the compiled loop has a fixed number of intervals
-            half[0] = left // 2
-            y = self.intervals(y0, good, np.full(len(half), h), half, self.dated(i, taken))[:1]
+            half = left // 2
+            y = self.part(y0, good, [h], [half], self.dated(i, taken))
             if self.first_divergence(y0, y) is None:
-                good, time = y[0], time + float(half[0] * h)
-                taken, left = taken + int(half[0]), left - int(half[0])
+                good, time, taken, left = y[0], time + float(half * h), taken + half, left - half
             else:
-                left = int(half[0])
+                left = half
         end = time + float(h)
         counts = self.cost(np.append(self.n[:i], taken + 1))
         if self.method_.unsolved and self.lacks_a_step(y0, good, float(h), self.dated(i, taken)):
@@ -181,15 +178,13 @@ class FixedStepRun(Prepared):
         return Outcome(out.y, counts, Status.diverged, message, end)
 
     def dated(self, i: int, taken: int) -> np.ndarray | None:
-        """Return the dates of intervals that all begin after so many steps of the i-th."""
-        if self.since is None:
-            return None
-        return np.tile(self.since[i] + [taken * self.h[i], 0.0, 0.0], (len(self.n), 1))
+        """Return the dates of one interval that begins after some steps of the i-th."""
+        return None if self.since is None else self.since[i : i + 1] + [taken * self.h[i], 0.0, 0.0]
 
     def lacks_a_step(self, y0: np.ndarray, good: np.ndarray, h: float, since: np.ndarray | None) -> bool:
         """Return whether a state of the size of the motion has no step of this size, where an iteration finds it."""
         most = ORDINARY * self.bounds(y0)
-        after = self.intervals(y0, good, np.full(len(self.h), h), np.ones_like(self.n), since)[0]
+        after = self.part(y0, good, [h], [1], since)[0]
         return bool(np.isnan(after).any() and (np.abs(good[: len(most)]) <= most).all())
 
     # -- the map ---------------------------------------------------------------------------------------
