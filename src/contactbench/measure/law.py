@@ -83,8 +83,6 @@ class Law:
         The fields it reads.
     gate
         How two runs are compared.
-    shown
-        The documents that list it.
 
     Raises
     ------
@@ -99,7 +97,6 @@ class Law:
     needs: tuple[str, ...] = ()
     applies: Callable[[Scene], bool] = lambda scene: True
     gate: Gate = Gate.error
-    shown: tuple[str, ...] = ("laws",)
     differentiates: bool = False
     claimed: Callable[[Solution], bool] = lambda solution: False
 
@@ -212,8 +209,6 @@ JUDGEMENT = {
     "claimed": "whether the method promises on this scene to keep it at every setting",
     "kept": "whether the run keeps it to round-off; blank where that is undecided, or the run is not judged because "
     "its solution is off by more than a tenth",
-    "undecided": "whether the run cannot tell; blank where it is not judged",
-    "bound": "up to what its deviation is round-off; blank where it is not judged",
 }
 #: a run whose solution error is larger does not follow the motion
 WRECKED = 0.1

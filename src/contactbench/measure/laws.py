@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LAWS = Registry("law", Law)
-#: the documents that show the laws read most
-BOTH = ("laws", "stability")
 
 
 def law(
@@ -103,7 +101,6 @@ def errors_of(runs: Sequence[Solution]) -> np.ndarray:
     "max ‖y − y*‖ / max ‖y*‖, the start included: each vector in one unit by itself (q, p, M, R, a component with a "
     "unit of its own), the largest",
     "solution error",
-    shown=BOTH,
 )
 def solution_error(solution: Solution) -> float:
     return float(errors_of([solution]).max())
@@ -114,7 +111,7 @@ def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     return scene.energy(solution.states()), scene.energy(truth(solution).states())
 
 
-@law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", shown=BOTH, applies=lambda scene: scene.has_energy)
+@law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", applies=lambda scene: scene.has_energy)
 def energy_law(solution: Solution) -> float:
     numerical, exact = energies(solution)
     first = abs(float(solution.scene.energy(solution.start())))
@@ -155,7 +152,6 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
     "H law",
     needs=("s",),
     applies=lambda scene: scene.has_hamiltonian_law,
-    shown=BOTH,
 )
 def hamiltonian_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
@@ -211,7 +207,6 @@ def is_composed(solution: Solution) -> bool:
     needs=("R",),
     applies=lambda scene: scene.is_contact and scene.has_momentum_law,
     gate=Gate.structure,
-    shown=BOTH,
     claimed=knows_factor,
 )
 def momentum_law(solution: Solution) -> Deviation:
@@ -237,7 +232,6 @@ def pulled_deviation(solution: Solution, pulled: Pulled | None) -> Deviation | f
 @law(
     f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}",
     "contact drift",
-    shown=BOTH,
     claimed=is_contact_map,
     **CONTACT,
 )
@@ -376,50 +370,32 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
 
 
 # -- all of them, as a row -------------------------------------------------------------------------
-#: the laws of which a row has the error bar, and at how many saved times they were clamped
-WITH_ERROR_BAR = ("contact_drift", "distribution_drift", "pairing_drift")
-CLAMPED = ("contact_drift", "pairing_drift", "hamiltonian_law", "momentum_law")
-
-
 def row(
     solution: Solution, without: str = "", leave_out: Callable[[str], bool] = lambda name: False
 ) -> dict[str, object]:
-    """Return every law the scene has, and whether it is kept, as columns; without : why no derivative is taken.
+    """Return the laws of a run as columns: NAME, of a structural law NAME_claimed and NAME_kept, and `bound`.
 
-    leave_out : whether a law, by its name, is not measured; "solution_error" always is: a wreck keeps nothing.
+    without : why no derivative is taken.  leave_out : whether a law, by its name, is not measured; "solution_error"
+    always is, since a run that does not follow the motion is not judged.
     """
     if not solution.ok:
         return {}
-    scene = solution.scene
-    found = {}
+    scene, found = solution.scene, dict[str, Measured]()
     for item in laws_of(scene):
         wanted = item.name == "solution_error" or not leave_out(item.name)
         if wanted and not (without and item.differentiates):
             with suppress(Undefined):
                 found[item.name] = item.measured(solution)
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}
-    for name, measured in found.items():
-        if name in WITH_ERROR_BAR and measured.uncertainty is not None:
-            columns[f"{name}_uncertainty"] = measured.uncertainty
-        if name in CLAMPED and measured.clamped is not None:
-            columns[f"{name}_clamped"] = measured.clamped
-    if scene.is_contact and without:
-        columns["derivative"] = f"not taken: {without}"
-    elif scene.is_contact:
-        if solution.differential.taken:
-            columns["map_growth"] = growth(in_units(solution))
-        columns["derivative"] = solution.differential.source
-    of_map = columns.get("map_growth") or condition_number(scene) or 1.0
+    known = scene.is_contact and not without and solution.differential.taken
+    magnified = (growth(in_units(solution)) if known else 0.0) or condition_number(scene) or 1.0
+    evaluations = solution.counts.evaluations or 0
+    of_state, of_map = (max(STRUCTURE, round_off_bound(each, evaluations)) for each in (1.0, magnified))
+    follows = not columns["solution_error"] > WRECKED
     for name, measured in found.items():
         if LAWS[name].structural and not math.isnan(measured.value):
+            bound, faded = of_state if name in OF_THE_STATE else of_map, measured.clamped == len(solution.t)
             columns[f"{name}_claimed"] = LAWS[name].claimed(solution)
-            kept = undecided = None
-            bound = math.nan
-            if not columns["solution_error"] > WRECKED:
-                magnified = 1.0 if name in OF_THE_STATE else of_map
-                bound = max(STRUCTURE, round_off_bound(magnified, solution.counts.evaluations or 0))
-                faded = measured.clamped == len(solution.t)
-                kept = is_kept(measured.value, bound, measured.bound, faded)
-                undecided = kept is None
-            columns |= {f"{name}_kept": kept, f"{name}_undecided": undecided, f"{name}_bound": bound}
-    return columns
+            kept = is_kept(measured.value, bound, measured.bound, faded) if follows else None
+            columns[f"{name}_kept"] = kept
+    return columns | {"bound": of_map if follows else math.nan}
