@@ -1,10 +1,10 @@
-"""Runge–Kutta pairs by tolerance: the loop that chooses its steps, recorded and compiled as those of fixed steps are.
+"""Runge–Kutta pairs by tolerance: the loop with step control, recorded and compiled like the loops of fixed steps.
 
-An attempt is accepted where both formulas differ by e with Σ(e_i/(atol_i + rtol |y_i|))² ≤ 1. Steps grow by a PI
-controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), not where they would hardly
-change, and shrink after a rejection alone: equal steps are a loop of their own, in which what depends on the step, as
-exponentials of the damping do, is a constant. They end at saved times. The first one is that at which y' = λy or z'' =
-−λ²z would have the error aimed at, for the λ that a little step shows.
+An attempt is accepted if the two formulas of the pair differ by e with Σ(e_i/(atol_i + rtol |y_i|))² ≤ 1.  Steps grow
+by a PI controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), unless the change is
+small, and shrink only after a rejection.  Equal steps form an inner loop in which the numbers that depend on the step,
+such as exponentials of the damping, are constants.  Steps end at saved times.  The first step is the one at which
+y' = λy or z'' = −λ²z has the error aimed at, with λ estimated by a short step.
 """
 
 from __future__ import annotations
@@ -73,31 +73,31 @@ from contactbench.trace.form import Assign, Element, Statement, Update, execute
 from contactbench.trace.native_call import Native
 from contactbench.trace.program import Program, record
 
-#: a step is aimed at this part of the tolerance; the least and the most that it changes
+#: the part of the tolerance that a step aims at; the least and the largest factor by which it changes
 AIM, LEAST, MOST = 0.03, 0.2, 5.0
-#: the first step, in parts of what a linear equation takes
+#: the first step over the step of a linear equation
 START = 0.85
-#: steps that would be longer by less than this stay as they are; a last one may be longer by so much
+#: the step does not grow by less than STAY; the last step may be longer by STRETCH
 STAY, STRETCH = 1.1, 1.1
-#: the weight of the error before, as a part of that of the error
+#: the weight of the previous error over the weight of the error
 PROPORTIONAL = 0.5
-#: by how much a little step along the motion moves it, relative to its size
+#: relative change of the state over the short step that estimates λ
 NUDGE = 1e-5
-#: what follows the packed state: the step, log of the error before, attempts, those rejected, time not covered
+#: numbers after the packed state: step, log of the previous error, attempts, rejected attempts, time not covered
 BESIDE = 5
-#: where the attempts are in states with what follows them, of this and of every other such loop
+#: the place of the attempts, from the end, in the numbers of every such loop
 ATTEMPTS = -3
-#: below it a number is none
+#: numbers below this count as zero
 TINY = 1e-30
 
-#: of the motion at a state, where it is known
+#: slope of the motion at a state, where it is known
 Slope = Vector | None
-#: what the loop carries: state, slope, factors and their step, time left, step, error before, attempts, rejected ones
+#: variables of the loop: state, slope, factors and their step, time left, step, previous error, attempts, rejected
 Carried = tuple[
     OwnState, Slope, Factors | None, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
 ]
-#: and what the loop over equal steps does: state and slope before and after a step, sizes after it, time left at both,
-#: attempts, the square of the error, whether another one follows
+#: variables of the loop over equal steps: state and slope before and after a step, sizes after it, time left before
+#: and after it, attempts, the square of the error, whether another step follows
 EqualSteps = tuple[
     OwnState, Slope, OwnState, Slope, Vector, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
 ]
@@ -106,8 +106,7 @@ EqualSteps = tuple[
 def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNamespace, *given: object) -> X:
     """Return body(x, *given) where the condition holds, else x.
 
-    What the body computes of its arguments is computed there alone: recorded loops leave what they do not change to the
-    code around them.
+    Recorded loops move invariant expressions out; expressions in the arguments of the body stay inside.
     """
     once = choose(condition, 1.0, 0.0, xp), x, given
     return repeat_while(lambda c: c[0] > 0, lambda c: (0.0, body(*c[1:2], *c[2]), c[2]), once, xp)[1]
@@ -115,7 +114,7 @@ def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNa
 
 @dataclass(frozen=True)
 class Explicit[S: Scene]:
-    """What the loop asks of a pair for y' = f(y)."""
+    """The operations of a pair for y' = f(y) that the loop needs."""
 
     tableau: Tableau
 
@@ -140,7 +139,7 @@ class Explicit[S: Scene]:
         factors: Factors | None,
         loop: Repeat | None = None,
     ) -> tuple[OwnState, Slope, Sequence[Arithmetic]]:
-        """Return the state after a step, the slope there where the pair evaluates it, and the error."""
+        """Return the state after a step, its slope if the pair evaluates it, and the error estimate."""
         tableau = self.tableau
         after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), loop, first)
         error = rebuild(y, slopes(tableau.estimate[0]))
@@ -149,7 +148,7 @@ class Explicit[S: Scene]:
     def rate(
         self, scene: S, y: OwnState, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
     ) -> Arithmetic:
-        """Return how fast the slope changes along it: |λ| of y' = λy."""
+        """Return the relative rate of change of the slope along itself: |λ| of y' = λy."""
 
         def length(v: Vector) -> Arithmetic:
             return norm([a / unit for a, unit in zip(scene.without_clock(v), units, strict=True)], xp)
@@ -162,7 +161,7 @@ class Explicit[S: Scene]:
 
 @dataclass(frozen=True)
 class Nystrom(Explicit[Mechanical]):
-    """What the loop asks of a pair for z'' = f(t, z)."""
+    """The operations of a pair for z'' = f(t, z) that the loop needs."""
 
     def enter(self, scene: Mechanical, x: State | DrivenState) -> Undamped:
         return undamped(scene, x)
@@ -200,7 +199,7 @@ class Nystrom(Explicit[Mechanical]):
     def rate(
         self, scene: Mechanical, y: Undamped, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
     ) -> Arithmetic:
-        """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
+        """Return ω of z'' = −ω²z, from the change of the force along itself and the velocity."""
         force = slope[: len(y.q)]
         in_units = lambda v: [a / unit for a, unit in zip(v, units, strict=False)]  # noqa: E731
         ways = (in_units(way) for way in (force, y.u))
@@ -253,7 +252,7 @@ def march[S: Scene](
     xp: ChoosingNamespace,
     repeat: Repeat,
 ) -> tuple[OwnState, list[Any]]:
-    """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run."""
+    """Return the state after a span and the numbers of `BESIDE`; most : attempts of the whole run at most."""
     rtol, *atol = tolerances
     tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
     reuses, loop = tableau.first_same_as_last, looped(repeat, len(tableau.nodes), scene, x)
@@ -269,7 +268,7 @@ def march[S: Scene](
     def first_step(y: OwnState) -> Arithmetic:
         sized = sizes(y)
         weighed = [a / b for a, b in zip(sized, scales(sized, sized), strict=True)]
-        #: momenta may be of another size than coordinates; without an atol they are taken as they are
+        #: momenta may have another size than coordinates; without an atol no units are known
         units = tuple(xp.where((a > 0) & (atol[0] > 0), a / atol[0], 1.0) for a in atol)
         moved = y.q if isinstance(form, Nystrom) else sized
         size = norm([a / unit for a, unit in zip(moved, units, strict=False)], xp) + atol[0] / rtol
@@ -290,7 +289,7 @@ def march[S: Scene](
     def turn(carried: Carried) -> Carried:
         y, first, factors, at, left, step, past, tried, rejected = carried
         h = when(left < 2 * step, last_steps, step, xp, left)
-        if scene.dated:  # a multiple of a rounding of the span: what is left of it is exact
+        if scene.dated:  # a multiple of a rounding of the span, so that the time left is exact
             h = (span + h) - span
         factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
 
@@ -331,7 +330,7 @@ def march[S: Scene](
     def changed(step_and_past: Vector, h: Arithmetic, square: Arithmetic, past: Arithmetic) -> Vector:
         step, _ = step_and_past
         log = xp.log(xp.maximum(square, TINY)) / 2 - math.log(AIM)
-        log = xp.where(square <= 1 / TINY, log, -math.log(TINY))  # of what is not finite, too
+        log = xp.where(square <= 1 / TINY, log, -math.log(TINY))  # covers nan
         change = xp.where(square <= 1, PROPORTIONAL * past - (1 + PROPORTIONAL) * log, -log)
         change = xp.maximum(xp.minimum(xp.exp(power * change), MOST), LEAST)
         longest = xp.where((square <= 1) & (step > h * change), step, h * change)
@@ -354,7 +353,7 @@ def march_by_the_clock(
     xp: ChoosingNamespace,
     repeat: Repeat,
 ) -> tuple[OwnState, list[Any]]:
-    """Do as `march` in the time that damping leaves of a clock; the step and what is left are of the span's own."""
+    """Do as `march` in the slowed time of a damped body; the step and the time left stay in the time of the span."""
     gamma, lag = scene.gamma, beside[-1]
     whole = damped_time(gamma, span, xp)
     x, (step, *counts, left) = march(
@@ -370,7 +369,7 @@ def march_by_the_clock(
 
 # -- the run -------------------------------------------------------------------------------------------
 def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: int) -> Program:
-    """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`."""
+    """Return the loop over intervals of given spans, with at most n attempts; may raise `CannotRecord`."""
     d, given = len(scene.labels(carry)), len(scene.numbers())
 
     def advance(
@@ -387,7 +386,7 @@ def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: in
         return [*scene.pack(x), *beside]
 
     def started(statement: Statement) -> Statement:
-        """A packed state alone is given; zeros are beside it."""
+        """Let the numbers beside the packed state begin as zeros, which no caller gives."""
         match statement:
             case Assign(target, Element("start", (int(i),))) if i >= d:
                 return Update((target,), (0.0,))
@@ -401,7 +400,7 @@ def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: in
 def marched(
     method: Any, scene: Scene, x: OwnState, beside: Any, span: Arithmetic, clock: Any, most: Any, *given: Any
 ) -> tuple[OwnState, list[Any]]:
-    """Return what a method's `march` does; clock : an origin and a row of `dates`, of a scene with a time."""
+    """Call a method's `march`; clock : an origin and a row of `dates`, for a scene with a time."""
     origin, *since = clock or (0.0,)
     if since:
         scene, x = dates.begin(scene, x, given[1], origin, since)
@@ -414,15 +413,15 @@ _loops: Cache[Loop] = Cache(256)
 
 @dataclass
 class ToleranceRun(RunByTolerance):
-    """Run a method whose loop decides how many steps lead to a saved time, or to a break.
+    """Run a method whose loop decides on the number of steps to a saved time, or to a break.
 
-    ``march(scene, x, beside, span, most, settings, xp, repeat)`` returns the state after a span and what is
-    beside it, `beside(size)` numbers for a packed state of a size: the last are attempts, those rejected, time not
-    covered.  `settings`, `evaluations`, `kind` and `failure` say what it is given, what is counted and why the loop
-    gives up.
+    ``march(scene, x, beside, span, most, settings, xp, repeat)`` returns the state after a span and the numbers beside
+    it.  A packed state has `beside(size)` of them, and the last three are attempts, rejected attempts and the time not
+    covered.  The method also gives the `settings` of the loop, the number and `kind` of `evaluations`, and the message
+    of a `failure`.
     """
 
-    #: known before the run, of fixed steps
+    #: known before a run of fixed steps only
     needed, totals = None, Counts()
 
     def __post_init__(self) -> None:
@@ -442,14 +441,14 @@ class ToleranceRun(RunByTolerance):
             self.compile_s = self.tables.seconds
 
     def divide(self, step: float | None) -> None:
-        """Make of the calls for a step, where there is one, closures of all they need."""
+        """Precompute the calls for a step (None for a tolerance) as closures."""
         self.steps_taken = (step or math.nan,) * 2
         self.settings = self.method_.settings(self.request, step)
         d, beside = len(self.start), self.method_.beside(len(self.start))
         size = len(self.spans) * (d + beside)
         run, loop, most = self.run, self.tables, self.request.max_steps
         native = loop is not None and isinstance(run, Native)
-        #: attempts of a run that is not interrupted
+        #: attempts after which a run goes on interruptibly
         short = min(most, loop.short) if loop is not None and native else most
 
         def rows(attempts: int) -> Any:
@@ -459,7 +458,7 @@ class ToleranceRun(RunByTolerance):
             return loop.rows(numbers, self.spans, np.full(len(self.spans), attempts), self.since)
 
         def part(of: tuple[int, int], given: Any) -> Callable[[np.ndarray], np.ndarray]:
-            """Return the function of a start that gives a part of the start and the states after it."""
+            """Return a function of a start that gives a part of the start and the states after it, joined."""
             if loop is not None and native:
                 return loop.on(d, given, of)
 
@@ -481,7 +480,7 @@ class ToleranceRun(RunByTolerance):
         direct: Callable[[np.ndarray], np.ndarray] | None = None
 
         def bare(y0: np.ndarray) -> np.ndarray:
-            """Find out whether the run is short, and leave it alone from then on."""
+            """Run; if the run was short, replace this function by one without tests."""
             nonlocal direct
             if direct is not None:
                 return direct(y0)
@@ -509,7 +508,7 @@ class ToleranceRun(RunByTolerance):
         return Loop(program, elapsed())
 
     def in_python(self) -> Callable[..., object]:
-        """Return the same in floats: as it is written, where a function cannot be recorded or a float says "no"."""
+        """Return the loop in Python: the recorded one, or the source where it cannot be recorded or overflows."""
         r, scene, recorded = self.request, self.scene, None
         with suppress(CannotRecord):
             loop = self.make()
@@ -535,7 +534,7 @@ class ToleranceRun(RunByTolerance):
         return run
 
     def taken(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
-        """Return packed states after each interval with what is beside them, and the counts."""
+        """Return the packed states after each interval with the numbers beside them, and the counts."""
         y = self.states(y0).reshape(len(self.spans), -1)
         tried, rejected, _ = y[-1, -3:].tolist()
         entered = int(np.sum(y[:, -1] < self.spans))
@@ -543,13 +542,13 @@ class ToleranceRun(RunByTolerance):
         return y, Counts(int(tried - rejected), evaluations, 0, int(rejected), self.method_.kind)
 
     def pilot(self, y0: np.ndarray) -> Pilot:
-        """Take the steps as a pilot; saved states that are not reached are nan."""
+        """Run as a pilot; saved states that are not reached are nan."""
         y, counts = self.taken(y0)
         saved = np.where(y[:, -1:] == 0, y[:, : len(y0)], math.nan)[self.saved]
         return Pilot(self, saved, counts, spent=self.is_spent(y, counts))
 
     def into(self, start: np.ndarray, after: np.ndarray) -> None:
-        """Return None: the number of steps is known only afterwards."""
+        """Return None, since the number of steps is not known beforehand."""
 
     def outcome(self, y0: np.ndarray, y: np.ndarray, counts: Counts) -> Outcome:
         return self.finish(y0, self.from_start(y0, y), counts)
@@ -577,7 +576,7 @@ class ToleranceRun(RunByTolerance):
 
 @dataclass(frozen=True)
 class RungeKuttaPair(Adaptive):
-    """A tableau by tolerance."""
+    """A pair of Runge–Kutta formulas with step control."""
 
     name: str
     order: int

@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from contactbench.methods.fixed_step import FixedStep
 
 
-#: the part of what a motion has diverged beyond up to which its size is an ordinary one
+#: a state is ordinary if its size is below this part of the bound of divergence
 ORDINARY = 1e-4
 
 
 @dataclass
 class FixedStepRun(Prepared):
-    """Run a `FixedStep` in intervals of equal steps, which a loop takes.
+    """Run a `FixedStep` by a loop over intervals of equal steps.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class FixedStepRun(Prepared):
     method_
         The `FixedStep` itself.
     loop
-        What takes the steps.
+        The loop that takes the steps.
     """
 
     method_: FixedStep
@@ -47,7 +47,7 @@ class FixedStepRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        #: where intervals of equal steps end, at least, and which of them end at saved times
+        #: ends of the intervals of equal steps, and the numbers of those that end at saved times
         self.ends = self.later
         self.saves: slice | np.ndarray = slice(None)
         if self.breaks:
@@ -59,13 +59,13 @@ class FixedStepRun(Prepared):
         self.kind = self.method_.kind_on(r.scene)
         self.divide(r.step or math.nan)  # a fixed-step request always has one
         self.sensitivity_source, self.compile_s = self.loop.derivative, self.loop.seconds
-        if not is_fixed(self.method_):  # a user's map may be another when its derivative is asked for
+        if not is_fixed(self.method_):  # a user's map may change before its derivative is needed
             with suppress(CannotRecord):
                 self.loop.tangents  # noqa: B018, recorded now
         self.shorten(self.loop)
 
     def shorten(self, loop: StepLoop[Any]) -> None:
-        """Make of the calls for these steps, where nothing else is to be done, closures of all they need."""
+        """Precompute closures for the common case."""
         self.bare = loop.last(self.ready)  # type: ignore
         simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
         states = loop.watched(self.ready, self.needed, self.saves_start) if simple else None
@@ -85,7 +85,7 @@ class FixedStepRun(Prepared):
 
     def divide(self, step: float) -> None:
         scene, ends = self.request.scene, self.ends
-        #: which intervals of equal steps end at saved times
+        #: numbers of the intervals that end at saved times
         self.saved = self.saves
         if self.request.steps is not None:
             self.h, self.n, reached = plateaus(self.request.steps, ends)
@@ -94,14 +94,14 @@ class FixedStepRun(Prepared):
         else:
             self.n = steps_in(self.marks, ends, step)
             self.h = self.marks / self.n
-        #: when intervals begin, and what their functions take for the time; None of a scene without one
+        #: the `dates` of the intervals; None for a scene without a time
         self.since = dates(scene, np.append(0.0, ends[:-1]), ends) if scene.keeps_dates else None
         self.steps_taken = step, float(np.maximum.reduce(self.h))
         self.totals, self.needed = self.cost(self.n), total(self.n)
         self.ready = self.loop.ready(self.h, self.n, self.since)
 
     def cost(self, n: np.ndarray) -> Counts:
-        """Counts of intervals of n[k] steps; every interval starts afresh; evaluations are None where steps iterate."""
+        """Return the counts of intervals of n[k] steps; every interval starts anew; no evaluations if steps iterate."""
         steps = total(n)
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, None if self.method_.iterates else evaluations, 0, 0, self.kind)
@@ -112,17 +112,17 @@ class FixedStepRun(Prepared):
         return self.loop.take(from_origin(self.request.scene, y, y0), ready)[0]
 
     def take(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
-        """Take the steps of this division: packed states after each of its intervals, and the counts."""
+        """Return the packed states after each interval, and the counts."""
         y, made = self.loop.take(y0, self.ready)
         return y, self.totals._replace(evaluations=made) if self.method_.iterates else self.totals
 
     def into(self, start: np.ndarray, after: np.ndarray) -> Callable[[], int] | None:
-        """Return the run on memory for good, see `StepLoop.into`; None where there is more to do."""
+        """Return the run on fixed memory, see `StepLoop.into`; None if it needs more than the loop."""
         simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
         return self.loop.into(self.ready, self.needed, start, after) if simple else None
 
     def pilot(self, y0: np.ndarray) -> Pilot:
-        """Take the steps as a pilot, unless they are more than allowed."""
+        """Run as a pilot, unless that takes too many steps."""
         if self.needed > self.request.max_steps:
             return Pilot(self, np.full((len(self.later), len(y0)), math.nan), Counts(), spent=True)
         y, counts = self.take(y0)
@@ -179,10 +179,10 @@ class FixedStepRun(Prepared):
 
     def dated(self, i: int, taken: int) -> np.ndarray | None:
         """Return the dates of one interval that begins after some steps of the i-th."""
-        return None if self.since is None else self.since[i : i + 1] + [taken * self.h[i], 0.0, 0.0]
+        return None if self.since is None else self.since[i : i + 1] + np.array([taken * self.h[i], 0.0, 0.0])
 
     def lacks_a_step(self, y0: np.ndarray, good: np.ndarray, h: float, since: np.ndarray | None) -> bool:
-        """Return whether a state of the size of the motion has no step of this size, where an iteration finds it."""
+        """Return whether the iteration of a step of this size fails at a state of ordinary size."""
         most = ORDINARY * self.bounds(y0)
         after = self.part(y0, good, [h], [1], since)[0]
         return bool(np.isnan(after).any() and (np.abs(good[: len(most)]) <= most).all())
@@ -199,7 +199,7 @@ class FixedStepRun(Prepared):
         return self.method_.composed(self.request.scene)
 
     def modified_hamiltonian(self, x: AnyState) -> Numeric:
-        """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
+        """Return H̃ as in `Prepared`, if all steps have one size: H̃ depends on it."""
         if np.ptp(self.h) > EQUAL * self.h[0]:
             return None
         return self.method_.modified_hamiltonian(self.request.scene, x, float(self.h[0]))
