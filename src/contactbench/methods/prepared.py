@@ -51,7 +51,7 @@ class Request:
     scales: Any = None
 
     def to_scale(self, takes_atol: bool, **data: object) -> Request:
-        """Return the request with the scales of the motion and the atol that follows from them; data : another start."""
+        """Return the request with the scales of the motion and the atol they give; data : another start."""
         assert self.rtol is not None
         start = self.scene.initial(self.carry, **data)
         each = self.scene.scales(start, float(self.save_at[-1]))
@@ -366,7 +366,7 @@ class Prepared(ABC):
     # -- the map of the steps taken --------------------------------------------------------------------
     @property
     def steps_follow_state(self) -> bool:
-        """Return whether the steps depend on the initial data, so that `sensitivity` misses a part of the derivative."""
+        """Return whether the steps depend on the initial data: `sensitivity` then misses a part."""
         return self.request.rtol is not None
 
     def tangents(self, y0: np.ndarray) -> list[np.ndarray]:

@@ -83,7 +83,7 @@ def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.
 
 
 def steps_in(span: float | np.ndarray, until: float | np.ndarray, step: float) -> np.ndarray:
-    """Return the fewest equal steps ≤ `step` that cover each span, up to round-off of the time `until` where it ends."""
+    """Return the fewest equal steps ≤ `step` that cover each span, up to round-off of its end, the time `until`."""
     longest = np.maximum(step, span / (2 * UNCOUNTED))
     ratio = (span * (1 - 1e-12) - GRID_ULPS * np.spacing(until)) / longest
     return np.minimum(np.maximum(np.ceil(ratio), 1), UNCOUNTED).astype(np.int64)
@@ -159,7 +159,7 @@ def steps_until(steps: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 
 def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
-    """Return runs of equal steps; one run ends at each of the times, to the last digit, and the last time is the end."""
+    """Return runs of equal steps to the last of some times; a run ends at each time, to the last digit."""
     last = steps_until(steps, times) - 1
     changes = np.abs(np.diff(steps)) > EQUAL * steps[1:]
     changes = np.append(changes, True)
