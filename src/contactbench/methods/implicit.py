@@ -1,8 +1,7 @@
 """Solve implicit steps to round-off by fixed-point or Newton iteration, and count every evaluation.
 
 An iteration ends when increments are zero or no longer decrease (Hairer, Lubich, Wanner, Geometric Numerical
-Integration,
-§VIII.6.2); a step that is too long for convergence has no result.
+Integration, §VIII.6.2); a step that is too long for convergence has no result.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ class StepLoop[Ready](ABC):
     def into(
         self, ready: Ready, steps: int, start: np.ndarray, after: np.ndarray
     ) -> Callable[[], int] | None:
-        """Return `watched` on fixed memory, `after` for the states after `start`; a call returns −1 if they are sound."""
+        """Return `watched` on fixed memory, `after` for states after `start`; a call returns −1 if they are sound."""
         return None
 
     @cached_property
