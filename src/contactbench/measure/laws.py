@@ -1,4 +1,4 @@
-"""What is measured along a trajectory: solution error, decay laws, drifts; `law` registers another."""
+"""Measures along a trajectory: solution error, decay laws, drifts; `law` registers another one."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def has_linear_damping(scene: Scene) -> bool:
 
 # -- comparisons with the truth --------------------------------------------------------------------
 def truth(solution: Solution) -> Reference:
-    """Return the true states at the saved times of a run, which keeps them, or why there are none."""
+    """Return the true states at the saved times of a run; cache them, or the error, in the run."""
     if solution.truth is None:
         try:
             solution.truth = sought(solution)
@@ -90,7 +90,7 @@ def sought(solution: Solution) -> Reference:
 
 
 def errors_of(runs: Sequence[Solution]) -> np.ndarray:
-    """Return the errors of runs from one start at all their saved times, on the scales of all of them: see `errors`."""
+    """Return the errors of runs from one start at all their saved times, on common scales: see `errors`."""
     one = runs[0]
     start = one.scene.pack(one.scene.initial(one.carry)) if one.y0 is None else one.y0
     y, true = (np.vstack(rows) for rows in ([run.y for run in runs], [truth(run).y for run in runs]))
@@ -118,10 +118,10 @@ def energy_law(solution: Solution) -> float:
     return float(np.abs(numerical - exact).max()) / first if first else math.nan
 
 
-#: what ∫Γ' means in the definitions of the laws
+#: the meaning of ∫Γ' in the definitions of the laws
 RATE = (
-    "∫Γ' = γt, of a γ(t) its integral, where Γ' follows s that of the truth: e^{−∫Γ'} = H*(t)/H(y₀); relative to no "
-    "less than a thousandth of the terms that cancel"
+    "∫Γ' = γt, or the integral of γ(t); where Γ' depends on s the truth gives e^{−∫Γ'} = H*(t)/H(y₀); relative to at "
+    "least a thousandth of the terms that cancel"
 )
 
 
@@ -129,8 +129,8 @@ RATE = (
 def decay_rate(solution: Solution) -> float | np.ndarray:
     """Return γ with which e^{−γt} is the conformal factor of the exact flow at the saved times.
 
-    Where Γ'(s) changes it is the mean rate up to each saved time, shape (k,), from the truth:
-    H' = −Γ'(s) H, hence e^{−∫Γ'(s)dt} = H*(t)/H(0).  Raises `Undefined` if H(0) = 0.
+    If Γ'(s) changes, return the mean rate up to each saved time, (k,), from the truth: H' = −Γ'(s) H, hence
+    e^{−∫Γ'(s)dt} = H*(t)/H(0).  Raises `Undefined` if H(0) = 0.
     """
     scene = solution.scene
     if (rate := scene.conformal_rate) is not None:
@@ -161,8 +161,8 @@ def hamiltonian_law(solution: Solution) -> Deviation:
 
 
 @law(
-    "max |H̃ e^{γt} − H̃(y₀)| / |H̃(y₀)|, H̃ = H + O(h^p) the modified Hamiltonian up to h⁴, of which the numerical "
-    "flow is the exact one up to h⁶; blank for a method that is not known to have one",
+    "max |H̃ e^{γt} − H̃(y₀)| / |H̃(y₀)|, H̃ = H + O(h^p) the modified Hamiltonian up to h⁴; blank for a method "
+    "without a known one",
     "modified H law",
     needs=("s",),
     applies=lambda scene: has_linear_damping(scene) and scene.has_hamiltonian_law,
@@ -170,7 +170,7 @@ def hamiltonian_law(solution: Solution) -> Deviation:
 def modified_hamiltonian(solution: Solution) -> Deviation | float:
     scene, states, run = solution.scene, solution.states(), solution.run
     value = None
-    with suppress(TypeError):  # a potential of one's own that takes no dual numbers
+    with suppress(TypeError):  # a user's potential that takes no dual numbers
         if run is not None:
             value, start = (run.modified_hamiltonian(x) for x in (states, solution.start()))
     if value is None:
@@ -180,24 +180,24 @@ def modified_hamiltonian(solution: Solution) -> Deviation | float:
 
 
 def is_of_contact_flows(solution: Solution) -> bool:
-    """Whether the method declares its runs to be composed of exact contact flows, by whatever steps."""
+    """Return whether the method composes its runs of exact contact flows."""
     method = METHODS.get(solution.method)
     return method is not None and method.family == "contact"
 
 
 def knows_factor(solution: Solution) -> bool:
-    """Whether ∫Γ' is known without the motion: where Γ' follows s, a run has the factor of its own s."""
+    """Return whether the method is a contact one and ∫Γ' does not depend on the motion."""
     known = solution.scene.damped_by(solution.start(), solution.elapsed, np) is not None
     return is_of_contact_flows(solution) and known
 
 
 def is_contact_map(solution: Solution) -> bool:
-    """Whether the method declares its runs to be contact maps with the factor of the exact flow, and it is known."""
+    """Return whether the method claims contact maps with the known factor of the exact flow."""
     return knows_factor(solution) and METHODS[solution.method].contact
 
 
 def is_composed(solution: Solution) -> bool:
-    """Whether the run is a composition of contact maps, of whatever factors."""
+    """Return whether the run is a composition of contact maps, with any factors."""
     return solution.run is not None and solution.run.composed
 
 
@@ -217,7 +217,7 @@ def momentum_law(solution: Solution) -> Deviation:
 
 
 # -- contact structure -----------------------------------------------------------------------------
-#: what the laws of Φ*η have in common
+#: common properties of the laws of Φ*η
 CONTACT: dict[str, object] = {"needs": ("R", "s"), "gate": Gate.structure, "differentiates": True}
 CONTACT["applies"] = lambda scene: scene.is_contact
 
@@ -308,9 +308,9 @@ def energy_increases(solution: Solution) -> float:
     return float(np.count_nonzero(grows))
 
 
-# -- all of them, of one run -----------------------------------------------------------------------
+# -- all laws of a run ----------------------------------------------------------------------------
 def measured_row(item: Law, solution: Solution) -> tuple[float, bool, str, str]:
-    """Return the deviation from a law, whether it is an upper bound, why there is none, and what the law is."""
+    """Return the deviation from a law, whether it is an upper bound, a note if it is missing, and the definition."""
     try:
         found, note = item.measured(solution), "" if solution.ok else str(solution.status)
         if solution.ok and item.differentiates and not solution.differential.taken:
@@ -321,26 +321,26 @@ def measured_row(item: Law, solution: Solution) -> tuple[float, bool, str, str]:
 
 
 def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
-    """Measure how far a run is from every law that its scene has and whose fields it carries.
+    """Measure the deviation of a run from every law of its scene whose fields it carries.
 
     Parameters
     ----------
     solution : Solution
         The run.
     seconds : float
-        How long it may take, most of it for the reference and, of a solver that chooses its steps, for the runs that
-        its map is differentiated by; ``math.inf`` for as long as it takes.
+        Limit of time, mostly for the reference and, for an adaptive solver, for the runs that give the derivative of
+        its map; ``math.inf`` for no limit.
 
     Returns
     -------
     DataFrame
-        Indexed by the law's name; deviation (the maximum over the saved times), upper_bound (it is no more than
-        that: a derivative by differences did not resolve it), note (why there is no number), definition.
+        Indexed by the law's name; deviation (the maximum over the saved times), upper_bound (whether it is only a
+        bound, because a derivative by differences does not resolve it), note (why there is no number), definition.
 
     Raises
     ------
     BadInput
-        For a scene whose gradient is not that of its potential along the motion, and seconds that are no number > 0.
+        If the gradient of the scene is not the derivative of its potential along the motion, and for seconds ≤ 0.
     """
     import pandas as pd
     from tqdm import tqdm
@@ -356,9 +356,9 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
         for item in bar:
             bar.set_postfix_str(item.label)
             if set(item.needs_on(solution.scene)) <= set(solution.carry):
-                with np.errstate(all="ignore"):  # what has left any scale is no fault of the user's settings
+                with np.errstate(all="ignore"):  # states may be huge
                     rows[item.name] = measured_row(item, solution)
-    finally:  # what there was no time for is tried again where there is more
+    finally:  # results that ran out of time are computed again by a later call
         solution.patience = None
         if patience.over:
             del solution.differential
@@ -369,7 +369,7 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
     ).rename_axis("law")
 
 
-# -- all of them, as a row -------------------------------------------------------------------------
+# -- all laws as a row ----------------------------------------------------------------------------
 def row(
     solution: Solution, without: str = "", leave_out: Callable[[str], bool] = lambda name: False
 ) -> dict[str, object]:
