@@ -139,8 +139,8 @@ def borders(method: FixedStep, gamma: float) -> Stability:
     """Return the borders of stability of one step of `method` from its trace and determinant, for ω = 1.
 
     Both eigenvalues are in the unit disc if |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in which s passes ±1
-    and returns may be narrower than the grid, but it contains an extremum of s.  So the extrema of s and det are located,
-    and every border between neighbours of grid and extrema is bracketed.  An excess of less than 10⁻¹² is no window (a
+    and returns may be narrower than the grid, but it contains an extremum of s.  So the extrema of s and det are
+    located, and every border between neighbours of grid and extrema is bracketed.  An excess below 10⁻¹² is no window (a
     double root); an interval of stability of less than a per cent of the step does not end a window.
     """
 

@@ -383,7 +383,7 @@ class Scene(metaclass=Kind):
         return ()
 
     def orders(self) -> list[tuple[int, int, bool]]:
-        """Return the order of its numbers as (i, j, strict): number i < number j if strict, else ≤; 0 is an extra number.
+        """Return the order of its numbers as (i, j, strict): number i < number j, or ≤ unless strict; 0 comes last.
 
         Numbers in another order need other flows, or are not allowed.
         """
@@ -394,7 +394,7 @@ class Scene(metaclass=Kind):
         return [(zero, i, True) for name, span in spans if name in self.reciprocals for i in range(*span)]
 
     def decided_by(self, numbers: Sequence[Arithmetic]) -> Self:
-        """Return the scene with other numbers, or arrays, and the choices they decide; raise `BadInput` for bad numbers."""
+        """Return the scene with other numbers, or arrays, and the choices they decide, or raise `BadInput`."""
         own, ends = [getattr(self, name) for name in self.coefficients], []
         for end in (np.min, np.max):
             extreme = [float(end(np.asarray(number))) for number in numbers]
@@ -545,7 +545,7 @@ class Scene(metaclass=Kind):
         return self._replaced(**found) if found else self
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle the scene with recorded functions; raise `BadInput` for one that can be neither recorded nor pickled."""
+        """Pickle the scene with recorded functions; raise `BadInput` for one that cannot be pickled."""
         scene = self.recorded()
         for name in (*self.functions, "exact"):
             try:
@@ -636,10 +636,10 @@ class Scene(metaclass=Kind):
 
     @abstractmethod
     def sizes(self, x: OwnState, end: float) -> Sizes:
-        """Return estimates of the largest components of the motion from x until `end`, and of the action, see `scales`."""
+        """Return estimates of the largest components, and of the action, of the motion from x until `end`."""
 
     def scales(self, x: OwnState, end: float) -> np.ndarray:
-        """Return the scale of every component of a packed state but the time, for the motion from x, see `scene.scales`.
+        """Return the scale of every packed component but the time for the motion from x, see `scene.scales`.
 
         If components share a unit, a scale of order one counts as 1.
         """
