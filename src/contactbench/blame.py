@@ -1,4 +1,4 @@
-"""Where other people's code is called: whose an error is, where it happened, and in what words it is told."""
+"""Calls of users' code: find the origin and the place of an error, and describe it."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class UserError(BadInput):
 def is_ours(function: object, asked: tuple[object, ...] = ()) -> bool:
     """Return whether a function, or a class, was written in this package: it computes the same tomorrow.
 
-    Where one that wraps another was written is told by its globals; what it has captured must not change either.
-    asked : those that captured it; functions of `cb.math` capture themselves.
+    The globals of a function show where it was written.  Its captured values must not change either.  asked : functions
+    that captured it; functions of `cb.math` capture themselves.
     """
     if any(function is each for each in asked):
         return True

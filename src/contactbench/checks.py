@@ -91,7 +91,7 @@ def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...
 
 
 def items_of(name: str, value: Any, wanted: str) -> list[Any]:
-    """Return the items of `value`, or `BadInput`, which says what is `wanted`; a string is no list of letters."""
+    """Return the items of `value`, or raise `BadInput` with the text `wanted`; a string is no list of letters."""
     try:
         return refuse(name, value, wanted) if isinstance(value, str | bytes) else list(value)
     except TypeError:

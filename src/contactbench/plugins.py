@@ -77,7 +77,7 @@ def load_file(path: Path | str) -> None:
 
 
 def _registered() -> dict[tuple[str, int], object]:
-    """Return what is registered at the moment, by names and identity: a file may replace some."""
+    """Return all registered items by name and identity: a file may replace some."""
     return {(name, id(item)): item for registry in Registry.every for name, item in registry.items()}
 
 

@@ -73,7 +73,7 @@ class Flows:
         self.sign = self.velocity.contr(t, t + 1.0)
 
         def rates(t: Real) -> PyTree:
-            """Return the rate of damping of each momentum: what it does to a momentum of ones."""
+            """Return the rate of damping of each momentum, from momenta of ones."""
             return jax.tree.map(lambda slope: -self.sign * slope, self.damping.vf(t, ones, args))
 
         self.rates, self.changes = rates, depends_on_time(rates, jnp.asarray(t, dtype=float))
@@ -176,7 +176,7 @@ class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
         return self.composition.order
 
     def init(self, terms: Terms, t0: Real, t1: Real, y0: PyTree, args: PyTree) -> PyTree:
-        """Return what a run goes on from: the kernel's state, and the size of a step."""
+        """Return the solver state: the kernel's state, and the size of a step."""
         t0, h = jnp.asarray(t0, dtype=float), jnp.asarray(t1 - t0, dtype=float)
         flows = Flows(terms, t0, y0, args)
         y0 = eqx.error_if(y0, flows.are_others(t0, y0[1]), OTHERS)
@@ -287,7 +287,7 @@ def terms_of(scene: Scene | str) -> Terms:
         why = "its damping depends on s" if scene.separable else f"it is of kind {scene.kind!r}"
         raise BadInput(f"scene {scene.name!r} has no terms on (q, p) alone: {why}; cb.step_map takes it")
     names, own = scene.number_names(), scene.numbers()
-    known = {*names} - {"", "kappa"}  # that of a damping which is not linear
+    known = {*names} - {"", "kappa"}  # κ is 0 here
 
     def twin(args: PyTree) -> PyTree:
         given = {} if args is None else args

@@ -33,7 +33,7 @@ from contactbench.trace.compiled import COMPILES
 SAME = 1e-6
 #: components of a step that is compiled, at most: as in `Method.largest`, twice
 LARGEST = 512
-#: the pieces that a run repeats: compiled as a loop of n = 1 turns, LLVM rounds them as in a longer one
+#: pieces that a run repeats: compiled as a loop of one turn, so that LLVM rounds them as in a longer one
 LOOPED = (1, 2)
 
 __all__ = ["Contact"]
@@ -50,7 +50,7 @@ class Piece:
 
     @property
     def step(self) -> object:
-        """Return what decides whether the piece is one of this package, see `is_fixed`."""
+        """Return the object that decides whether the piece belongs to this package, see `is_fixed`."""
         return type(self.method) if not is_ours(type(self.method)) else self.method.step
 
     def advance(
@@ -180,10 +180,10 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     """Return a solver for `solve_ivp(…, method=…)`: a fixed-step method on a scene.
 
     ``max_step`` is the longest step: as in `cb.solve` the span is divided into the fewest equal steps that are not
-    longer, so that none is cut off at its end.  The last state is that of ``cb.solve(scene, method, step=max_step,
-    save_at=[t])`` to the bit where it is compiled, but on bodies with isotropic damping and by Herglotz's recursion;
-    there, and before, states agree to round-off: the kernel of a processed method goes on, what is shown is
-    postprocessed.  ``t_span`` may run backwards.
+    longer, so that none is cut off at its end.  The last state equals that from ``cb.solve(scene, method,
+    step=max_step, save_at=[t])`` to the bit in compiled code, except for bodies with isotropic damping and Herglotz's
+    recursion; all other states agree to round-off.  The kernel of a processed method continues, and the states shown
+    are postprocessed.  ``t_span`` may run backwards.
 
     Events and dense output are SciPy's, by a Hermite interpolant of degree five, whose error falls as h⁶ (three and
     h⁴ where a force takes floats only).  It is no contact map: laws hold at the steps, not between them.

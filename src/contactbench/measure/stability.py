@@ -1,6 +1,6 @@
 """Linear stability: the one-step map of a fixed-step method on q'' + γ q' + ω² q = 0, a 2×2 matrix.
 
-The map is that of (q, p) alone.  With s carried, an iteration must converge for s too, and a run may fail earlier.
+The map acts on (q, p) alone.  With s carried, an iteration must converge for s too, and a run may fail earlier.
 A processed method π χⁿ π* repeats its kernel χ if only the end is saved, and π χ π* if every step is saved.
 """
 
@@ -140,8 +140,8 @@ def borders(method: FixedStep, gamma: float) -> Stability:
 
     Both eigenvalues are in the unit disc if |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in which s passes ±1
     and returns may be narrower than the grid, but it contains an extremum of s.  So the extrema of s and det are
-    located, and every border between neighbours of grid and extrema is bracketed.  An excess below 10⁻¹² is no window (a
-    double root); an interval of stability of less than a per cent of the step does not end a window.
+    located, and every border between neighbours of grid and extrema is bracketed.  An excess below 10⁻¹² is no window
+    (a double root); an interval of stability of less than a per cent of the step does not end a window.
     """
 
     def invariants(h: np.ndarray) -> np.ndarray:

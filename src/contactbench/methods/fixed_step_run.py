@@ -47,7 +47,7 @@ class FixedStepRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        #: ends of the intervals of equal steps, and the numbers of those that end at saved times
+        #: ends of the intervals of equal steps, and the numbers of the intervals that end at saved times
         self.ends = self.later
         self.saves: slice | np.ndarray = slice(None)
         if self.breaks:

@@ -142,7 +142,7 @@ class OneStep:
 
     @property
     def _numba_type_(self) -> object:
-        """Return the type that numba sees in compiled code: that of the compiled function."""
+        """Return the type of the compiled function, for numba."""
         return self.compiled._numba_type_
 
     @cached_property

@@ -6,7 +6,7 @@ A third pilot tests that: the ratio of two successive gaps must be the one predi
 error is multiplied by a power of the disagreement.  The next step is predicted only if they agree.  The first pilot
 whose error is small enough is the run.
 
-Saved times shorten steps, so the ratio of two pilots is that of their numbers of steps.
+Saved times shorten steps, so the ratio of two pilots is the ratio of their numbers of steps.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the solvers of other libraries have in common: their method, their run and its call."""
+"""The common base of solvers of other libraries: method, run and call."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from contactbench.trace.recording import Recorded, Tape, attempt
 
 @dataclass(frozen=True)
 class Peer(Adaptive):
-    """A solver of another library; call : makes the `Call` of its run; solver : its name there.
+    """A solver of another library; call : makes the `Call` of a run; solver : its name in the library.
 
-    package : what must be installed.  stages : of an attempted step, where fixed.  costs : see `step_cost`, by engine.
+    package : must be installed.  stages : of an attempted step, if fixed.  costs : engine → `step_cost`.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Peer(Adaptive):
 
 
 class Ending(NamedTuple):
-    """How a call ended, as `Prepared.finish` takes it."""
+    """The result of a call, for `Prepared.finish`."""
 
     y: np.ndarray | None
     counts: Counts
@@ -70,15 +70,15 @@ class Ending(NamedTuple):
 
 
 class Call(ABC):
-    """A library at work on one request: all that a `PeerRun` does not do.
+    """The calls of a library for one request.
 
-    1. Making it compiles, allocates and connects; it raises `ImportError` where the library cannot be used.
-    2. ``call(y0)`` runs from a packed state: saved states reached, after the start (None: not even the start), counts,
-       and unless it went well status, message, and time and state at which the solver stopped.
-    3. ``last(y0)`` is the library's own call, by its fastest way: packed state to packed final state, unchecked.
+    1. The constructor compiles, allocates and connects; it raises `ImportError` if the library cannot be used.
+    2. ``call(y0)`` runs from a packed state.  It returns the saved states reached after the start (None if there is not
+       even a start), the counts, and after a failure status, message, and the last time and state of the solver.
+    3. ``last(y0)`` is the fastest call of the library: from a packed state to the final one, unchecked.
     """
 
-    #: spent on recording and compiling
+    #: seconds of recording and compiling
     seconds = 0.0
 
     def __init__(self, method: Peer, request: Request) -> None:
@@ -93,7 +93,7 @@ class Call(ABC):
 
     @abstractmethod
     def last(self, y0: np.ndarray) -> np.ndarray:
-        """Run from a packed state to the last one, and nothing else."""
+        """Run from a packed state to the last one, without saving others."""
 
     @property
     def spent(self) -> str:
@@ -102,7 +102,7 @@ class Call(ABC):
 
 @dataclass
 class PeerRun(RunByTolerance):
-    """A run of another library, by its call."""
+    """Run a solver of another library."""
 
     method_: Peer
 
@@ -119,14 +119,14 @@ class PeerRun(RunByTolerance):
 
 @dataclass
 class Pieces(Prepared):
-    """A run from break to break, each piece one of its own; a few roundings around a break go by its slopes there."""
+    """Run in pieces between breaks; the few roundings around a break are crossed with the slopes there."""
 
     method_: Peer
 
     def __post_init__(self) -> None:
         super().__post_init__()
         times, begin, skipped, before = self.request.save_at, 0.0, 0.0, -1.0
-        #: runs, when they begin, how long the solver has not run before, which saved times and states are theirs
+        #: runs, their begins, the time skipped before each, the slice of saved times, the places of the saved states
         self.pieces = list[tuple[Prepared, float, float, slice, np.ndarray]]()
         for time, exact in [*self.breaks, (self._end, 0.0)]:
             end, last = min(time, self._end) - exact, time >= self._end - exact
@@ -144,7 +144,7 @@ class Pieces(Prepared):
         self.compile_s = sum(run.compile_s for run, *_ in self.pieces)
 
     def over(self, y: np.ndarray, time: float) -> np.ndarray:
-        """Return the state so much later, between the two sides of a break."""
+        """Return the state on the other side of a break, by a step of Heun."""
         scene, carry = self.request.scene, self.request.carry
 
         def slope(y: np.ndarray) -> np.ndarray:
@@ -159,7 +159,7 @@ class Pieces(Prepared):
         return y
 
     def at(self, begin: float, y: np.ndarray, y0: np.ndarray) -> np.ndarray:
-        """Return a state with the time so long after the start, which is no sum of pieces."""
+        """Return a state with the time `begin` after the start, which is no sum of pieces."""
         y = y.copy()
         y[self._clock] = y0[self._clock] + begin
         return y
@@ -200,7 +200,7 @@ def derivative(scene: Scene, x: AnyState, carry: tuple[str, ...]) -> list[list[A
 
 
 # -- solvers that call back into Python ---------------------------------------------------------------
-#: evaluations DOP853 adds for the interpolant of a step, and before the first step
+#: evaluations of DOP853 for the interpolant of a step, and before the first step
 INTERPOLANT, BEFORE = 3, 2
 
 
@@ -209,7 +209,7 @@ type Rates = Callable[[float, Sequence[float]], Sequence[Any]]
 
 
 class Solver(Protocol):
-    """What SciPy's solvers have, and others are given."""
+    """The interface of SciPy's solvers."""
 
     t: float
     y: np.ndarray
@@ -221,12 +221,12 @@ class Solver(Protocol):
 
 
 class Callback(Call):
-    """A solver that calls back Python functions of plain floats, recorded with the numbers as constants.
+    """A solver that calls Python functions of floats, recorded with the numbers as constants.
 
-    A function that cannot be recorded is called as it is, at four times the cost.
+    A function that cannot be recorded is called directly, at four times the cost.
     """
 
-    #: as how many steps the last one counts that failed
+    #: number of steps that the last, failed one counts for
     failure = 1
 
     def __init__(self, method: Peer, request: Request) -> None:
@@ -241,10 +241,7 @@ class Callback(Call):
             self.jacobian = recorded or (lambda t, y: motion_jacobian(scene, t, y, carry))
 
     def rhs(self, t: float, y: Sequence[float]) -> Sequence[float]:
-        """Return the slopes, nan where a function raises: that is Python's way to say inf or nan.
-
-        A solver that is told so takes a smaller step.
-        """
+        """Return the slopes, or nan if a function raises an arithmetic error: the solver then takes a smaller step."""
         try:
             return self.slopes(t, y)
         except NO_NUMBER as error:

@@ -1,8 +1,7 @@
-"""The hard scenes: where integrators break, and how.
+"""The hard scenes, on which integrators break.
 
-They are registered beside the standard ones and marked `hard`, so that only the stability experiment runs them; but
-`kepler`, the easy one of its kind, has other experiments.
-`about` says what is hard about each.
+They are marked `hard`, so that only the stability experiment runs them; `kepler`, an easy one, has other experiments.
+`about` explains the difficulty of each scene.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ CASES = (
 STEPS, RTOLS = (80, 1280), (1e-5, 1e-9)
 #: of another call of the same program; of another compiler over 80 steps, and of an invariant over ten
 SAME, COMPILED, ROUND_OFF = 1e-14, 1e-13, 1e-12
-#: how many times that of a method which feeds on its own history
+#: factor on these bounds for a multistep method
 MULTISTEP = 10
 #: error over tolerance, at most, of a run this short; and what round-off of the phase leaves of a closed form
 GROWTH, EXACT = 1e3, 1e-10

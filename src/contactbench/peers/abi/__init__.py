@@ -1,4 +1,4 @@
-"""What is not public in the libraries of the peers: the symbols of CVODE, the C interface of CyRK.
+"""Private interfaces of the peers' libraries: the symbols of CVODE, the C interface of CyRK.
 
 A C signature is written as a word, a letter for the result and one for every argument; ctypes and numba read the
 same word.  Imported where a peer is first run, and only then: importing it loads numba.
