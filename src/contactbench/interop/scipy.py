@@ -31,7 +31,7 @@ from contactbench.trace.compiled import COMPILES
 
 #: by how much, in parts of the largest slope, `fun` may differ from the scene's right-hand side
 SAME = 1e-6
-#: components of a step that is compiled, at most: as in `Method.largest`, twice
+#: most components of a compiled step: twice `Method.largest`
 LARGEST = 512
 #: pieces that a run repeats: compiled as a loop of one turn, so that LLVM rounds them as in a longer one
 LOOPED = (1, 2)
@@ -82,7 +82,7 @@ def pieces(step: OneStep, h: float) -> list[Callable[[np.ndarray], np.ndarray]]:
 
 
 class Hermite(DenseOutput):
-    """The polynomial of y, y' and, where known at both ends of a step, y'': of degree five, or three."""
+    """The Hermite polynomial of y, y' and y'' of degree five, or of degree three without y''."""
 
     def __init__(self, *ends: tuple[float, Sequence[np.ndarray]]) -> None:
         super().__init__(ends[0][0], ends[1][0])
@@ -166,7 +166,7 @@ class ContactSolver(OdeSolver):
         return Hermite(*((t, self._derivatives(t, y)) for t, y in ends))
 
     def _derivatives(self, t: float, y: np.ndarray) -> list[np.ndarray]:
-        """Return y, y' and, where dual numbers pass through the scene, y''."""
+        """Return y, y' and, if the scene takes dual numbers, y''."""
         first = self.rhs(t, y)
         dual = list(map(Dual, y.tolist(), first.tolist()))
         try:

@@ -1,4 +1,4 @@
-"""Scenes with time in them: a forced oscillator, Lane–Emden, chaos.
+"""Time-dependent scenes: a forced oscillator, Lane–Emden, chaos.
 
 H = T(p) + V(q, t) + γ(t) s, the class of Bravetti, Seri, Vermeeren, Zadra, Celest. Mech. Dyn. Astron. 132, 7 (2020),
 doi:10.1007/s10569-019-9946-9, one of whose examples the Lane–Emden scene is.
@@ -129,7 +129,7 @@ def with_action(
 
 
 # -- scenes ----------------------------------------------------------------------------------------
-#: few experiments each, since all of them on one more scene take a minute
+#: few experiments each: all of them take a minute per scene
 _LAWS = ("convergence", "laws")
 _COST = (*_LAWS, "decay_laws", "work_precision")
 
