@@ -70,7 +70,6 @@ from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damped_time
 from contactbench.solution import DIVERGENCE, Counts, Status
 from contactbench.trace.form import Assign, Element, Statement, Update, execute
-from contactbench.trace.native_call import Native
 from contactbench.trace.program import Program, record
 
 #: the part of the tolerance that a step aims at; the least and the largest factor by which it changes
@@ -431,107 +430,81 @@ class ToleranceRun(RunByTolerance):
         ends, self.saved = division(r.scene, self.later)
         self.spans, begins = np.diff(ends, prepend=0.0), np.append(0.0, ends[:-1])
         self.since = dates.dates(r.scene, begins, ends) if r.scene.keeps_dates else None
-        self.settings = self.method_.settings(r, r.step)
-        self.tables: Loop | None = None
-        if r.engine == "llvm":
-            self.tables = _loops.get(key(self.scene.identity, self.method_, r.carry), self.make)
-        self.run: Callable[..., object] = self.tables.run if self.tables else self.in_python()
-        self.divide(r.step)
-        if self.tables and r.engine == "llvm":
-            self.compile_s = self.tables.seconds
-
-    def divide(self, step: float | None) -> None:
-        """Precompute the calls for a step (None for a tolerance) as closures."""
-        self.steps_taken = (step or math.nan,) * 2
-        self.settings = self.method_.settings(self.request, step)
-        d, beside = len(self.start), self.method_.beside(len(self.start))
-        size = len(self.spans) * (d + beside)
-        run, loop, most = self.run, self.tables, self.request.max_steps
-        native = loop is not None and isinstance(run, Native)
-        #: attempts after which a run goes on interruptibly
-        short = min(most, loop.short) if loop is not None and native else most
-
-        def rows(attempts: int) -> Any:
-            if loop is None:
-                return ()
-            numbers = np.array([*self.scene.numbers(), *self.settings])
-            return loop.rows(numbers, self.spans, np.full(len(self.spans), attempts), self.since)
-
-        def part(of: tuple[int, int], given: Any) -> Callable[[np.ndarray], np.ndarray]:
-            """Return a function of a start that gives a part of the start and the states after it, joined."""
-            if loop is not None and native:
-                return loop.on(d, given, of)
-
-            def plain(y0: np.ndarray) -> np.ndarray:
-                y = np.append(y0, np.empty(size))
-                run(y0, given, y[d:])
-                return y[of[0] : of[1]]
-
-            return plain
-
-        briefly = part((d, d + size), rows(short))
-
-        def states(y0: np.ndarray) -> np.ndarray:
-            y = briefly(y0)
-            if loop is not None and short < most and y[ATTEMPTS] >= short:
-                loop.execute(y0, rows(most), y := np.empty(size), math.inf)
-            return y
-
-        direct: Callable[[np.ndarray], np.ndarray] | None = None
-
-        def bare(y0: np.ndarray) -> np.ndarray:
-            """Run; if the run was short, replace this function by one without tests."""
-            nonlocal direct
-            if direct is not None:
-                return direct(y0)
-            y = states(y0)
-            if short == most or y[ATTEMPTS] < short:
-                direct = part((size - beside, size + d - beside), rows(most))
-                self.bare = dated(direct)  # type: ignore
-            return y[-d - beside : -beside]
-
-        def dated(bare: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
-            clock = self._clock
-
-            def call(y0: np.ndarray) -> np.ndarray:
-                y = bare(y0)
-                y[clock] = y0[clock] + self._end
-                return y
-
-            return bare if clock is None else call
-
-        self.states, self.bare = states, dated(bare)  # type: ignore
+        self.settings, self.steps_taken = self.method_.settings(r, r.step), (r.step or math.nan,) * 2
+        #: from a start to the states after all intervals, each with the numbers beside it, in one row
+        self.states: Callable[[np.ndarray], np.ndarray] = (
+            self.compiled() if r.engine == "llvm" else self.in_python()
+        )
 
     def make(self) -> Loop:
         elapsed = stopwatch()
         program = loop_program(self.method_, self.scene, self.request.carry, len(self.settings))
         return Loop(program, elapsed())
 
-    def in_python(self) -> Callable[..., object]:
-        """Return the loop in Python: the recorded one, or the source where it cannot be recorded or overflows."""
-        r, scene, recorded = self.request, self.scene, None
+    def rows(self, loop: Loop, attempts: int) -> tuple[np.ndarray, ...]:
+        numbers = np.array([*self.scene.numbers(), *self.settings])
+        return loop.rows(numbers, self.spans, np.full(len(self.spans), attempts), self.since)
+
+    def compiled(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Return `states` by the compiled loop; replace `bare` by the loop alone as soon as a run is short."""
+        loop = _loops.get(key(self.scene.identity, self.method_, self.request.carry), self.make)
+        d, most, clock = len(self.start), self.request.max_steps, self._clock
+        beside, end = loop.program.size - d, len(self.spans) * loop.program.size
+        short = min(most, loop.short)  # a longer run goes on interruptibly
+        briefly = loop.on(d, self.rows(loop, short), (d, d + end))
+        self.compile_s = loop.seconds
+
+        def states(y0: np.ndarray) -> np.ndarray:
+            y = briefly(y0)
+            if short < most and y[ATTEMPTS] >= short:
+                loop.execute(y0, self.rows(loop, most), y := np.empty(end), math.inf)
+            return y
+
+        def first(y0: np.ndarray) -> np.ndarray:
+            y = states(y0)
+            if short == most or y[ATTEMPTS] < short:
+                direct = loop.on(d, self.rows(loop, most), (end - beside, end + d - beside))
+                self.bare = direct if clock is None else lambda y0: self.dated(y0, direct(y0))  # type: ignore
+            return self.dated(y0, y[-d - beside : -beside])
+
+        self.bare = first  # type: ignore
+        return states
+
+    def in_python(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Return `states` by the recorded loop in Python, or by the source if it cannot be recorded or overflows."""
+        r, scene, recorded, rows = self.request, self.scene, None, list[Any]()
         with suppress(CannotRecord):
             loop = self.make()
-            recorded, self.tables = execute(loop.program.run), loop
+            recorded = execute(loop.program.run)
+            rows = [part.tolist() for part in self.rows(loop, r.max_steps)]
 
-        def as_written(y0: list[float]) -> list[float]:
-            x, beside, rows = scene.unpack(y0, r.carry), [0.0] * self.method_.beside(len(y0)), list[float]()
-            given = r.max_steps, self.settings, PlainNumbers(), repeat
-            origin, times = scene.split_clock(np.array(y0))[0], [()] if self.since is None else self.since
+        def as_written(y0: np.ndarray) -> list[float]:
+            x, beside = scene.unpack(y0.tolist(), r.carry), [0.0] * self.method_.beside(len(y0))
+            given, after = (r.max_steps, self.settings, PlainNumbers(), repeat), list[float]()
+            origin, times = scene.split_clock(y0)[0], [()] if self.since is None else self.since
             for span, since in zip(self.spans.tolist(), itertools.cycle(times)):
                 x, beside = marched(self.method_, scene, x, beside, span, (origin, *since), *given)
-                rows += [*scene.pack(x), *beside]
-            return rows
+                after += [*scene.pack(x), *beside]
+            return after
 
-        def run(y0: np.ndarray, rows: Any, after: np.ndarray) -> None:
+        def states(y0: np.ndarray) -> np.ndarray:
             if recorded is not None:
                 with suppress(*NO_NUMBER):
-                    recorded(y0.tolist(), *(part.tolist() for part in rows), found := [0.0] * len(after))
-                    after[:] = found
-                    return
-            after[:] = as_written(y0.tolist())
+                    after = [0.0] * (len(self.spans) * (len(y0) + self.method_.beside(len(y0))))
+                    recorded(y0.tolist(), *rows, after)
+                    return np.array(after)
+            return np.array(as_written(y0))
 
-        return run
+        return states
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return self.dated(y0, self.states(y0).reshape(len(self.spans), -1)[-1, : len(y0)])
+
+    def dated(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the last state with the time of the end, which is no sum of steps."""
+        if self._clock is not None:
+            y[self._clock] = y0[self._clock] + self._end
+        return y
 
     def taken(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
         """Return the packed states after each interval with the numbers beside them, and the counts."""

@@ -16,6 +16,7 @@ from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
+from contactbench.numbers.dual import leaves
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.registry import NAME
 from contactbench.scene import AnyState, Scene
@@ -147,24 +148,24 @@ class FixedStep(Method):
 COUNTED = {"rhs": "right-hand side", "gradient": "gradient"}
 
 
-def with_counters(scene: Scene) -> tuple[Scene, dict[str, int]]:
-    """Return a scene that counts how often its right-hand side and its gradient are evaluated, by kind."""
-    calls, where = {"rhs": 0}, "gradient"
-    if getattr(scene, where, None) is not None:
-        calls["gradient"], force = 0, getattr(scene, where)
+def with_counters(scene: Scene, plain: bool = False) -> tuple[Scene, dict[str, int]]:
+    """Return a scene that counts the calls of its right-hand side and its gradient; plain : of floats alone."""
+    calls = {"rhs": 0}
 
-        def counted_force(*arguments: Any, **parameters: Any) -> Any:
-            calls["gradient"] += 1
-            return force(*arguments, **parameters)
+    def counted(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def count(*arguments: Any, **parameters: Any) -> Any:
+            calls[kind] += 1
+            if plain:
+                float(leaves(arguments)[0])
+            return function(*arguments, **parameters)
 
-        scene = scene._replaced(**{where: counted_force})
-    slope = scene.rhs
+        return count
 
-    def counted_slope(*arguments: Any) -> Any:
-        calls["rhs"] += 1
-        return slope(*arguments)
-
-    return scene._replaced(rhs=counted_slope), calls
+    for kind in ("gradient", "rhs"):
+        if (function := getattr(scene, kind, None)) is not None:
+            calls[kind] = 0
+            scene = scene._replaced(**{kind: counted(kind, function)})
+    return scene, calls
 
 
 def miscounted(declared: int, kind: str, calls: dict[str, int]) -> str:
