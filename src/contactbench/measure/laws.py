@@ -70,23 +70,19 @@ def has_linear_damping(scene: Scene) -> bool:
 def truth(solution: Solution) -> Reference:
     """Return the true states at the saved times of a run; cache them, or the error, in the run."""
     if solution.truth is None:
+        scene = solution.scene
+        own = scene.pack(scene.initial(solution.carry))
+        if solution.y0 is not None and not np.array_equal(own, solution.y0):
+            scene = scene.with_(**scene.data(solution.start()))
+        limit = {} if solution.patience is None else {"seconds": solution.patience.left}
         try:
-            solution.truth = sought(solution)
+            solution.truth = reference(scene, Elapsed(solution.elapsed), solution.carry, **limit)
         except BadInput as why:
             solution.truth = why
     if isinstance(solution.truth, BadInput):
         raise solution.truth
     known: Reference = solution.truth
     return known
-
-
-def sought(solution: Solution) -> Reference:
-    scene = solution.scene
-    own = scene.pack(scene.initial(solution.carry))
-    if solution.y0 is not None and not np.array_equal(own, solution.y0):
-        scene = scene.with_(**scene.data(solution.start()))
-    limit = {} if solution.patience is None else {"seconds": solution.patience.left}
-    return reference(scene, Elapsed(solution.elapsed), solution.carry, **limit)
 
 
 def errors_of(runs: Sequence[Solution]) -> np.ndarray:

@@ -414,6 +414,6 @@ def instead(option: str, scene: Scene) -> str:
     if option in {"events", "dense_output", "t_eval"}:
         how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
         return f"it saves states at save_at; events and dense output are SciPy's, in {how}"
-    if option in {f.name for f in fields(scene)} | getattr(scene, "parameters", {}).keys():
+    if option in {f.name for f in fields(scene)} | scene.parameters.keys():
         return f"it is the scene's: scene.with_({option}=…)"
     return f"choose from {', '.join(sorted(OPTIONS))}"

@@ -39,7 +39,6 @@ from contactbench.methods.runge_kutta import (
     Tableau,
     Undamped,
     damped,
-    explicit_slope,
     explicit_step,
     factors_of,
     looped,
@@ -92,14 +91,10 @@ TINY = 1e-30
 #: slope of the motion at a state, where it is known
 Slope = Vector | None
 #: variables of the loop: state, slope, factors and their step, time left, step, previous error, attempts, rejected
-Carried = tuple[
-    OwnState, Slope, Factors | None, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
-]
+Carried = tuple[Any, ...]
 #: variables of the loop over equal steps: state and slope before and after a step, sizes after it, time left before
 #: and after it, attempts, the square of the error, whether another step follows
-EqualSteps = tuple[
-    OwnState, Slope, OwnState, Slope, Vector, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
-]
+EqualSteps = tuple[Any, ...]
 
 
 def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNamespace, *given: object) -> X:
@@ -123,7 +118,7 @@ class Explicit[S: Scene]:
     leave = enter
 
     def slope(self, scene: S, y: OwnState, xp: Namespace) -> Vector:
-        return tuple(explicit_slope(scene, y))
+        return tuple(leaves(scene.rhs(y)))
 
     def factors(self, scene: S, h: Arithmetic, xp: Namespace) -> Factors | None:
         return None

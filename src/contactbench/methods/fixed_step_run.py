@@ -58,17 +58,18 @@ class FixedStepRun(Prepared):
         self.each_step = self.method_.counts(r.scene, 2, r.carry) - self.first_step
         self.kind = self.method_.kind_on(r.scene)
         self.divide(r.step or math.nan)  # a fixed-step request always has one
+        #: whether the loop gives the saved states alone, within the budget of steps
+        self.simple = isinstance(self.saved, slice) and self.needed <= r.max_steps
         self.sensitivity_source, self.compile_s = self.loop.derivative, self.loop.seconds
         if not is_fixed(self.method_):  # a user's map may change before its derivative is needed
             with suppress(CannotRecord):
                 self.loop.tangents  # noqa: B018, recorded now
-        self.shorten(self.loop)
+        self.shorten()
 
-    def shorten(self, loop: StepLoop[Any]) -> None:
+    def shorten(self) -> None:
         """Precompute closures for the common case."""
-        self.bare = loop.last(self.ready)  # type: ignore
-        simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
-        states = loop.watched(self.ready, self.needed, self.saves_start) if simple else None
+        self.bare = self.loop.last(self.ready)  # type: ignore
+        states = self.loop.watched(self.ready, self.needed, self.saves_start) if self.simple else None
         if states is None:
             return
         of, date, dated, first = Solution.of, self._dated, self._clock is not None, int(self.saves_start)
@@ -118,8 +119,7 @@ class FixedStepRun(Prepared):
 
     def into(self, start: np.ndarray, after: np.ndarray) -> Callable[[], int] | None:
         """Return the run on fixed memory, see `StepLoop.into`; None if it needs more than the loop."""
-        simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
-        return self.loop.into(self.ready, self.needed, start, after) if simple else None
+        return self.loop.into(self.ready, self.needed, start, after) if self.simple else None
 
     def pilot(self, y0: np.ndarray) -> Pilot:
         """Run as a pilot, unless that takes too many steps."""

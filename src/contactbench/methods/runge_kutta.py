@@ -191,10 +191,6 @@ def table(values: Sequence[Fraction], xp: Any, loop: Repeat | None) -> Any:
 
 
 # -- y' = f(y) -----------------------------------------------------------------------------------------
-def explicit_slope(scene: Scene, x: OwnState) -> list[Arithmetic]:
-    return leaves(scene.rhs(x))
-
-
 def explicit_step[X](
     tableau: Tableau,
     scene: Scene,
@@ -212,7 +208,7 @@ def explicit_step[X](
         at = x
         if moved is not None:
             at = rebuild(x, moved if loop else [a + d for a, d in zip(y, moved, strict=True)])
-        return [h * c for c in explicit_slope(scene, at)], None
+        return [h * c for c in leaves(scene.rhs(at))], None
 
     start = None if first is None else ([h * c for c in first], None)
     base = [((Fraction(1),) * stages, y)]
@@ -333,8 +329,11 @@ def pull(scene: Any, q: Vector, t: Arithmetic | None, acts: bool) -> list[Arithm
     return [*rate, *action, *turn]
 
 
-def by_stage(columns: Sequence[Vector], loop: Repeat | None) -> Callable[[Count], Sequence[Arithmetic]]:
-    """Return a function from the number of a stage to its entries of the columns."""
+def factors_by_stage(
+    tableau: Tableau, factors: Factors, h: Arithmetic, xp: Namespace, loop: Repeat | None
+) -> Callable[[Count], Sequence[Arithmetic]]:
+    """Return a function from the number of a stage to its factors and its time since the start of the step."""
+    columns = [*factors[:-1], tuple(number(c, xp) * h for c in tableau.nodes)]
     stages: Any = list(zip(*columns, strict=True))
     if loop is None or loop.rows is None:
         return stages.__getitem__  # type: ignore[no-any-return]
@@ -342,13 +341,6 @@ def by_stage(columns: Sequence[Vector], loop: Repeat | None) -> Callable[[Count]
     for i, row in enumerate(stages):
         rows[i] = row
     return rows.__getitem__
-
-
-def factors_by_stage(
-    tableau: Tableau, factors: Factors, h: Arithmetic, xp: Namespace, loop: Repeat | None
-) -> Callable[[Count], Sequence[Arithmetic]]:
-    """Return a function from the number of a stage to its factors and its time since the start of the step."""
-    return by_stage([*factors[:-1], tuple(number(c, xp) * h for c in tableau.nodes)], loop)
 
 
 def nystrom_step(

@@ -271,8 +271,9 @@ class ChosenStep(Prepared):
         r, order = self.request, self.method_.order
         assert r.rtol is not None
         enough, aim = ENOUGH * r.rtol, AIM * r.rtol
-        evaluations, rung = self.probes, self.first_rung(room.time_scale())
-        first, last = rung, -1
+        longest = PERIOD * min(order / HIGH, 1.0) * room.time_scale() if self.probes else math.inf
+        first = max(math.ceil(RUNGS * math.log2(self.first / longest)), 0) if longest < self.first else 0
+        evaluations, rung, last = self.probes, first, -1
         # many states agree only if both pilots follow the motion
         gap = Gap(LOST, math.inf, LOST) if len(self.later) > MANY else Gap()
         blown, stuck, asked, agreed = 0, 0, False, False
@@ -399,10 +400,6 @@ class ChosenStep(Prepared):
         return Choice(evaluations, outcome=out)
 
     # -- the first pilot -------------------------------------------------------------------------------
-    def first_rung(self, time_scale: float) -> int:
-        longest = PERIOD * min(self.method_.order / HIGH, 1.0) * time_scale if self.probes else math.inf
-        return max(math.ceil(RUNGS * math.log2(self.first / longest)), 0) if longest < self.first else 0
-
     def push(self) -> float:
         """Return the time scale of an explicitly time-dependent force at the start's position, else infinity.
 

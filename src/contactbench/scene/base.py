@@ -230,6 +230,8 @@ class Scene(metaclass=Kind):
     coefficients: ClassVar[tuple[str, ...]] = ()
     #: coefficient → field with its reciprocal: compiled loops run up to twice as fast without divisions
     reciprocals: ClassVar[dict[str, str]] = {}
+    #: further parameters by name, of kinds that take them
+    parameters: ClassVar[Mapping[str, float]] = {}
     #: field → check of its value
     checks: ClassVar[dict[str, Check]] = {
         "name": text,
@@ -295,7 +297,7 @@ class Scene(metaclass=Kind):
         wanted = f"must have a name of its own, none of {', '.join(sorted(taken))}"
         for name, check in self.checks.items():
             self._fix(name, check(name, getattr(self, name)))
-        for name in getattr(self, "parameters", {}):
+        for name in self.parameters:
             if name in taken:
                 raise BadInput(f"parameter {name!r}: {wanted}")
         for name in self.given:
@@ -312,7 +314,7 @@ class Scene(metaclass=Kind):
     def _require_arguments(self, name: str) -> None:
         """Raise `BadInput` with a hint unless a function takes its arguments."""
         function, called = getattr(self, name), self.functions[name]
-        parameters = dict(getattr(self, "parameters", {})) if "**" in called else {}
+        parameters = dict(self.parameters) if "**" in called else {}
         if isinstance(function, Formula) or is_ours(function):
             return
         try:
@@ -342,7 +344,7 @@ class Scene(metaclass=Kind):
         """
         allowed = [f.name for f in dataclasses.fields(self) if f.init]
         changes = with_duration(changes, "t" in allowed)
-        extra = dict(getattr(self, "parameters", {}))
+        extra = dict(self.parameters)
         for name in changes:
             if name not in extra and name not in allowed:
                 raise unknown_name(f"parameter of scene {self.name!r}", name, [*extra, *allowed])
@@ -354,12 +356,12 @@ class Scene(metaclass=Kind):
     def _repr_html_(self) -> str:
         names = (*self.initial_fields, *self.coefficients, "t_end")
         rows = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
-        rows |= getattr(self, "parameters", {})
+        rows |= self.parameters
         return html_table(rows, f"{self.name}: {self.about or self.kind}")
 
     def numbers(self) -> list[float]:
         own = Scene.pack([getattr(self, name) for name in self.coefficients])
-        return [*own, *getattr(self, "parameters", {}).values()]
+        return [*own, *self.parameters.values()]
 
     def number_names(self) -> list[str]:
         """Return the names of `numbers` in `with_`; empty for a number inside a tuple."""
@@ -367,13 +369,13 @@ class Scene(metaclass=Kind):
         for name in self.coefficients:
             value = getattr(self, name)
             names += [""] * len(leaves(value)) if isinstance(value, tuple) else [name]
-        return [*names, *getattr(self, "parameters", {})]
+        return [*names, *self.parameters]
 
     def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
         own = [getattr(self, name) for name in self.coefficients]
         changed = dict(zip(self.coefficients, rebuild(own, numbers), strict=True))
         changed |= {kept: reciprocal(changed[name]) for name, kept in self.reciprocals.items()}
-        if names := list(getattr(self, "parameters", {})):
+        if names := list(self.parameters):
             changed["parameters"] = dict(zip(names, numbers[len(leaves(own)) :], strict=True))
         return self._replaced(**changed)
 
@@ -416,7 +418,7 @@ class Scene(metaclass=Kind):
         functions = (getattr(self, name) for name in self.functions)
         values = ((name, getattr(self, name)) for name in (*self.initial_fields, *self.coefficients))
         sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
-        return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
+        return (self.kind, *functions, *sizes, *self.parameters, *self.decided)
 
     # -- packing -------------------------------------------------------------------------------
     def carry(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
@@ -560,7 +562,7 @@ class Scene(metaclass=Kind):
     def _start(self, name: str) -> tuple[list[object], dict[str, float]]:
         given, wanted = {"xp": math, "h": TRIED * self.t_end}, self.functions[name]
         plain = [given[each] if each in given else getattr(self, each) for each in wanted if each != "**"]
-        return plain, dict(getattr(self, "parameters", {})) if "**" in wanted else {}
+        return plain, dict(self.parameters) if "**" in wanted else {}
 
     def _value(self, name: str) -> object:
         plain, parameters = self._start(name)

@@ -44,7 +44,7 @@ def digest(scene: Scene) -> str:
     definition: list[object] = [
         f"{package}.{kind.__qualname__}",
         functions,
-        list(getattr(scene, "parameters", {})),
+        list(scene.parameters),
         fingerprint(scene.numbers()),
         [fingerprint(getattr(scene, name)) for name in scene.initial_fields],
         *map(fingerprint, scene.layout),
