@@ -61,7 +61,7 @@ class Diffrax(Call):
         self.program, self.seconds = _programs.get(key(r.scene.identity, *rest), make)
 
     def _run(self, y0: np.ndarray) -> np.ndarray:
-        """Return what the program does from an initial state; the scene's own is on the device."""
+        """Run the program from an initial state; the scene's own is on the device already."""
         return np.asarray(self.program(self.start if y0 is self.request.start else on_device(y0), self.fixed))
 
     def _flat(self, y0: jax.Array, fixed: jax.Array) -> jax.Array:

@@ -89,7 +89,7 @@ class Cvode(Compiled):
         return cvode, (*place, self.data, clock, self.end, r.max_steps)
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Run in pieces, of the same steps: between two of them Python looks at signals."""
+        """Run in pieces with the same steps, so that Python can handle signals between them."""
         *place, most = self.arguments
         piece = max(1, PIECE // len(y0))
         rows, taken, facts = np.empty((len(self.later), len(y0))), 0, np.zeros(KNOWN)

@@ -1,4 +1,4 @@
-"""Scenes with time in them: a forced oscillator, Lane–Emden, chaos.
+"""Time-dependent scenes: a forced oscillator, Lane–Emden, chaos.
 
 H = T(p) + V(q, t) + γ(t) s, the class of Bravetti, Seri, Vermeeren, Zadra, Celest. Mech. Dyn. Astron. 132, 7 (2020),
 doi:10.1007/s10569-019-9946-9, one of whose examples the Lane–Emden scene is.

@@ -1,8 +1,7 @@
-"""The hard scenes: where integrators break, and how.
+"""The hard scenes, on which integrators break.
 
-They are registered beside the standard ones and marked `hard`: what counts is how runs end and what they keep.
-`kepler`, the easy one of its kind, is none of them.
-`about` says what is hard about each.
+They are marked `hard`: the benchmark looks at how runs end and which laws they keep.  `about` explains the difficulty
+of each scene.
 """
 
 from __future__ import annotations

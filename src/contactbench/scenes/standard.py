@@ -111,7 +111,7 @@ def damped_body(scene: RigidBody, t: Arithmetic, mp: MPContext) -> BodyState:
 def elliptic_phase(
     sine: Arithmetic, cosine: Arithmetic, modulus: Arithmetic, mp: MPContext, precision: int
 ) -> Any:
-    """F of the angle with these sides, to so many bits: where the motion starts, the same for all of its times."""
+    """Return F of the angle with these sides at the start of a motion, cached for all its times."""
     return mp.ellipf(mp.atan2(sine, cosine), modulus)
 
 
