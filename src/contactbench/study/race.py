@@ -11,14 +11,13 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.law import OF_THE_STATE
-from contactbench.measure.statistics import PROCESSES, WIDEST
-from contactbench.questions.judgement import structural_laws
-from contactbench.questions.laws import law_label
+from contactbench.measure.laws import LAWS
+from contactbench.measure.statistics import WIDEST
 from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.views import Cell, View, frame_of
-from contactbench.tables.declared import LAWS_TABLE, shipped_folder
+from contactbench.tables.declared import shipped_folder
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: what a law is about, and what follows from what
@@ -43,8 +42,8 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
         f"{reference['digits']} digits, {checked}; errors below {reference['error']:.1e} are not claimed."
     )
     yield (
-        "Times are least rounds. Two within their margin tie: what the halves of their visits differ by here, and two "
-        f"processes elsewhere ({PROCESSES - 1:.0%}); within a margin wider than {WIDEST - 1:.0%} they are undecided."
+        f"Times are least rounds. All within {WIDEST - 1:.0%} of the least tie; where the clock differs by more from "
+        "visit to visit, they are undecided."
     )
     if functions := frame.attrs["of_floats"]:
         yield (
@@ -78,8 +77,7 @@ def cuts(frame: pd.DataFrame) -> Iterator[str]:
 
 # -- tables ----------------------------------------------------------------------------------------
 def laws_of(frame: pd.DataFrame) -> list[str]:
-    found = list(frame.columns[frame.columns.get_loc("reason") + 1 : -1])
-    return [] if found == ["map_growth"] else found
+    return list(frame.columns[frame.columns.get_loc("reason") + 1 :])
 
 
 def has_laws(rows: pd.DataFrame) -> pd.Series:
@@ -88,7 +86,7 @@ def has_laws(rows: pd.DataFrame) -> pd.Series:
 
 def symbol(law: str) -> str:
     """Return what a run keeps that keeps a law, never its drift."""
-    return SYMBOLS.get(law, law_label(law).removesuffix(" drift"))
+    return SYMBOLS.get(law, LAWS[law].label.removesuffix(" drift"))
 
 
 def symbols(laws: Iterable[str]) -> list[str]:
@@ -122,11 +120,11 @@ def kept_laws(rows: pd.DataFrame) -> str:
 
 def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
     kept, unknown = [], []
-    for law in filter(LAWS_TABLE.columns.__contains__, laws_of(rows)):
+    for law in laws_of(rows):
         known = rows.loc[rows[law].notna(), "laws_kept"]
         if len(known) and all(symbol(law) in text.split(", ") for text in known):
             kept.append(law)
-        elif known.empty and law in structural_laws() and law not in OF_THE_STATE:  # needs the derivative
+        elif known.empty and LAWS[law].structural and law not in OF_THE_STATE:  # needs the derivative
             unknown.append(law)
     return symbols(kept), symbols(unknown)
 
