@@ -44,28 +44,24 @@ def best(ranked: pd.DataFrame, goal: str, frame: pd.DataFrame) -> str:
 
     def keeps(row: pd.Series) -> str:
         kept, unknown = kept_and_unknown(frame[frame["method"] == row["method"]])
-        unclear = f" ({names(unknown)} not measured)" * bool(unknown and row["family"] == CONTACT)
+        unclear = f" ({names(unknown)} not measured)" if unknown and row["family"] == CONTACT else ""
         return f" (keeps {names(kept)})" if kept else unclear
 
-    first, others = ranked.iloc[0], ranked.iloc[1:]
-    near = (others["verdict"] != Verdict.loss) & (others["ratio"] <= WIDEST)
-    alike, slower = others[near], others[~near]
+    def beside(rows: pd.DataFrame) -> list[str]:
+        return [f"{row['method']} {times(row['ratio'])}{keeps(row)}" for _, row in rows.iterrows()]
+
+    first, near = ranked.iloc[0], (ranked["verdict"] != Verdict.loss) & (ranked["ratio"] <= WIDEST)
+    alike, slower = ranked[near].iloc[1:], ranked[~near]
     python = "" if first["kind"] == "compiled" else ", calling back into Python"
     parts = [f"Take {named(first)}: {duration(first['time_s'])} for {goal}{keeps(first)}{python}"]
-    beside = [f"{row['method']} {times(row['ratio'])}{keeps(row)}" for _, row in alike.iterrows()]
-    if beside:
-        parts.append(f"within {WIDEST - 1:.0%} of it {names(beside)}")
+    if len(alike):
+        parts.append(f"within {WIDEST - 1:.0%} of it {names(beside(alike))}")
     packages = slower["method"].map(lambda name: METHODS[name].package)
     foreign = slower[(packages != "") & ~packages.duplicated()].iloc[:PEERS]
-    contact = slower[slower["family"] == CONTACT].iloc[:1]
-    if CONTACT in {first["family"], *alike["family"]}:
-        contact = contact.iloc[:0]
-    parts += [
-        f"{row['method']} {times(row['ratio'])}{keeps(row)}"
-        for _, row in pd.concat([contact, foreign]).iterrows()
-    ]
+    contact = slower[(slower["family"] == CONTACT) & (CONTACT not in {*ranked[near]["family"]})].iloc[:1]
+    parts += beside(pd.concat([contact, foreign]))
     if first["verdict"] == Verdict.undecided:
-        parts.append(f"undecided who is fastest: {first['reason']}")
+        parts.append(f"who is fastest is undecided: {first['reason']}")
     return "; ".join(parts)
 
 

@@ -25,7 +25,7 @@ from contactbench.truth import OutOfTime, Reference, confirmed, reference
 
 #: by when, in parts of the budget, the reference (half of it is for high precision, the rest for two solvers), its
 #: check, the search and the laws are over; the clock has the rest
-REFERENCE, CHECK, SEARCH, LAWS = 0.4, 0.25, 0.65, 0.8
+REFERENCE, CHECK, SEARCH, LAWS = 0.4, 0.25, 0.6, 0.85
 #: what is timed although all time is over
 LATE = 0.05
 #: seconds for the reference at least, which it takes to compile it on a loaded machine: without one there is no race
