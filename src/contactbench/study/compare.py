@@ -122,11 +122,8 @@ def compare(
     given, wanted = [] if methods is None or every else named_methods(methods), errors_asked(errors)
     switch("progress", progress)
     seconds = (BUDGET if methods is None else LONG_BUDGET) if budget is None else positive("budget", budget)
-    own, time = (
-        None if reference is None else users_reference(scene, reference),
-        Budget(seconds, begun, progress),
-    )
-    with time.bar:
+    own = None if reference is None else users_reference(scene, reference)
+    with (time := Budget(seconds, begun, progress)).bar:
         leading = given or field(scene, wanted) or [*METHODS]
         raced = list(dict.fromkeys([*leading, *(METHODS if every else [])]))
         truth, confirmed = find_reference(scene, time, own)
@@ -134,16 +131,10 @@ def compare(
         searches = search(question, raced, leading, time)
         laws = measure_laws(question, searches, time)
         clock = time_runs(question, searches, time)
-    rows = [row(question, each, error, laws, clock) for each in searches for error in wanted]
-    frame = with_reasons(with_verdicts(pd.DataFrame(rows)))
-    frame = frame.reindex(columns=[*COLUMNS, *laws_in(scene)]).astype(COLUMNS)
-    known = {"source": truth.source, "digits": truth.digits, "confirmed": confirmed, "error": floor_of(truth)}
-    frame.attrs = {"runs": Runs(run for each in searches for run in runs_of(each)), "reference": known}
-    frame.attrs |= {"undamped": scene.is_undamped, "of_floats": scene.functions_of_floats}
+    frame = frame_of(question, searches, laws, clock)
     frame.attrs |= {"unbegun": unbegun(searches, leading), "unrefined": time.unrefined}
-    frame.attrs |= {"carry": list(carry_of(scene)), "interrupted": time.interrupted}
-    frame.attrs["recommendation"] = list(recommendation(frame))
-    frame.attrs["seconds"] = perf_counter() - begun
+    frame.attrs |= {"interrupted": time.interrupted, "seconds": perf_counter() - begun}
+    frame.attrs["reference"]["confirmed"] = confirmed
     return frame
 
 
@@ -190,6 +181,19 @@ class Runs(tuple[dict[str, Any], ...]):
 
     def __deepcopy__(self, memo: object) -> Runs:
         return self
+
+
+def frame_of(question: Question, searches: Sequence[Search], laws: Found, clock: Found) -> pd.DataFrame:
+    """Return the rows of a race with their verdicts, and what to take."""
+    scene, truth = question.scene, question.truth
+    rows = [row(question, each, error, laws, clock) for each in searches for error in question.errors]
+    frame = with_reasons(with_verdicts(pd.DataFrame(rows)))
+    frame = frame.reindex(columns=[*COLUMNS, *laws_in(scene)]).astype(COLUMNS)
+    known = {"source": truth.source, "digits": truth.digits, "error": floor_of(truth)}
+    frame.attrs = {"reference": known, "runs": Runs(run for each in searches for run in runs_of(each))}
+    frame.attrs |= {"undamped": scene.is_undamped, "of_floats": scene.functions_of_floats}
+    frame.attrs |= {"carry": list(carry_of(scene)), "recommendation": list(recommendation(frame))}
+    return frame
 
 
 def runs_of(one: Search) -> Iterable[dict[str, Any]]:

@@ -157,7 +157,7 @@ def laws_of(frame: pd.DataFrame) -> list[str]:
 
 def symbol(law: str) -> str:
     """Return what a run keeps that keeps a law, never its drift."""
-    return SYMBOLS.get(law, LAWS[law].label.removesuffix(" drift"))
+    return SYMBOLS.get(law, str(LAWS[law].label).removesuffix(" drift"))
 
 
 def symbols(laws: Iterable[str]) -> list[str]:

@@ -44,6 +44,8 @@ COMPILATIONS, CACHED, RUNS = 2.0, 0.2, 100.0
 MANY = 20
 #: stages that the bar shows beside the methods
 STAGES = 3
+#: why a method has no run
+UNBEGUN = "no time was left to begin it"
 #: measures of a run that are no laws, or that another one covers
 LEFT_OUT = ("solution_error", "energy_increases")
 
@@ -155,11 +157,8 @@ def stop(each: Search, budget: Budget) -> None:
         budget.unrefined.append(each.method.name)
     elif each.why is None:
         status = "interrupted" if budget.interrupted else "budget"
-        before, after = {
-            "interrupted": ("interrupted before it was tried", "interrupted after"),
-            "budget": ("no time was left to begin it", "no time was left after"),
-        }[status]
-        each.why = (status, before if each.finest is None else f"{after} {each.finest.setting}")
+        after = "interrupted after" if budget.interrupted else "no time was left after"
+        each.why = (status, UNBEGUN if each.finest is None else f"{after} {each.finest.setting}")
 
 
 def reaching(searches: Iterable[Search], error: float, floor: float) -> list[tuple[Search, Attempt]]:
