@@ -1,6 +1,5 @@
 """A comparison on one scene: what it claims is so, what it cannot do it says, and it ends when told."""
 
-import math
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,12 +9,11 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from cases import Clock, reading
+from cases import Clock, mine, reading
 from contactbench.measure.clock import Race
 from contactbench.methods.base import ENGINES
 from contactbench.runs.search import Search
-from contactbench.runs.settings import ENDS, carry_of
-from contactbench.scene import rotation_matrix
+from contactbench.runs.settings import ENDS
 from contactbench.study import compare, race, schedule
 from contactbench.study.compare import COLUMNS, frame_of
 from contactbench.truth import OutOfTime
@@ -23,15 +21,8 @@ from frames import race_of, tried
 
 RACED = ["contact-strang", "rk4", "cyrk-vern8", "contact-exact", "scipy-dop853"]
 ERRORS = (1e-2, 1e-5)
-#: a scene of nobody's: there is no stored reference of it
-WELL = cb.Mechanical(
-    name="well",
-    q=(0.5, 0.3),
-    p=(0.8, 0.1),
-    gamma=0.05,
-    t_end=5.0,
-    potential=lambda q: (q[0] ** 2 - 1) ** 2 / 4 + q[1] ** 2 / 2,
-)
+#: its truth is a closed form
+OWN = cb.SCENES["oscillator"].with_(name="own", gamma=0.07, t_end=20.0)
 
 
 @pytest.fixture(autouse=True)
@@ -42,7 +33,7 @@ def no_machine(clock):
 @pytest.fixture(scope="module")
 def frame():
     with reading(Clock()):
-        return cb.compare(WELL, RACED, ERRORS, budget=120.0)
+        return cb.compare(OWN, RACED, ERRORS, budget=120.0)
 
 
 def budget(seconds=60.0):
@@ -56,11 +47,16 @@ def test_a_row_for_each_method_and_error_typed(frame):
     assert {name: str(frame[name].dtype) for name in frame.columns[: len(COLUMNS)]} == COLUMNS
     assert [ENGINES[engine] for engine in frame["engine"]] == list(frame["kind"])
     assert frame.copy().attrs["runs"] is frame.attrs["runs"]
+    assert frame.groupby(["kind", "error_asked"])["ratio"].min().eq(1.0).all()
+    refused = frame[frame["method"] == "contact-exact"]
+    assert {*refused["status"]} == {"unsupported"}
+    assert refused["reason"].str.contains("rigid bodies").all()
+    assert refused["time_s"].isna().all()
 
 
 def test_the_error_said_is_the_largest_of_five_runs_and_no_larger_than_asked(frame):
     """Measured again, in another way: every end on its own, against the reference at that time."""
-    exact = cb.reference(WELL, WELL.t_end * np.arange(1, ENDS + 1) / ENDS, ()).y
+    exact = cb.reference(OWN, OWN.t_end * np.arange(1, ENDS + 1) / ENDS, ()).y
     values = {(run["method"], run["setting"]): run["value"] for run in frame.attrs["runs"]}  # of all digits
     done = frame[frame["status"] == "ok"]
     assert len(done) == 8
@@ -68,9 +64,9 @@ def test_the_error_said_is_the_largest_of_five_runs_and_no_larger_than_asked(fra
         setting = {row.setting.split("=")[0]: values[row.method, row.setting]}
         errors = []
         for k, truth in enumerate(exact, start=1):
-            run = cb.solve(WELL, row.method, save_at=[WELL.t_end * k / ENDS], carry=(), **setting)
+            run = cb.solve(OWN, row.method, save_at=[OWN.t_end * k / ENDS], carry=(), **setting)
             errors.append(run.y[-1] - truth)
-        states = np.array([WELL.pack(WELL.initial(())), *exact])
+        states = np.array([OWN.pack(OWN.initial(())), *exact])
         halves = zip(np.split(np.array(errors), 2, axis=1), np.split(states, 2, axis=1), strict=True)  # q, p
         largest = max(np.linalg.norm(a, axis=1).max() / np.linalg.norm(b, axis=1).max() for a, b in halves)
         assert largest == pytest.approx(row.error_reached, rel=1e-6)
@@ -97,26 +93,12 @@ def test_a_tighter_setting_that_is_sooner_done_stands_at_the_looser_error_too():
     assert found == [fine.setting, fine.setting, finest.setting, finest.setting]
 
 
-def test_times_are_compared_within_a_kind_only(frame):
-    for _, part in frame[frame["status"] == "ok"].groupby(["kind", "error_asked"]):
-        assert part["ratio"].min() == 1.0
-        assert set(part.loc[part["ratio"] == 1.0, "verdict"]) <= {"win", "tie", "undecided"}
-    assert set(frame.loc[frame["method"] == "scipy-dop853", "verdict"]) == {"win"}
-
-
 def test_a_contact_method_keeps_the_contact_form_and_a_runge_kutta_method_does_not(frame):
     own = frame.set_index(["method", "error_asked"])
     for error in ERRORS:
         assert "η" in own["laws_kept"]["contact-strang", error].split(", ")
         assert own["laws_kept"]["rk4", error] == ""
     assert own["contact_drift"]["contact-strang", 1e-2] < 1e-12 < own["contact_drift"]["rk4", 1e-2]
-
-
-def test_what_is_not_compared_says_why(frame):
-    row = frame[frame["method"] == "contact-exact"].iloc[0]
-    assert (row["status"], row["verdict"]) == ("unsupported", "")
-    assert "rigid bodies" in row["reason"]
-    assert math.isnan(row["time_s"])
 
 
 def test_nothing_below_the_error_of_the_reference_is_claimed(frame):
@@ -133,38 +115,37 @@ def test_nothing_below_the_error_of_the_reference_is_claimed(frame):
 
 
 # -- scenes ----------------------------------------------------------------------------------------
-def test_a_scene_whose_motion_depends_on_s_is_compared_with_s():
-    frame = cb.compare("quadratic_damping", ["contact-rkn4", "cyrk-vern8"], [1e-4], budget=30.0)
-    assert frame.attrs["carry"] == ["s"]
-    assert (frame["status"] == "ok").all(), list(frame["reason"])
+BODY = cb.SCENES["rigid_body"]
 
 
-def test_fixed_steps_grow_on_a_scene_that_slows_down():
-    """By equal steps the same errors take three and five times the evaluations."""
-    found = cb.compare("lane_emden_5", ["contact-rkn6", "rk4"], [1e-6], budget=30.0)
-    assert found["setting"].str.contains(" steps of ").all()
-    assert (found["evaluations"] < [150, 300]).all()
-    assert found["contact_drift"].iloc[0] < 1e-13
-
-
-def test_the_attitude_of_a_body_is_part_of_the_race_unless_its_user_says_no():
-    body = cb.RigidBody(name="own", inertia=(1, 2, 3), damping=(0.1, 0.2, 0.3), M=(0.3, 1.0, 0.2), t_end=5.0)
-    assert carry_of(cb.SCENES["rigid_body"]) == carry_of(body) == ("R",)
-    assert carry_of(body.with_(attitude=False)) == ()
-    frame = cb.compare(body, ["rk8-7"], [1e-6], budget=10.0)
-    (row,), setting = frame.to_dict("records"), float(frame["setting"][0].partition("=")[2])
-    assert frame.attrs["carry"] == ["R"]
-    assert row["error_reached"] <= 1e-6
-    run = cb.solve(body, "rk8-7", rtol=setting, save_at=[5.0])
-    turned = rotation_matrix(cb.reference(body, [5.0]).states().R)
-    assert np.abs(run.R[0] - np.array(turned)[..., 0]).max() <= 2e-6
+@pytest.mark.parametrize(
+    ("scene", "method", "carry", "setting"),
+    [
+        (cb.SCENES["quadratic_damping"], "contact-rkn4", ["s"], "step="),
+        (cb.SCENES["lane_emden_5"], "contact-rkn6", [], " steps of "),  # they grow
+        (BODY, "rk8-7", ["R"], "rtol="),
+        (BODY.with_(attitude=False), "rk8-7", [], "rtol="),
+    ],
+    ids=["action", "growing", "attitude", "momentum"],
+)
+def test_all_that_acts_on_the_motion_is_part_of_the_error(scene, method, carry, setting):
+    """The truth is that of the fields carried, s where it acts and R unless its user says no."""
+    frame = cb.compare(scene, [method], [1e-5], budget=15.0)
+    (row,) = frame.to_dict("records")
+    assert frame.attrs["carry"] == carry
+    assert setting in row["setting"]
+    assert row["error_reached"] <= 1e-5
+    if (control := setting.strip("=")) in ("step", "rtol"):
+        (given,) = (run["value"] for run in frame.attrs["runs"] if run["setting"] == row["setting"])
+        run = cb.solve(scene, method, save_at=[scene.t_end], carry=carry, **{control: given})
+        assert np.abs(run.y[-1] - cb.reference(scene, [scene.t_end], carry).y[0]).max() < 1e-4
 
 
 # -- references ------------------------------------------------------------------------------------
 def test_a_reference_that_would_take_too_long_is_refused_and_what_is_advised_instead_is_done(monkeypatch):
     """In its time, the laws of the run included: nearly undamped, it takes the reference of s longer than the rest."""
     monkeypatch.setattr(schedule, "LEAST_REFERENCE", 2.0)
-    scene = WELL.with_(t_end=3e3, gamma=1e-4)
+    scene = mine(lambda q: (q[0] ** 2 - 1) ** 2 / 4, q=0.5, p=0.8, gamma=1e-4, t_end=3e3)
     with pytest.raises(OutOfTime) as refused:
         cb.compare(scene, ["rk4"], [1e-2], budget=0.5)
     more, t_end = re.search(r"--budget ([\d.]+)s \(budget=\1\), t_end=([\d.]+)", str(refused.value)).groups()
@@ -175,18 +156,17 @@ def test_a_reference_that_would_take_too_long_is_refused_and_what_is_advised_ins
 
 def test_a_reference_of_ones_own_is_taken():
     """The closed form: the same winners' errors; another solution is not reached; other shapes are refused."""
-    scene = cb.SCENES["oscillator"].with_(t_end=5.0)
 
     def known(t):
-        return cb.reference(scene, t, ()).y
+        return cb.reference(OWN, t, ()).y
 
-    frame = cb.compare(scene, ["contact-rkn6"], errors=[1e-6], budget=5, reference=known)
+    frame = cb.compare(OWN, ["contact-rkn6"], errors=[1e-6], budget=5, reference=known)
     assert frame.attrs["reference"]["source"] == "given"
     assert (frame["status"] == "ok").all()
-    other = cb.compare(scene, ["contact-rkn6"], errors=[1e-6], budget=5, reference=lambda t: 1.5 * known(t))
+    other = cb.compare(OWN, ["contact-rkn6"], errors=[1e-6], budget=5, reference=lambda t: 1.5 * known(t))
     assert other["time_s"].isna().all()
     with pytest.raises(cb.BadInput, match="reference = 'gives shape"):
-        cb.compare(scene, ["rk4"], reference=lambda t: known(t)[:, :1])
+        cb.compare(OWN, ["rk4"], reference=lambda t: known(t)[:, :1])
 
 
 # -- interruption, budget --------------------------------------------------------------------------
@@ -199,7 +179,7 @@ def test_control_c_in_the_search_ends_it_with_what_there_is(monkeypatch):
     monkeypatch.setattr(
         Search, "turns", lambda one: map(interrupt, [0]) if one.method.name == names[1] else turns(one)
     )
-    found = cb.compare("particle", names, (0.5,), budget=20.0)
+    found = cb.compare("particle", names, (0.5,), budget=8.0)
     assert found.attrs["interrupted"]
     assert list(found["status"]) == ["ok", "interrupted", "interrupted"]
     assert found["time_s"][0] > 0
@@ -229,7 +209,7 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
         raise RuntimeError("no compiler found")
 
     monkeypatch.setattr(type(cb.METHODS["cvode-bdf"]), "prepare", broken)
-    found = cb.compare("particle", ["cvode-bdf"], (1e-2,), budget=60.0)
+    found = cb.compare("particle", ["cvode-bdf"], (1e-2,), budget=5.0)
     assert list(found["status"]) == ["failed"]
     assert "no compiler found" in found["reason"][0]
 
@@ -237,14 +217,14 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
 def test_a_setting_is_given_up_between_its_runs_when_it_goes_on_for_too_long():
     question = replace(race_of("rk4")[0].question, deadline=0.0)
     found = schedule.search(question, ["rk4", "herglotz2"], ["rk4"], budget())
-    assert [(each.attempts, each.why) for each in found] == [([], ("budget", schedule.UNBEGUN))] * 2
+    assert [(each.attempts, each.why) for each in found] == [([], schedule.NOT_BEGUN)] * 2
 
 
 def test_what_compiles_for_long_is_not_begun_without_the_time_for_it():
     question, time = race_of("rk4")[0].question, budget(4.0)
     found = schedule.search(question, ["heyoka-taylor", "diffrax-dopri8", "rk4"], ["diffrax-dopri8"], time)
     assert [bool(each.attempts) for each in found] == [True, False, True]
-    assert found[1].why == ("budget", schedule.UNBEGUN)
+    assert found[1].why == schedule.NOT_BEGUN
 
 
 def test_where_not_all_can_begin_the_first_go_on_and_the_others_are_named(monkeypatch, clock):
@@ -263,11 +243,8 @@ def test_where_not_all_can_begin_the_first_go_on_and_the_others_are_named(monkey
     assert done == names[1 : 1 + len(done)]
     assert 1 <= len(done) <= 5
     frame = frame_of(one.question, found, {}, {})
-    frame.attrs |= {"unbegun": compare.unbegun(found, names[1:]), "unrefined": [], "interrupted": False}
-    frame.attrs["reference"]["confirmed"] = None
-    assert frame.attrs["unbegun"] == names[1 + len(done) :]
-    first = " ".join(race.text(frame).partition("\n\n")[0].split())
-    assert first == f"Not begun, for want of time (--budget): {', '.join(names[1 + len(done) :])}."
+    assert frame["status"].ne("ok").sum() == len(names) - len(done)
+    assert found[0].why == found[-1].why == schedule.NOT_BEGUN
 
 
 # -- verdicts --------------------------------------------------------------------------------------

@@ -95,6 +95,16 @@ def test_a_race_of_many_prints_ten_rows_in_a_hundred_columns_sorted_by_time():
     assert ("evaluations" in table[1], "setting" in every) == (False, True)
 
 
+def test_what_was_not_begun_or_not_measured_is_said():
+    frame = raced([3.1, *[9.0] * 6], names=NAMES)
+    frame.attrs |= {"unbegun": ["rk4"], "unrefined": ["rk8"], "interrupted": True}
+    text = " ".join(race.text(frame).split())
+    assert text.startswith("Not begun, for want of time (--budget): rk4. Compiled")
+    assert "No time was left to look for a cheaper setting of rk8." in text
+    assert f"The laws of {', '.join(NAMES)} are not measured: no time was left." in text
+    assert "Interrupted: this is what there was." in text
+
+
 @pytest.mark.slow
 def test_a_whole_race_of_a_scene_ends_with_an_answer_for_each_error(clock):
     frame = cb.compare("particle", budget=60.0)

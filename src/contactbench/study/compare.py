@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from time import perf_counter
 from typing import Any
 
@@ -17,6 +17,7 @@ from contactbench.measure.laws import laws_of
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.base import METHODS
 from contactbench.questions.contest import CUT, standings
+from contactbench.report.numbers import names
 from contactbench.runs.search import Question, Search
 from contactbench.runs.settings import ENDS, carry_of, times
 from contactbench.scene import Scene
@@ -25,7 +26,9 @@ from contactbench.study.field import field
 from contactbench.study.race import symbol
 from contactbench.study.recommendation import recommendation
 from contactbench.study.schedule import (
+    INTERRUPTED,
     LEFT_OUT,
+    NOT_BEGUN,
     Budget,
     Found,
     ask,
@@ -43,12 +46,12 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 ALL = "all"
 #: seconds of a race of the methods that lead on such problems, and of any others
 BUDGET, LONG_BUDGET = 15.0, 50.0
+#: methods at most that a reason names
+NAMED = 3
 #: a run made once may take so many times as long as its least round
 ONCE = 2.0
 #: seconds from which on a run is more than the call from Python
 SLOW = 1e-3
-#: methods at most that a reason names
-NAMED = 3
 #: types of the columns beside the laws
 COLUMNS = dict.fromkeys(("scene", "method", "family", "engine", "kind"), "str")
 COLUMNS |= {"error_asked": "float64", "setting": "str"}
@@ -132,7 +135,8 @@ def compare(
         laws = measure_laws(question, searches, time)
         clock = time_runs(question, searches, time)
     frame = frame_of(question, searches, laws, clock)
-    frame.attrs |= {"unbegun": unbegun(searches, leading), "unrefined": time.unrefined}
+    unbegun = [one.method.name for one in searches if one.why == NOT_BEGUN and one.method.name in leading]
+    frame.attrs |= {"unbegun": unbegun, "unrefined": time.unrefined}
     frame.attrs |= {"interrupted": time.interrupted, "seconds": perf_counter() - begun}
     frame.attrs["reference"]["confirmed"] = confirmed
     return frame
@@ -187,7 +191,7 @@ def frame_of(question: Question, searches: Sequence[Search], laws: Found, clock:
     """Return the rows of a race with their verdicts, and what to take."""
     scene, truth = question.scene, question.truth
     rows = [row(question, each, error, laws, clock) for each in searches for error in question.errors]
-    frame = with_reasons(with_verdicts(pd.DataFrame(rows)))
+    frame = with_verdicts(pd.DataFrame(rows))
     frame = frame.reindex(columns=[*COLUMNS, *laws_in(scene)]).astype(COLUMNS)
     known = {"source": truth.source, "digits": truth.digits, "error": floor_of(truth)}
     frame.attrs = {"reference": known, "runs": Runs(run for each in searches for run in runs_of(each))}
@@ -203,16 +207,6 @@ def runs_of(one: Search) -> Iterable[dict[str, Any]]:
         yield known | a.columns(0.0) | {"status": str(a.status), "message": a.message, "error": a.error}
 
 
-def unbegun(searches: Iterable[Search], leading: Collection[str]) -> list[str]:
-    """Return the methods that may lead and that no time was left for."""
-    cut = (one.method.name for one in searches if one.why and not one.attempts and was_cut(one.why[0]))
-    return [name for name in cut if name in leading]
-
-
-def was_cut(status: str) -> bool:
-    return status in (*CUT, "interrupted")
-
-
 def laws_in(scene: Scene) -> list[str]:
     """Return the laws that have a column."""
     return [law.name for law in laws_of(scene) if law.name not in LEFT_OUT]
@@ -220,60 +214,52 @@ def laws_in(scene: Scene) -> list[str]:
 
 def row(question: Question, one: Search, error: float, laws: Found, clock: Found) -> dict[str, Any]:
     """Return what an error costs a method: of the settings for it, and for smaller ones, that which is soonest done."""
-    floor, scene = floor_of(question.truth), question.scene
+    floor, scene, of_laws = floor_of(question.truth), question.scene, laws_in(question.scene)
     reach = [a for e in question.errors if e <= error for _, a in reaching([one], e, floor)]
     attempt = min(reach, key=lambda a: clock.get(id(a), {}).get("time_s", math.inf), default=None)
     best = attempt or min((a for a in one.attempts if a.ok), key=lambda a: a.error, default=None)
-    found, kept = clock.get(id(attempt), {}), laws.get(id(attempt), {})
+    timed, kept = clock.get(id(attempt), {}), laws.get(id(attempt), {})
     status, reason = ending(one, error, floor)
     if attempt is not None:
-        status, reason = "ok", "" if found else "too slow for the time that was left"
-    slow = [a.seconds / ONCE for a in one.attempts if a is attempt or not a.reaches(error)]
-    least = [
-        *(s for s in slow if s > SLOW),
-        *(clock[id(a)]["time_s"] for a in one.attempts if id(a) in clock),
-    ]
-    unknown = one.attempts and (was_cut(status) or (attempt is not None and not found))
-    known = {"scene": scene.name, "method": one.method.name, "family": one.method.family}
-    known |= {"engine": one.engine, "kind": one.kind, "error_asked": error, "setting": "", "status": status}
-    known |= {"error_reached": math.nan} | ({} if best is None else best.columns(floor)) | {"reason": reason}
-    known |= {"evaluations": math.nan} if attempt is None else {}
-    known |= {"time_s": math.nan, "halves": math.nan} | found
-    known |= {"at_least": max(least, default=0.0) if unknown else math.nan}
-    for answer in ("kept", "undecided"):
-        symbols = (symbol(law) for law in laws_in(scene) if kept.get(f"{law}_{answer}"))
-        known[f"laws_{answer}"] = ", ".join(symbols)
-    return known | {law: kept.get(law, math.nan) for law in laws_in(scene)}
+        status, reason = "ok", "" if timed else "too slow for the time that was left"
+    slow = [a.seconds / ONCE for a in one.attempts if not a.reaches(error) and a.seconds > ONCE * SLOW]
+    cut = one.attempts and status in (*CUT, INTERRUPTED)
+    symbols = {
+        what: ", ".join(symbol(law) for law in of_laws if kept.get(f"{law}_{what}"))
+        for what in ("kept", "undecided")
+    }
+    found = {"scene": scene.name, "method": one.method.name, "family": one.method.family}
+    found |= {"engine": one.engine, "kind": one.kind, "error_asked": error, "setting": ""}
+    found |= {"error_reached": math.nan} | ({} if best is None else best.columns(floor))
+    found |= {"evaluations": math.nan} if attempt is None else {}
+    found |= {"time_s": math.nan, "halves": math.nan} | timed
+    found |= {"at_least": max(slow, default=0.0) if cut else math.nan}
+    found |= {"laws_kept": symbols["kept"], "laws_undecided": symbols["undecided"]}
+    return found | {"status": status, "reason": reason} | {law: kept.get(law, math.nan) for law in of_laws}
 
 
 def ending(one: Search, error: float, floor: float) -> tuple[str, str]:
     """Return the status of a method that does not reach an error, and why."""
     last = one.finest
+    why = ("unreached", f"no setting is as accurate, tried down to {last.setting if last else 'none'}")
     if error < floor:
         why = ("unresolved", f"the reference is known to {floor:.1e} only")
     elif one.why is not None:
         why = one.why
     elif last is not None and not last.ok:
         why = (str(last.status), f"{last.setting}: {last.message}")
-    else:
-        why = ("unreached", f"no setting is as accurate, tried down to {last.setting if last else 'none'}")
     return why
 
 
 def with_verdicts(frame: pd.DataFrame) -> pd.DataFrame:
+    """Judge the times of each kind at each error; what is undecided says why."""
     costs = frame.assign(cost=frame["time_s"], processes=PROCESSES, place=range(len(frame)))
-    return standings(costs, ("kind", "error_asked")).sort_values("place", ignore_index=True)
-
-
-def with_reasons(frame: pd.DataFrame) -> pd.DataFrame:
-    """Say of what is undecided why: a rival that was cut off, or the margin of its times."""
-    reasons = frame["reason"].copy()
-    for _, part in frame.groupby(["kind", "error_asked"], sort=False):
+    judged = standings(costs, ("kind", "error_asked")).sort_values("place", ignore_index=True)
+    for _, part in judged.groupby(["kind", "error_asked"], sort=False):
         unclear = part["verdict"] == "undecided"
         rivals = list(part.loc[part["at_least"] <= part["time_s"].min(), "method"])
         why = f"times cannot be told apart within a factor of {part.loc[unclear, 'margin'].max():.3g}"
         if rivals:
-            more = f" and {len(rivals) - NAMED} more" if len(rivals) > NAMED else ""
-            why = f"may be sooner done, but for want of time nobody knows: {', '.join(rivals[:NAMED])}{more}"
-        reasons[part.index[unclear]] = why
-    return frame.assign(reason=reasons)
+            why = f"may be sooner done, but for want of time nobody knows: {names(rivals, NAMED)}"
+        judged.loc[part.index[unclear], "reason"] = why
+    return judged

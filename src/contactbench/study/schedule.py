@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from itertools import accumulate
+from itertools import accumulate, islice
 from time import perf_counter
 from typing import Any
 
@@ -34,7 +34,8 @@ LEAST_REFERENCE = 5.0
 FEWEST_CALLS = 1 + VISITS
 #: seconds that compiling a method of an engine takes: without them it is not begun
 COMPILING = {"jax": 5.0, "c++": 1.5}
-#: the least share of a method in the search, as a share of the whole budget: runs of one setting each are no race
+#: what a method gets in the search after its first run at least, as a share of the whole budget: runs of one setting
+#: each are no race
 SHARE = 0.05
 #: what a single run may take, as a share of the whole budget
 RUN_SHARE = 0.006
@@ -45,7 +46,7 @@ MANY = 20
 #: stages that the bar shows beside the methods
 STAGES = 3
 #: why a method has no run
-UNBEGUN = "no time was left to begin it"
+NOT_BEGUN, INTERRUPTED = ("budget", "no time was left to begin it"), "interrupted"
 #: measures of a run that are no laws, or that another one covers
 LEFT_OUT = ("solution_error", "energy_increases")
 
@@ -137,7 +138,7 @@ def search(
                     budget.bar.set_description(each.method.name)
                     if left < (0.0 if each.attempts else COMPILING.get(each.engine, 0.0)):
                         group.remove(each)
-                    elif are_over(unfinished[each], perf_counter() + max(left / waiting, least)):
+                    elif are_over(unfinished[each], perf_counter() + left / waiting, least):
                         group.remove(each)
                         del unfinished[each]
                         budget.bar.update()
@@ -146,19 +147,22 @@ def search(
     return searches
 
 
-def are_over(turns: Iterator[None], until: float) -> bool:
-    """Take turns until some time, one at least; return whether there are no more."""
+def are_over(turns: Iterator[None], until: float, least: float) -> bool:
+    """Take a turn, and more until some time, or for `least` seconds; return whether there are no more."""
+    if any(True for _ in islice(turns, 1)):
+        until = max(until, perf_counter() + least)
     return all(perf_counter() < until for _ in turns)
 
 
 def stop(each: Search, budget: Budget) -> None:
     """Say why a search did not go on."""
+    last = each.finest
     if each.why is None and each.done:
         budget.unrefined.append(each.method.name)
+    elif each.why is None and budget.interrupted:
+        each.why = (INTERRUPTED, f"interrupted {f'after {last.setting}' if last else 'before it was tried'}")
     elif each.why is None:
-        status = "interrupted" if budget.interrupted else "budget"
-        after = "interrupted after" if budget.interrupted else "no time was left after"
-        each.why = (status, UNBEGUN if each.finest is None else f"{after} {each.finest.setting}")
+        each.why = NOT_BEGUN if last is None else ("budget", f"no time was left after {last.setting}")
 
 
 def reaching(searches: Iterable[Search], error: float, floor: float) -> list[tuple[Search, Attempt]]:
