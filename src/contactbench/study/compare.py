@@ -17,14 +17,11 @@ from contactbench.measure.laws import laws_of
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.base import METHODS
 from contactbench.questions.contest import CUT, standings
-from contactbench.report.numbers import names
 from contactbench.runs.search import Question, Search
 from contactbench.runs.settings import ENDS, carry_of, times
-from contactbench.scene import Scene
-from contactbench.scene.base import scene_of
+from contactbench.scene.base import Scene, scene_of
 from contactbench.study.field import field
-from contactbench.study.race import symbol
-from contactbench.study.recommendation import recommendation
+from contactbench.study.race import recommendation, symbol
 from contactbench.study.schedule import (
     INTERRUPTED,
     LEFT_OUT,
@@ -260,6 +257,6 @@ def with_verdicts(frame: pd.DataFrame) -> pd.DataFrame:
         rivals = list(part.loc[part["at_least"] <= part["time_s"].min(), "method"])
         why = f"times cannot be told apart within a factor of {part.loc[unclear, 'margin'].max():.3g}"
         if rivals:
-            why = f"may be sooner done, but for want of time nobody knows: {names(rivals, NAMED)}"
+            why = f"may be sooner done, but for want of time nobody knows: {', '.join(rivals[:NAMED])}"
         judged.loc[part.index[unclear], "reason"] = why
     return judged

@@ -15,7 +15,7 @@ from contactbench.plugins import brought
 from contactbench.questions.regret import COSTS, regrets
 from contactbench.report.look import CONTACT, CONTESTANTS
 from contactbench.runs.features import features
-from contactbench.scene import Scene
+from contactbench.scene.base import Scene
 from contactbench.scenes import SCENES
 from contactbench.tables.declared import TIMES, results
 

@@ -15,12 +15,9 @@ from tqdm import tqdm
 from contactbench.errors import BadInput
 from contactbench.measure.clock import VISITS, Call, Race, Visit, least
 from contactbench.measure.laws import row as laws_row
-from contactbench.methods.base import prepare
 from contactbench.runs.search import Attempt, Question, Search
-from contactbench.runs.settings import ENDS, carry_of, setting_to, times
-from contactbench.scene import Scene
-from contactbench.scene.base import Elapsed
-from contactbench.solution import GROWING
+from contactbench.runs.settings import ENDS, carry_of, times
+from contactbench.scene.base import Elapsed, Scene
 from contactbench.truth import OutOfTime, Reference, confirmed, reference
 
 #: by when, in parts of the budget, the reference (half of it is for high precision, the rest for two solvers), its
@@ -188,12 +185,10 @@ def measure_laws(question: Question, searches: Sequence[Search], budget: Budget)
 def laws_at(question: Question, search: Search, attempt: Attempt, budget: Budget) -> dict[str, Any]:
     """Return how far a run that carries every field is from the laws; nothing where that would take too long."""
     scene, left, known = question.scene, budget.left(LAWS), question.truth
-    options = setting_to(scene.t_end, scene, search.control, attempt.value) | {"engine": search.engine}
-    saves = Elapsed(times(scene, ENDS)) if search.control != GROWING else None
     found: dict[str, Any] = {}
     if left > COMPILING.get(search.engine, 0.0):  # another field is another program
         with suppress(BadInput):  # its truth takes too long, or a function takes no arrays
-            solution = prepare(scene, search.method, save_at=saves, **options)()
+            solution = search.along(attempt)()
             given = solution.carry == known.carry and np.array_equal(solution.elapsed, known.t)
             solution.truth = (
                 known if given else reference(scene, Elapsed(solution.elapsed), solution.carry, left)
