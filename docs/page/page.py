@@ -26,20 +26,26 @@ from contactbench.report.look import DASHES, FAMILIES, look
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 NAME = "explore.html"
-#: columns of runs.csv and times.csv that the page shows
-RUN = ["scene", "method", "engine", "control", "setting", "status", "error", "evaluations", "steps"]
-RUN += ["rejected", "jacobians"]
+#: columns of times.csv, and those of both that the page shows
 TIME = ["least_s", "compile_s", "first_s"]
+SHOWN = [
+    "scene",
+    "method",
+    "error",
+    "least_s",
+    "evaluations",
+    "control",
+    "setting",
+    "engine",
+    "steps",
+    "rejected",
+]
+SHOWN += ["jacobians", "compile_s", "first_s", "status", "message"]
 #: matplotlib's markers as plotly names them
-SYMBOLS = {"o": "circle", "s": "square", "D": "diamond", "d": "diamond-tall", "*": "star", "p": "pentagon"}
-SYMBOLS |= {
-    "v": "triangle-down",
-    "^": "triangle-up",
-    "<": "triangle-left",
-    ">": "triangle-right",
-    "x": "x-thin",
-}
-SYMBOLS |= {"X": "x", "P": "cross", "h": "hexagon", "H": "hexagon2", "8": "octagon"}
+NAMES = "circle square diamond diamond-tall star pentagon triangle-down triangle-up triangle-left triangle-right x-thin"
+SYMBOLS = dict(
+    zip("osDd*pv^<>xXPhH8", [*NAMES.split(), "x", "cross", "hexagon", "hexagon2", "octagon"], strict=True)
+)
 #: plotly's dashes are pixels, ours are line widths
 WIDTH = 2
 
@@ -94,7 +100,7 @@ def preset(rows: pd.DataFrame, cost: Cost) -> list[str]:
 
 def content(rows: pd.DataFrame) -> dict[str, Any]:
     """Return all that the page shows, as plain data."""
-    shown = rows[[*RUN, *TIME, "message"]].astype(object)
+    shown = rows[SHOWN].astype(object)
     families = rows.drop_duplicates("method").set_index("method")["family"]
     methods = {str(name): style(str(name), str(family)) for name, family in families.items()}
     known = cb.SCENES
