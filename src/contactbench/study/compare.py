@@ -221,17 +221,16 @@ def row(question: Question, one: Search, error: float, laws: Found, clock: Found
         status, reason = "ok", "" if timed else "too slow for the time that was left"
     slow = [a.seconds / ONCE for a in one.attempts if not a.reaches(error) and a.seconds > ONCE * SLOW]
     cut = one.attempts and status in (*CUT, INTERRUPTED)
-    symbols = {
-        what: ", ".join(symbol(law) for law in of_laws if kept.get(f"{law}_{what}"))
-        for what in ("kept", "undecided")
-    }
+    verdicts = {symbol(law): kept[f"{law}_kept"] for law in of_laws if f"{law}_kept" in kept}
+    judged = not math.isnan(kept.get("bound", math.nan))
     found = {"scene": scene.name, "method": one.method.name, "family": one.method.family}
     found |= {"engine": one.engine, "kind": one.kind, "error_asked": error, "setting": ""}
     found |= {"error_reached": math.nan} | ({} if best is None else best.columns(floor))
     found |= {"evaluations": math.nan} if attempt is None else {}
     found |= {"time_s": math.nan, "halves": math.nan} | timed
     found |= {"at_least": max(slow, default=0.0) if cut else math.nan}
-    found |= {"laws_kept": symbols["kept"], "laws_undecided": symbols["undecided"]}
+    found["laws_kept"] = ", ".join(name for name, verdict in verdicts.items() if verdict)
+    found["laws_undecided"] = ", ".join(name for name, verdict in verdicts.items() if judged and verdict is None)
     return found | {"status": status, "reason": reason} | {law: kept.get(law, math.nan) for law in of_laws}
 
 
