@@ -10,10 +10,10 @@ import pytest
 
 import contactbench as cb
 from contactbench.methods.contact_log import Base
+from contactbench.methods.fixed_step import with_counters
 from contactbench.methods.runge_kutta import table
 from contactbench.numbers.control import repeat
 from contactbench.scene import State
-from contactbench.testing.method import with_counter
 from contactbench.truth import decimal_context, with_decimals
 
 METHOD = cb.METHODS["contact-log8"]
@@ -154,10 +154,10 @@ def test_engines_agree_and_count_the_same(carry):
 
 
 def test_every_evaluation_is_counted():
-    scene, calls = with_counter(KEPLER.with_(t_end=3.0), "gradient")
+    scene, calls = with_counters(KEPLER.with_(t_end=3.0), plain=True)
     run = cb.prepare(scene, METHOD, step=0.3, save_at=[1.0, 3.0], carry=(), engine="python")
-    calls[0] = 0
-    assert run().counts.evaluations == calls[0]
+    calls["gradient"] = 0
+    assert run().counts.evaluations == calls["gradient"]
 
 
 def test_other_initial_data_are_what_a_run_prepared_for_them_takes():

@@ -52,14 +52,14 @@ def spend_more(run, y0):
 
 TIMED_ELSEWHERE = changed(
     FixedStepRun,
-    shorten=lambda run, loop: None,
+    shorten=lambda run: None,
     bare=lambda run, y0: FixedStepRun.bare(run, y0) * (1 + 1e-9),
 )
 DERIVES_WRONGLY = changed(FixedStepRun, sensitivity=lambda run, y0: 1.001 * FixedStepRun.sensitivity(run, y0))
 OTHER_STEPS = changed(
     FixedStepRun,
-    shorten=lambda run, loop: None,
-    take=lambda run, y0: (run.intervals(y0, y0, run.h * (1 + 1e-9), run.n, run.since), run.totals),
+    shorten=lambda run: None,
+    take=lambda run, y0: (run.part(y0, y0, run.h * (1 + 1e-9), run.n, run.since), run.totals),
 )
 
 

@@ -9,7 +9,7 @@ doi:10.1103/PhysRevA.38.2103).  If γ depends on the time, e^{−∫γ} replaces
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -78,8 +78,9 @@ def variational(solution: Solution) -> Differential:
         rates = [scene.slopes(t, list(map(Dual, y, v)), carry) for v in moved]
         return [*scene.slopes(t, y, carry), *(slope(c) for rate in rates for c in rate)]
 
-    larger = Equations(rhs=rhs, y0=np.concatenate([y0, *tangents]), t=begins, t_end=scene.t_end)
-    given = {"rtol": request.rtol, "engine": request.engine, "save_at": Elapsed(request.save_at)}
+    kind: Any = Equations  # not abstract, although `rhs` is an argument
+    larger = kind(rhs=rhs, y0=np.concatenate([y0, *tangents]), t=begins, t_end=scene.t_end)
+    given: Any = {"rtol": request.rtol, "engine": request.engine, "save_at": Elapsed(request.save_at)}
     v = prepare(larger, solution.method, **given)().y[:, d:-1].reshape(-1, m, d)
     v = v if scene.clock is None else np.insert(v, scene.clock, 0.0, axis=2)
     return Differential("variational equations", np.moveaxis(v, 1, 2)[None])

@@ -446,7 +446,7 @@ class ToleranceRun(RunByTolerance):
         d, most, clock = len(self.start), self.request.max_steps, self._clock
         beside, end = loop.program.size - d, len(self.spans) * loop.program.size
         short = min(most, loop.short)  # a longer run goes on interruptibly
-        briefly = loop.on(d, self.rows(loop, short), (d, d + end))
+        briefly: Callable[[np.ndarray], np.ndarray] = loop.on(d, self.rows(loop, short), (d, d + end))
         self.compile_s = loop.seconds
 
         def states(y0: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,24 +20,20 @@ from contactbench.scene import Scene
 from contactbench.scene.base import OwnState
 
 
-class Division(NamedTuple):
-    """Ends of intervals as times since the start, and the numbers of the intervals that end at the saved times."""
+def division(scene: Scene, later: np.ndarray) -> tuple[np.ndarray, slice | np.ndarray]:
+    """Return the ends of the fewest intervals between saved times > 0 and breaks, and the numbers of the saved ones.
 
-    ends: np.ndarray
-    saved: slice | np.ndarray
-
-
-def division(scene: Scene, later: np.ndarray) -> Division:
-    """Return the fewest intervals between saved times > 0 and breaks; a time within roundings of a break is at it."""
+    A time within roundings of a break is at the break.
+    """
     end, ends = float(later[-1]), list[float]()
     for time, exact in scene.breaks_until(end):
         if (ends[-1] if ends else 0.0) + exact < time < end - exact:
             ends.append(time)
             later = np.where(np.abs(later - time) <= exact, time, later)
     if not ends:
-        return Division(later, slice(None))
+        return later, slice(None)
     every = np.union1d(later, ends)
-    return Division(every, np.searchsorted(every, later))
+    return every, np.searchsorted(every, later)
 
 
 def dates(scene: Scene, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,14 +28,6 @@ ADAPTIVE_SAVES = 200
 MOST_SAVED = 2**24
 #: parts of a shorter run are no longer normal numbers
 SHORTEST_RUN = 1e-290
-
-
-class Plateaus(NamedTuple):
-    """Runs of n[k] equal steps of size h[k]; saved : the numbers of the runs that end at the saved times."""
-
-    h: np.ndarray
-    n: np.ndarray
-    saved: np.ndarray
 
 
 def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.ndarray:
@@ -158,8 +149,8 @@ def steps_until(steps: np.ndarray, times: np.ndarray) -> np.ndarray:
     return nearest + 1
 
 
-def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
-    """Return runs of equal steps to the last of some times; a run ends at each time, to the last digit."""
+def plateaus(steps: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return runs of n[k] equal steps of size h[k], and the runs that end at the times, as (h, n, saved)."""
     last = steps_until(steps, times) - 1
     changes = np.abs(np.diff(steps)) > EQUAL * steps[1:]
     changes = np.append(changes, True)
@@ -168,7 +159,7 @@ def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
     n = np.diff(ends, prepend=0)
     spans, saved = np.add.reduceat(steps, ends - n), np.searchsorted(ends, last + 1)
     spans[saved] += np.diff(times, prepend=0.0) - np.add.reduceat(spans, np.append(0, saved[:-1] + 1))
-    return Plateaus(spans / n, n, saved)
+    return spans / n, n, saved
 
 
 def ends_between(spans: np.ndarray, last: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,17 +98,19 @@ class Room:
     def __init__(self, chosen: ChosenStep) -> None:
         self.chosen, self.start = chosen, np.empty(len(chosen.start))
         self.time_scale = chosen.time_scale_at(self.start)
-        self.pilots: dict[int, Callable[[], Pilot]] = {}
         self.states: dict[int, np.ndarray] = {}
         #: the last rung with the same steps: the longest step taken may be far below the allowed one
         self.rungs: dict[int, int] = {}
-        self.gaps: dict[tuple[int, int], Callable[[], float]] = {}
+        self.prepared, self.compared = cache(self.prepare), cache(self.compare)
 
     def pilot(self, rung: int) -> Pilot:
-        known = self.pilots.get(rung)
-        if known is None:
-            known = self.pilots[rung] = self.prepare(rung)
-        return known()
+        return self.prepared(rung)()
+
+    def gap(self, coarse: int, fine: int) -> float:
+        return self.compared(coarse, fine)()
+
+    def compare(self, coarse: int, fine: int) -> Callable[[], float]:
+        return distance(self.chosen.request, self.start, self.states[coarse], self.states[fine])
 
     def prepare(self, rung: int) -> Callable[[], Pilot]:
         """Return the pilot as a function without arguments that works on memory allocated once."""
@@ -129,14 +132,6 @@ class Room:
             return pilot
 
         return take
-
-    def gap(self, coarse: int, fine: int) -> float:
-        known = self.gaps.get((coarse, fine))
-        if known is None:
-            known = self.gaps[coarse, fine] = distance(
-                self.chosen.request, self.start, self.states[coarse], self.states[fine]
-            )
-        return known()
 
 
 class Gap(NamedTuple):

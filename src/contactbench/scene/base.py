@@ -46,6 +46,8 @@ Numeric = Any
 Packed = Any
 #: the sizes of the components of a motion, and of the action
 Sizes = tuple[Sequence[float], float]
+#: parameters of a kind of scene that takes none
+NO_PARAMETERS: Mapping[str, float] = {}
 #: a function of the name and the given value of a field that returns the value to keep, or raises `BadInput`
 Check = Callable[[str, object], object]
 
@@ -234,7 +236,7 @@ class Scene(metaclass=Kind):
     #: coefficient → field with its reciprocal: compiled loops run up to twice as fast without divisions
     reciprocals: ClassVar[dict[str, str]] = {}
     #: further parameters by name, of kinds that take them
-    parameters: ClassVar[Mapping[str, float]] = {}
+    parameters = NO_PARAMETERS
     #: field → check of its value
     checks: ClassVar[dict[str, Check]] = {
         "name": text,
@@ -360,7 +362,7 @@ class Scene(metaclass=Kind):
 
     def _repr_html_(self) -> str:
         names = (*self.initial_fields, *self.coefficients, "t_end")
-        rows = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
+        rows: dict[str, Any] = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
         rows |= self.parameters
         return html_table(rows, f"{self.name}: {self.about or self.kind}")
 
