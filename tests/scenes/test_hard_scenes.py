@@ -1,7 +1,5 @@
 """The hard scenes: their truths, what is known about them, and what must not break on them."""
 
-import math
-
 import numpy as np
 import pytest
 

@@ -2,7 +2,6 @@
 
 import pytest
 
-import contactbench as cb
 import planted
 from cases import refusal
 from contactbench.runs import runner

@@ -53,15 +53,12 @@ def is_run(scene: Scene, method: Method, profile: Profile) -> bool:
     What is dear runs where the mission is, stiff solvers where it is, or where it is stiff or hard.  The smoke profile
     has the mission's scenes with all that is not dear, and elsewhere the mission's contestants alone.
     """
-    if is_brought(scene, method):
-        return True
-    if profile.brief:
-        return not is_dear(method) and (method.mission or scene.mission)
-    if profile.reaches("full") or (method.stiff and scene.stiff):
+    if is_brought(scene, method) or profile.reaches(NAMES[2]):
         return True
     if is_dear(method):
-        return scene.mission and method.mission
-    return scene.mission or scene.hard or not method.stiff
+        return not profile.brief and ((method.stiff and scene.stiff) or (method.mission and scene.mission))
+    suits = scene.mission or scene.stiff or scene.hard or not method.stiff
+    return suits and (method.mission or scene.mission or not profile.brief)
 
 
 def cells(profile: Profile) -> list[Cell]:
@@ -159,7 +156,7 @@ def look_along(scene: Scene, method: Method, engine: str, profile: Profile) -> I
         else:
             row = guarded(scene, along, question, without, DIFFERENTIATED)
         yield row | {"profile": NAMES[0] if value in ends else NAMES[1]}
-        if row["status"] == "budget" and method.adaptive and not value > spent:
+        if row["status"] == "budget" and method.adaptive and math.isnan(spent):
             spent = value
 
 
