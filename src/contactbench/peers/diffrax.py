@@ -161,5 +161,5 @@ for _solver, _order, _stages, _implicit, _about in (
     _known = _solver, "diffrax", _order, _stages, _implicit
     _named = f"diffrax-{_solver.lower()}", _about, Diffrax, ("jax",), (ROUNDING, 1e-1)
     # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
-    _sized: dict[str, Any] = {"largest": 64, "mission": True, "stiff": _implicit}
+    _sized: dict[str, Any] = {"largest": 64, "mission": not _implicit, "stiff": _implicit}
     METHODS.add(Peer(*_named, *_known, costs={"jax": 2} if _implicit else {}, **_sized))

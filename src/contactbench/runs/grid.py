@@ -24,8 +24,8 @@ from contactbench.tables.schema import PROFILES as NAMES
 DEAR = ("jax", "python")
 #: rungs of a ladder in the smoke profile
 FEW = 3
-#: evaluations that a run of a ladder may cost where Python is called back
-DEAREST_CALLBACKS = 2**13
+#: evaluations that a run of a ladder may cost where Python is called back, and that one whose map is differentiated
+DEAREST_CALLBACKS, DIFFERENTIATED = 2**12, 1000
 #: an error that no contest asks for; a rung lessens the error by this factor at least, or two in a row are the last;
 #: and an error that is about as large as the motion, of which a smaller one may come late
 SMALLEST, STILL_BETTER, PATIENCE, LOST = 1e-12, 0.7, 2, 0.1
@@ -50,16 +50,15 @@ def is_dear(method: Method) -> bool:
 def is_run(scene: Scene, method: Method, profile: Profile) -> bool:
     """Return whether a profile runs a method on a scene.
 
-    What is dear runs on the mission's scenes, stiff solvers on those that are stiff or hard too.  The smoke profile
-    has one of the mission's scenes with all that is not dear, and elsewhere the mission's contestants alone.
+    What is dear runs where the mission is, stiff solvers where it is, or where it is stiff or hard.  The smoke profile
+    has the mission's scenes with all that is not dear, and elsewhere the mission's contestants alone.
     """
-    if is_brought(scene, method):
+    if is_brought(scene, method) or profile.reaches(NAMES[2]):
         return True
-    if profile.brief:
-        return not is_dear(method) and (method.mission or scene.mission)
-    here = scene.mission or (method.stiff and scene.stiff)
-    suits = scene.hard or not method.stiff
-    return here or profile.reaches("full") or (suits and not is_dear(method))
+    if is_dear(method):
+        return not profile.brief and ((method.stiff and scene.stiff) or (method.mission and scene.mission))
+    suits = scene.mission or scene.stiff or scene.hard or not method.stiff
+    return suits and (method.mission or scene.mission or not profile.brief)
 
 
 def cells(profile: Profile) -> list[Cell]:
@@ -155,9 +154,9 @@ def look_along(scene: Scene, method: Method, engine: str, profile: Profile) -> I
             message = f"not run: rtol={spent:g} spent the budget"
             row = key(question, SAVES) | {"status": "budget", "message": message}
         else:
-            row = guarded(scene, along, question, without)
+            row = guarded(scene, along, question, without, DIFFERENTIATED)
         yield row | {"profile": NAMES[0] if value in ends else NAMES[1]}
-        if row["status"] == "budget" and method.adaptive and not value > spent:
+        if row["status"] == "budget" and method.adaptive and math.isnan(spent):
             spent = value
 
 

@@ -89,6 +89,8 @@ def ladder(scene: Scene, method: Method, control: str, dearest: float) -> tuple[
         every = tolerances(method) if method.adaptive else PILOTED
         first = 1 if method.adaptive else 0  # the loosest is decades from the next
         return every, [*every[:first], *every[first::2]]
+    if method.refuses(scene):  # a single run says why
+        return [scene.t_end], [scene.t_end]
     coarse, finer = steps(scene, method), finer_steps(scene, method, dearest)
     enough = [*coarse[::2], *(finer if (method.order or 1) >= HIGH_ORDER else finer[1::2])]
     shortest = scene.t_end * evaluations_of_step(scene, method) / dearest

@@ -208,7 +208,6 @@ HARD = tuple(
             "flow; the limits themselves are in their own table.",
             gamma=1.0,
             t_end=210.0,
-            stiff=True,
             pace=(2.1, 1.4, 0.525, 0.13125),  # both sides of the limit
         ),
     )

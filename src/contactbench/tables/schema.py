@@ -59,7 +59,8 @@ class Column:
 
     meaning : what it is, a phrase.  rule : how it may differ between two runs; ungated : why it has no rule (a key
     needs neither, nor what a clock said).  timed : it comes from a clock.  exact : an input, written in full; other
-    numbers have six significant digits.  label : short name for headings.  infinite : infinity is a value of it (a limit there is none of); elsewhere it is a damaged file.
+    numbers have six significant digits.  label : short name for headings.  infinite : infinity is a value of it, a limit
+    that there is not; elsewhere it is blank.
     """
 
     meaning: str
@@ -76,8 +77,8 @@ class Column:
 class Table:
     """A result table.
 
-    key : the columns that name a row.  whole : leading key columns of what is always made as a whole, a new run replaces
-    all its rows.
+    key : the columns that name a row.  whole : leading key columns of what is always made as a whole: a new run
+    replaces all its rows.
     """
 
     name: str

@@ -40,7 +40,7 @@ def read(table: Table, results: Path) -> pd.DataFrame:
     """Return the table's rows, typed; none if there is no file.
 
     Columns that the file lacks are blank, columns that the table does not know are left out with a note.
-    Raises `OldTable` for a file without a key column, of another version, and `BadInput` for one that is not this table.
+    Raises `OldTable` for a file without a key column, of another version, and `BadInput` for one of no such table.
     """
     path = table.path(results)
     frame = read_file(table, path) if path.exists() else pd.DataFrame()
