@@ -14,44 +14,49 @@ from contactbench.tables.store import merge
 #: the record of a run, as complete as the benchmark writes it
 RUN = {"run": "one", "profile": "smoke", "cpu": "a", "isa": "x", "python": "3.13", "packages": {"jax": "1"}}
 RUN |= {"references": "r", "commit": "c", "dirty": False, "utc": "2026-01-01T00:00:00+00:00"}
-RUN |= {"tables": dict.fromkeys(("laws", "convergence", "work_precision", "claims"), "whole")}
-#: what every row has
-COMMON = {"scene": "particle", "engine": "jax", "status": "ok", "family": "established"}
-COMMON |= {"steps": 200, "evaluations": 800, "rhs_equivalents": 800.0}
+RUN |= {"tables": dict.fromkeys(("runs", "orders", "claims"), "whole")}
+#: what every row of runs has
+COMMON = {"scene": "particle", "engine": "llvm", "status": "ok", "family": "established", "truth": "ok"}
+COMMON |= {"steps": 200, "evaluations": 800.0, "saved": 25}
 
 
 def row(method="rk4", setting="step=0.1", profile="smoke", **more):
+    """A row of runs."""
     control, _, value = setting.partition("=")
-    own = {"control": control, "value": float(value), "profile": profile}
-    return {**COMMON, "method": method, "setting": setting, **own, **more}
+    own = {"control": control, "setting": float(value), "profile": profile}
+    return {**COMMON, "method": method, **own, **more}
 
 
-FOURTH = {"order": 4.0, "order_nominal": 4}
-EIGHTH = {"order": 8.0, "order_nominal": 8, "pairwise_order": 8.0, "in_fit": True}
-CLAIM = {
-    "id": "C01",
-    "scene": "particle",
-    "method": "any",
-    "verdict": "holds",
-    "status": "ok",
-    "profile": "smoke",
-}
-#: what the folder of a run holds: two methods on one scene, and a row of a larger profile
+def point(method, step, error, order, **more):
+    """A row of orders."""
+    known = {"scene": "particle", "method": method, "engine": "llvm", "step": step, "status": "ok"}
+    return {**known, "error": error, "in_fit": True, "order": float(order), "order_nominal": order, **more}
+
+
+def timed(run, **more):
+    """The row of times of a run."""
+    return {name: run[name] for name in TABLES["times"].key} | {"halves": 1.0, **more}
+
+
+CLAIM = {"id": "C01", "verdict": "holds", "status": "ok"}
+END = [
+    row(saved=1, error=1e-6),
+    row("cvode-adams", "rtol=1e-06", saved=1, error=2e-5),
+    row(setting="step=0.01", profile="standard", saved=1, error=1e-10),
+    row("cvode-bdf", "rtol=1e-12", saved=1, status="budget", message="too many"),
+]
+#: what the folder of a run holds: a few methods on one scene, and a row of a larger profile
 ROWS = {
-    "laws": [
-        row(solution_error=1e-5, energy_law=3e-6, momentum_law=2e-15, energy_increases=0.0, saved_times=25),
-        row("cvode-adams", "rtol=1e-06", solution_error=1e-4, momentum_law=1e-7, saved_times=25),
+    "runs": [
+        *END,
+        row(error=1e-5, energy_law=3e-6, momentum_law=2e-15),
+        row("cvode-adams", "rtol=1e-06", error=1e-4, momentum_law=1e-7),
     ],
-    "convergence": [
-        row(step=0.1, solution_error=1e-5, pairwise_order=4.01, in_fit=True, **FOURTH),
-        row(setting="step=0.8", step=0.8, solution_error=0.2, pairwise_order=2.0, in_fit=False, **FOURTH),
-        row("contact-o8", "step=0.03125", engine="mpmath", step=0.03125, solution_error=1e-20, **EIGHTH),
-    ],
-    "work_precision": [
-        row(carried="q p", solution_error=1e-6, time_median_s=1e-4),
-        row("cvode-adams", "rtol=1e-06", carried="q p", solution_error=2e-5, time_median_s=1e-3),
-        row(setting="step=0.01", profile="standard", carried="q p", solution_error=1e-10),
-        row("cvode-bdf", "rtol=1e-12", status="budget", message="too many"),
+    "times": [timed(run, least_s=each) for run, each in zip(END, (1e-4, 1e-3, 1e-3), strict=False)],
+    "orders": [
+        point("rk4", 0.1, 1e-5, 4),
+        point("rk4", 0.8, 0.2, 4, in_fit=False),
+        point("contact-o8", 0.03125, 1e-20, 8, engine="mpmath"),
     ],
     "claims": [{**CLAIM, "relation": "≤", "bound": 1e-12, "measured": 1e-16}],
 }

@@ -251,7 +251,7 @@ def sides(
         reached[side[reached.index]].groupby(list(keys), sort=False).head(1).set_index(list(keys))
         for side in (own, ~own)
     ]
-    found = first[0].join(first[1], how="outer", lsuffix="_ours", rsuffix="_other")
+    found = first[0].add_suffix("_ours").join(first[1].add_suffix("_other"), how="outer")
     cost, halves, processes = (
         [found[f"{name}_{side}"].where(found[f"cost_{side}"].notna(), none) for side in ("ours", "other")]
         for name, none in (("cost", math.inf), ("halves", 1.0), ("processes", 1.0))

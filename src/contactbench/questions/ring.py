@@ -32,7 +32,8 @@ def main_rows(frames: Frames) -> pd.DataFrame:
     rows = ring_runs(frames["ring"], frames["times"])
     most = rows["gamma"].mode()
     rows = rows[rows["gamma"].isin(most.head(1))]
-    return rows.assign(family=rows["method"].map(families(frames["runs"])).fillna(""))
+    known = families(frames["runs"])
+    return rows.assign(family=[known.get(name, "") for name in rows["method"]])
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
