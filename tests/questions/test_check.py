@@ -31,7 +31,7 @@ def whole(tmp_path_factory):
     made = [*rows("contact-strang", 2), *rows("rk4", 4)]
     merge(RUNS, made[::2], folder)
     merge(ORDERS, made[1::2], folder)
-    (folder.parent / "README.md").write_text(f"before\n{README_PART[0]}old{README_PART[1]}\nafter\n")
+    (folder.parent / "README.md").write_text(f"before\n{README_PART[0]}outdated{README_PART[1]}\nafter\n")
     assert main(["report", "--results", str(folder), "--readme", str(folder.parent / "README.md")]) == 0
     return folder
 
@@ -51,7 +51,7 @@ def checked(results, capsys):
 def test_what_was_just_written_agrees(results, capsys):
     assert checked(results, capsys)[0] == 0
     text = (results.parent / "README.md").read_text()
-    assert (text[:7], text[-6:], "old" in text) == ("before\n", "after\n", False)
+    assert (text[:7], text[-6:], "outdated" in text) == ("before\n", "after\n", False)
     assert "| Do the methods have the order they claim?" in text
 
 

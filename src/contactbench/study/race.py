@@ -215,7 +215,7 @@ def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
     blocks = (missing, said, [*recommended, *how_to_run(frame, scene)])
     first, last, end = ("\n".join(map(wrap, block)) for block in blocks)
     folder = shipped_folder()
-    where = f"For other problems, a decision in five questions: {folder / 'which.md'}" if folder else ""
+    where = f"For other problems, which method led on random ones: {folder / 'problems.md'}" if folder else ""
     return "\n\n".join(filter(None, [first, *found, last, end, where]))
 
 
