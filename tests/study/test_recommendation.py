@@ -132,7 +132,7 @@ def test_a_race_of_many_prints_ten_rows_in_a_hundred_columns_sorted_by_time():
     assert [line.split()[0] for line in table[2:]] == names[: -race.ROWS - 1 : -1]
     *_, taken, further = text.split("\n\n")
     assert taken.count("Take ") == len(errors)
-    assert further.endswith("which.md")
+    assert further.endswith("problems.md")
     assert all(name in every for name in names)
     assert "evaluations" not in table[1]
 
