@@ -7,12 +7,13 @@ from typing import Any
 import pandas as pd
 
 from contactbench.report.chapters import Tables
-from contactbench.runs.search import Attempt, Search
+from contactbench.runs.search import Attempt, Question, Search
+from contactbench.runs.settings import ENDS, carry_of, times
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Status
-from contactbench.study.schedule import Schedule
 from contactbench.tables.schema import TABLES
 from contactbench.tables.store import set_types
+from contactbench.truth import reference
 
 FAMILIES = {"contact": "contact", "herglotz": "variational"}
 
@@ -61,11 +62,12 @@ def frames(**tables: Iterable[Mapping[str, Any]]) -> Tables:
 
 
 # -- races -----------------------------------------------------------------------------------------
-def race_of(
-    *names: str, errors: tuple[float, ...] = (1e-2,), scene: str = "particle", **more: Any
-) -> Schedule:
-    """A race before it begins."""
-    return Schedule(SCENES[scene], list(names), errors, 60.0, **more)
+def race_of(*names: str, errors: tuple[float, ...] = (1e-2,), scene: str = "particle") -> list[Search]:
+    """The searches of a race before it begins; their question has all the time there is."""
+    own = SCENES[scene]
+    truth = reference(own, times(own, ENDS), carry_of(own))
+    question = Question(own, truth, errors, longest=1.0)
+    return [Search(question, name) for name in names]
 
 
 def tried(

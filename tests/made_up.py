@@ -14,51 +14,50 @@ from contactbench.tables.store import merge
 #: the record of a run, as complete as the benchmark writes it
 RUN = {"run": "one", "profile": "smoke", "cpu": "a", "isa": "x", "python": "3.13", "packages": {"jax": "1"}}
 RUN |= {"references": "r", "commit": "c", "dirty": False, "utc": "2026-01-01T00:00:00+00:00"}
-RUN |= {"tables": dict.fromkeys(("runs", "orders", "claims"), "whole")}
-#: what every row of runs has
-COMMON = {"scene": "particle", "engine": "llvm", "status": "ok", "family": "established", "truth": "ok"}
-COMMON |= {"steps": 200, "evaluations": 800.0, "saved": 25}
+RUN |= {"tables": dict.fromkeys(("runs", "times", "orders", "claims"), "whole")}
+#: what every run has
+COMMON = {"scene": "particle", "engine": "jax", "status": "ok", "family": "established", "truth": "ok"}
+COMMON |= {"steps": 200, "evaluations": 800.0}
 
 
-def row(method="rk4", setting="step=0.1", profile="smoke", **more):
-    """A row of runs."""
+def row(method="rk4", setting="step=0.1", saved=1, profile="smoke", **more):
+    """A run, its control and setting as one word."""
     control, _, value = setting.partition("=")
-    own = {"control": control, "setting": float(value), "profile": profile}
+    own = {"control": control, "setting": float(value), "saved": saved, "profile": profile}
     return {**COMMON, "method": method, **own, **more}
 
 
-def point(method, step, error, order, **more):
-    """A row of orders."""
-    known = {"scene": "particle", "method": method, "engine": "llvm", "step": step, "status": "ok"}
-    return {**known, "error": error, "in_fit": True, "order": float(order), "order_nominal": order, **more}
+def time(method="rk4", setting="step=0.1", seconds=1e-4, **more):
+    """The time of a run."""
+    own = row(method, setting, **more)
+    return {name: own[name] for name in TABLES["times"].key} | {"least_s": seconds}
 
 
-def timed(run, **more):
-    """The row of times of a run."""
-    return {name: run[name] for name in TABLES["times"].key} | {"halves": 1.0, **more}
+def point(method="rk4", step=0.1, **more):
+    """A point of a method's errors against the step."""
+    own = {"scene": "particle", "method": method, "engine": "llvm", "step": step, "status": "ok"}
+    return own | {"in_fit": True, "order": 4.0, "order_nominal": 4, **more}
 
 
-CLAIM = {"id": "C01", "verdict": "holds", "status": "ok"}
-END = [
-    row(saved=1, error=1e-6),
-    row("cvode-adams", "rtol=1e-06", saved=1, error=2e-5),
-    row(setting="step=0.01", profile="standard", saved=1, error=1e-10),
-    row("cvode-bdf", "rtol=1e-12", saved=1, status="budget", message="too many"),
-]
 #: what the folder of a run holds: a few methods on one scene, and a row of a larger profile
 ROWS = {
     "runs": [
-        *END,
-        row(error=1e-5, energy_law=3e-6, momentum_law=2e-15),
-        row("cvode-adams", "rtol=1e-06", error=1e-4, momentum_law=1e-7),
+        row(saved=25, error=1e-5, energy_law=3e-6, momentum_law=2e-15, momentum_law_claimed=True),
+        row("cvode-adams", "rtol=1e-06", saved=25, error=1e-4, momentum_law=1e-7),
+        row(error=1e-6),
+        row("cvode-adams", "rtol=1e-06", error=2e-5),
+        row(setting="step=0.01", profile="standard", error=1e-10),
+        row("cvode-bdf", "rtol=1e-12", status="budget", message="too many"),
     ],
-    "times": [timed(run, least_s=each) for run, each in zip(END, (1e-4, 1e-3, 1e-3), strict=False)],
+    "times": [time(), time("cvode-adams", "rtol=1e-06", 1e-3)],
     "orders": [
-        point("rk4", 0.1, 1e-5, 4),
-        point("rk4", 0.8, 0.2, 4, in_fit=False),
-        point("contact-o8", 0.03125, 1e-20, 8, engine="mpmath"),
+        point(error=1e-5),
+        point(step=0.8, error=0.2, in_fit=False),
+        point("contact-o8", 0.03125, engine="mpmath", error=1e-20, order=8.0, order_nominal=8),
     ],
-    "claims": [{**CLAIM, "relation": "≤", "bound": 1e-12, "measured": 1e-16}],
+    "claims": [
+        {"id": "C01", "verdict": "holds", "status": "ok", "relation": "≤", "bound": 1e-12, "measured": 1e-16}
+    ],
 }
 
 

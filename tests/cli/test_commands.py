@@ -78,10 +78,10 @@ def test_a_race_that_measures_nothing_is_no_success(capsys):
 
 
 def test_an_interrupted_race_prints_what_it_has(capsys, monkeypatch):
-    def stopped(self):
+    def stopped(self, *_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("contactbench.study.schedule.Schedule.time", stopped)
+    monkeypatch.setattr("contactbench.measure.clock.Race.go", stopped)
     assert main(RACE) == 130
     out = capsys.readouterr().out
     assert "not timed" in out

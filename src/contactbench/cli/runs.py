@@ -184,7 +184,7 @@ def compare(arguments: argparse.Namespace) -> int:
 
         write_picture(render(figure), arguments.plot)
     if arguments.json:
-        known = {name: value for name, value in frame.attrs.items() if name not in ("runs", "motion")}
+        known = {name: value for name, value in frame.attrs.items() if name != "runs"}
         rows = json.loads(frame.to_json(orient="records", double_precision=15))
         print_json({**known, "rows": rows}, arguments)
     else:

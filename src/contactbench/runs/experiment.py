@@ -1,6 +1,20 @@
-"""What an experiment is: the cells that a profile runs, and the rows of a cell.
+"""What an experiment is: the cells that a profile runs, the rows of a cell, and what is timed of them.
 
-A question is a module of this package, found without being listed; it decorates the function that gives a cell's rows.
+A module of this package holds experiments, and is found without being listed.  One makes rows::
+
+    @experiment(cells)                     # cells(profile) -> tuples that name what is run
+    def ring(cell, profile):
+        yield RING, {"scene": …, "method": …, …}
+
+and another times them, in a process alone on its core, after all rows are made::
+
+    @timed(ring)
+    def ring_times(row):                   # a row that `ring` has made; None: it is not timed
+        key = {"scene": "chaotic_ring", "method": row["method"], …}   # of a row of times.csv
+        return Timing(key, beginning, (row["method"], row["setting"]), row["energy_error"])
+
+where ``beginning(method, setting)`` prepares, here or in a second process, and returns what times.csv says of it beside
+the clock's numbers (compile_s, first_s; or nothing) and the `Call`.
 """
 
 from __future__ import annotations
@@ -22,50 +36,35 @@ type Recorded = Iterator[tuple[Table, Row]]
 
 @dataclass(frozen=True)
 class Profile:
-    """How much is run: settings of a method, visits to a cell, the budget of a solver that calls back into Python."""
+    """How much is run; visits : to what is timed."""
 
     name: str
-    points: int
     visits: int
-    callback_evaluations: int
 
     @property
     def brief(self) -> bool:
-        return self.points == 1
+        return self.name == NAMES[0]
 
     def reaches(self, name: str) -> bool:
         """Whether it runs what another profile does."""
         return NAMES.index(name) <= NAMES.index(self.name)
 
-    def choose(self, ladder: list[float]) -> list[float]:
-        """`points` of a ladder, spread over it; a single one is among those of the standard profile."""
-        if self.points >= len(ladder):
-            return ladder
-        if self.brief:
-            spread = PROFILES["standard"].choose(ladder)
-            return [spread[len(spread) // 3]]
-        last = len(ladder) - 1
-        return [ladder[round(i * last / (self.points - 1))] for i in range(self.points)]
 
-
-PROFILES = {
-    "smoke": Profile("smoke", 1, VISITS, 40_000),  # the budget of standard: the same rows, the same ends
-    "standard": Profile("standard", 6, VISITS, 40_000),
-    "full": Profile("full", 99, MOST_VISITS, 1_000_000),
-}
+PROFILES = {name: Profile(name, MOST_VISITS if name == NAMES[-1] else VISITS) for name in NAMES}
 
 
 @dataclass(frozen=True)
 class Timing:
-    """What is timed of a cell, and the table its row goes to.
+    """What is timed of a row.
 
-    prepare : gives, of the arguments, what the row says beside its times, and the call;
-    another process may be asked for both.
+    key : of its row in times.csv.  prepare : gives, of the arguments, more columns of that row and the call; another
+    process may be asked for both.  error : of the run, by which contestants are told.
     """
 
-    table: Table
+    key: Row
     prepare: Callable[..., tuple[Row, Call]]
     arguments: tuple[object, ...]
+    error: float
 
 
 @dataclass(frozen=True)
@@ -73,16 +72,15 @@ class Experiment:
     """Cells of one kind, and how each is measured.
 
     question : its module; when all cells of a question are done, other rows of its tables go.  rows : of a cell in a
-    profile, each with its table.  timing : instead, what is timed, of a cell and its row without times.  errors : of
-    what is timed, the experiment of the same cells that makes those rows; a run without a clock has it alone.
+    profile, each with its table.  timing : instead, what is timed of a row that the experiment `of` has made.
     """
 
     question: str
     name: str
     cells: Callable[[Profile], list[Cell]]
     rows: Callable[[Cell, Profile], Recorded] = lambda cell, profile: iter(())
-    timing: Callable[[Cell, Profile, Row], Timing] | None = None
-    errors: Experiment | None = None
+    timing: Callable[[Row], Timing | None] | None = None
+    of: Experiment | None = None
 
     @property
     def timed(self) -> bool:
@@ -108,11 +106,9 @@ def experiment(
     return lambda rows: add(rows, cells=cells, rows=rows)
 
 
-def timed_experiment(
-    cells: Callable[[Profile], list[Cell]], errors: Experiment
-) -> Callable[[Callable[[Cell, Profile, Row], Timing]], Experiment]:
-    """Make an experiment, of its name, of the function that says what is timed of a cell and its row."""
-    return lambda timing: add(timing, cells=cells, timing=timing, errors=errors)
+def timed(of: Experiment) -> Callable[[Callable[[Row], Timing | None]], Experiment]:
+    """Make an experiment, of its name, of the function that says what is timed of a row of another one."""
+    return lambda timing: add(timing, cells=of.cells, timing=timing, of=of)
 
 
 def add(function: Callable[..., object], **given: Any) -> Experiment:

@@ -1,4 +1,4 @@
-"""What does an error cost on problems nobody chose?  One cell: the problems of a family and a seed."""
+"""What does an error cost on problems nobody chose, and how do runs end on hard ones?  One cell: those of a family."""
 
 from __future__ import annotations
 
@@ -9,41 +9,25 @@ from dataclasses import asdict
 import numpy as np
 
 from contactbench.measure.clock import Call
-from contactbench.methods.base import METHODS, Method, prepare
-from contactbench.peers.heyoka import SHARED
+from contactbench.methods.base import CALLBACKS, METHODS, PACKAGES, Method, prepare
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.peers.heyoka import SHARED, TAYLOR
 from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.runs.features import Features, features
-from contactbench.runs.problems import (
-    COUNT,
-    FAMILIES,
-    HARD,
-    HARD_COUNT,
-    SEED,
-    Problem,
-    draw,
-)
+from contactbench.runs.problems import COUNT, FAMILIES, HARD, HARD_COUNT, SEED, Problem, draw
 from contactbench.runs.search import Attempt, Question
 from contactbench.runs.settings import carry_of
-from contactbench.runs.trial import CLEAR, ENDS, Trial, agreed, is_short
+from contactbench.runs.trial import CLEAR, ENDS, Trial, agreed
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
-from contactbench.tables.declared import POPULATION, POPULATION_HARD, POPULATION_PROBLEMS
+from contactbench.tables.declared import POPULATION, PROBLEMS
 from contactbench.truth import Reference
 
-#: those that are best on such problems in the tables, the classical ones, and what libraries compile soon; first those
-#: by whose cost others are given up
-RACED = (
-    *("rkn12-10", "rkn8", "rk8-7", "rkn8-6", "rkn12", "rk8", "contact-rkn8", "contact-rkn6", "contact-rkn4"),
-    *("contact-o8", "contact-bm6", "contact-strang", "contact-exact", "contact-log8", "rk4"),
-    *("quinlan-tremaine8", "quinlan-tremaine12"),
-    *("cvode-adams", "cyrk-dop853", "cyrk-vern8", "cyrk-lsoda", "heyoka-taylor"),
-)
-#: what runs under a name, where it is not what is registered
-ALIKE = {SHARED.name: SHARED}
 ERRORS = (1e-3, 1e-6, 1e-9)
 #: visits of a call, and how many times slower than the fastest it may be to be visited again
 VISITS, SLOWER = 3, 10.0
-#: of hard problems: the tolerance, what is wrong, and steps in a period of what takes no tolerance
+#: of hard problems: the tolerance, by how much the error of a run may exceed it for there to be a truth, and steps in a
+#: period of what takes no tolerance
 TOLERANCE, WRONG, HARD_STEPS = 1e-6, 1e3, 1000
 #: the seed that `--seed` gives; empty: that of the repository
 OWN_SEED: list[int] = []
@@ -68,38 +52,73 @@ def truth_of(problem: Problem) -> tuple[Reference | None, str]:
     return agreed(scene, carry, *found), source
 
 
+# -- who is run ----------------------------------------------------------------------------------------
+#: from this order on methods lead on problems without a structure of their own
+HIGH = 8
+
+
+def raced(scene: Scene) -> list[Method]:
+    """Return who leads on some such problems, and what the mission has of compiled solvers, or what stands for it.
+
+    Of our methods with a step, one-step or not, of each family and order the one whose step is cheapest, of contact
+    methods from order 2 on, of others from `HIGH`; exact ones, pairs of high order, and the Taylor method.
+    """
+    stand_ins = {method.like for method in METHODS.values() if method.mission}
+    chosen: dict[object, Method] = {}
+    for method in METHODS.values():
+        if method.refuses(scene) or method.engines[0] in (*CALLBACKS, *PACKAGES):
+            continue
+        if method.stiff or method.iterates or method.follows or (method.order or HIGH) < 2:
+            continue
+        known = method.package and (method.mission or method.name in stand_ins)
+        if (
+            known
+            or method is TAYLOR
+            or (not method.package and not isinstance(method, FixedStep) and is_high(method))
+        ):
+            chosen[method.name] = SHARED if method is TAYLOR else method
+        elif isinstance(method, FixedStep) and (method.contact or method.mission or is_high(method)):
+            alike = method.contact, method.order, method.one_step
+            chosen[alike] = min(
+                method, chosen.get(alike, method), key=lambda m: (m.per_step(scene), not m.mission)
+            )
+    # first those by whose cost others are given up
+    return sorted(chosen.values(), key=lambda method: (bool(method.package), -(method.order or 0)))
+
+
+def is_high(method: Method) -> bool:
+    return (method.order or HIGH) >= HIGH
+
+
 # -- rows ----------------------------------------------------------------------------------------------
 def examine(problem: Problem) -> tuple[Row, Features, Reference | None]:
     """Return the row of a problem, what a pilot finds, and the truth."""
     scene, known = problem.scene, features(problem.scene)
-    truth, source = truth_of(problem)
+    truth, _ = truth_of(problem)
     row = {"seed": problem.seed, "scene": scene.name, "structure": problem.family, "hard": problem.hard}
-    row |= {"t_end": scene.t_end, "short": is_short(scene, known), "source": source}
-    return row | {"digits": truth.digits if truth else 0} | asdict(known), known, truth
+    row |= {"t_end": scene.t_end, "digits": truth.digits if truth else 0}
+    return row | asdict(known), known, truth
 
 
-def raced(scene: Scene) -> dict[str, Method]:
-    every = {name: ALIKE.get(name, METHODS[name]) for name in RACED}
-    return {name: method for name, method in every.items() if not method.refuses(scene)}
+def named(problem: Problem, method: Method) -> Row:
+    return {"seed": problem.seed, "scene": problem.scene.name, "method": method.name}
 
 
 def cost_rows(problem: Problem) -> Recorded:
     row, known, truth = examine(problem)
-    yield POPULATION_PROBLEMS, row
+    yield PROBLEMS, row
     if truth is None:
         return
     targets = [error for error in ERRORS if error >= CLEAR * 10.0**-truth.digits]
     question = Question(problem.scene, truth, ERRORS, math.inf)
-    trials = [Trial(question, method, known) for method in raced(problem.scene).values()]
+    trials = [Trial(question, method, known) for method in raced(problem.scene)]
     least: dict[float, float] = {}
     with np.errstate(all="ignore"):
         for trial in trials:
             trial.search(targets, least)
         seconds = visited([a for trial in trials for error in targets if (a := trial.best(error))])
     for trial in trials:
-        for row in trial.rows(targets, seconds):
-            name = {"seed": problem.seed, "scene": problem.scene.name, "method": trial.method.name}
-            yield POPULATION, name | row
+        yield from ((POPULATION, named(problem, trial.method) | row) for row in trial.rows(targets, seconds))
 
 
 def visited(tried: Sequence[Attempt]) -> dict[int, float]:
@@ -117,51 +136,35 @@ def visited(tried: Sequence[Attempt]) -> dict[int, float]:
 def hard_rows(problem: Problem) -> Recorded:
     """Yield how each method ends that is given a tolerance, or a step where it takes none."""
     row, known, truth = examine(problem)
-    yield POPULATION_PROBLEMS, row
+    yield PROBLEMS, row
     if truth is None or 10.0**-truth.digits * CLEAR > TOLERANCE * WRONG:
         return
     question = Question(problem.scene, truth, ERRORS, math.inf)
-    for name, method in raced(problem.scene).items():
+    for method in raced(problem.scene):
         steps = method.control == "step" and not (method.one_step or method.follows)
         control = "exact" if method.exact else "step" if steps else "rtol"
         value = 2 * math.pi / known.omega / HARD_STEPS if steps else TOLERANCE
         with np.errstate(all="ignore"):
             one = Trial(question, method, known).attempt(0.0 if method.exact else value, control)
-        row = {"seed": problem.seed, "scene": problem.scene.name, "hard": problem.hard, "method": name}
-        row |= {"control": control, "value": one.value, "status": str(one.status), "message": one.message}
-        row |= {"engine": one.engine, "error_reached": one.error, "evaluations": one.evaluations}
-        yield POPULATION_HARD, row | {"right": one.error <= TOLERANCE * WRONG if one.ok else None}
+        row = named(problem, method) | {"error": TOLERANCE, "status": str(one.status), "note": one.message}
+        yield POPULATION, row | {"reached": one.error, "evaluations": one.evaluations}
 
 
 # -- cells ---------------------------------------------------------------------------------------------
-#: of the smoke profile the first problem of these
-SMOKE = ("pendulum", "toda-2")
-
-
 def cells(profile: Profile) -> list[Cell]:
-    """Return family, seed, and the first and last of its problems, or kind of hard problem and seed."""
+    """Return (family, seed, kind of hard problems or blank); smoke has one family."""
     seeds = OWN_SEED or [SEED]
-    found: list[Cell] = [(family, seed, 0, 1) for seed in seeds for family in SMOKE]
-    if not profile.brief:
-        found += [(family, seed, int(family in SMOKE), COUNT) for seed in seeds for family in FAMILIES]
-    return found
-
-
-def hard_cells(profile: Profile) -> list[Cell]:
-    seeds = OWN_SEED or [SEED]
-    return [] if profile.brief else [(kind, seed) for seed in seeds for kind in HARD]
+    easy = [(family, "") for family in FAMILIES]
+    hard = [(family, kind) for kind in HARD for family in HARD[kind].families]
+    chosen = easy[:1] if profile.brief else easy + hard
+    return [(family, seed, kind) for seed in seeds for family, kind in chosen]
 
 
 @experiment(cells)
 def population(cell: Cell, profile: Profile) -> Recorded:
-    family, seed, low, high = cell
-    for number in range(low, high):
-        yield from cost_rows(draw(seed, family, number))
-
-
-@experiment(hard_cells)
-def population_hard(cell: Cell, profile: Profile) -> Recorded:
-    kind, seed = cell
-    for number in range(HARD_COUNT):
-        families = HARD[kind].families
-        yield from hard_rows(draw(seed, families[number % len(families)], number, kind))
+    family, seed, kind = cell
+    families = HARD[kind].families if kind else (family,)
+    count = HARD_COUNT if kind else 1 if profile.brief else COUNT
+    for number in range(count):
+        if families[number % len(families)] == family:
+            yield from (hard_rows if kind else cost_rows)(draw(seed, family, number, kind))

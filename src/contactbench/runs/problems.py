@@ -24,9 +24,9 @@ from contactbench.scene import Driven, Mechanical, RigidBody, Scene, Spheres
 
 #: of the population, fixed before it was run; problems of each family
 SEED = 20261125
-COUNT = 12
+COUNT = 9
 #: hard problems of each kind
-HARD_COUNT = 10
+HARD_COUNT = 6
 #: damping over frequency, span in periods, frequency: from and to, uniform in the logarithm
 DAMPING, SPAN, FREQUENCY = (1e-5, 10.0), (3.0, 3000.0), (0.1, 10.0)
 #: of hard problems

@@ -18,15 +18,13 @@ from pathlib import Path
 from tqdm import tqdm
 
 from contactbench.errors import BadInput, one_line
-from contactbench.measure.clock import Call
 from contactbench.measure.isolation import Died, Worker, settle
-from contactbench.methods import METHODS
-from contactbench.methods.base import ENGINES
 from contactbench.plugins import OWN, brought
 from contactbench.runs.experiment import Cell, Experiment, Profile, Row, experiments
 from contactbench.runs.timetable import Entry, Timetable
 from contactbench.tables import cells as journal
 from contactbench.tables import provenance
+from contactbench.tables.declared import TIMES
 from contactbench.tables.schema import TABLES, Table
 from contactbench.tables.store import OldTable, check, read
 
@@ -120,8 +118,8 @@ class Run:
         self.cells.merge([task.key for task in self.tasks()] if whole else (), OWN if self.own else ())
 
     # -- one cell ----------------------------------------------------------------------------------
-    def measure(self, task: Task, timetable: Timetable | None = None) -> Entry | None:
-        """Measure a cell and keep its rows, those before a failure too; one that is to be timed joins a timetable."""
+    def measure(self, task: Task, timetable: Timetable | None = None) -> list[Entry]:
+        """Measure a cell and keep its rows, those before a failure too; what is to be timed joins a timetable."""
         if timetable is not None:
             return self.prepare(task, timetable)
         rows: list[tuple[Table, Row]] = []
@@ -133,56 +131,45 @@ class Run:
         finally:
             if rows or finished:
                 self.cells.save(rows, task.key, finished)
-        return None
+        return []
 
     def complete(self, task: Task, table: Table, row: Row) -> Row:
-        """Add what the method declares, and the smallest profile that has the cell; raise `BadInput` for a bad row."""
-        declared = {"family", "package"} & set(table.columns) if row.get("method") in METHODS else ()
-        known = {name: getattr(METHODS[row["method"]], name) for name in declared}
-        row = {**known, **row, "profile": task.experiment.profile_of(task.cell)}
+        """Add the smallest profile that has the cell, unless the row says its own; raise `BadInput` for a bad row."""
+        if "profile" in table.columns:
+            row = {"profile": task.experiment.profile_of(task.cell), **row}
         check(table, row)
-        if row.get("status", "ok") != "ok" and not row["message"]:
-            raise BadInput(f"table {table.name!r}: status {row['status']} without a message")
+        why = "message" if "message" in table.columns else "note"
+        if row.get("status", "ok") != "ok" and why in table.columns and not row.get(why):
+            raise BadInput(f"table {table.name!r}: status {row['status']} without a {why}")
         return row
 
-    def prepare(self, task: Task, timetable: Timetable) -> Entry | None:
-        """Return a cell's entry of a timetable; None where there is no row, or its run ends badly: nothing to time."""
-        assert task.experiment.timing is not None
-        row = self.untimed(task)
+    def prepare(self, task: Task, timetable: Timetable) -> list[Entry]:
+        """Return the entries of a timetable that a cell has: a row each that is to be timed."""
         timetable.ahead.discard(task.key)
-        if row is None:
+        timing = task.experiment.timing
+        assert timing is not None
+        timings = [each for row in self.untimed(task) if (each := timing(row)) is not None]
+        rows: list[tuple[Table, Row]] = []
+
+        def record(row: Row) -> None:
+            rows.append((TIMES, self.complete(task, TIMES, row)))
+            if len(rows) == len(timings):
+                self.cells.save(rows, task.key)
+
+        if not timings:
             self.cells.save([], task.key)
-            return None
-        timing = task.experiment.timing(task.cell, self.profile, row)
-        call: Call | None = None
-        if row["status"] == "ok":
-            more, call = timing.prepare(*timing.arguments)
-            row |= more
-        row = self.complete(task, timing.table, row)
+        return [timetable.add(each, record) for each in timings]
 
-        def keep(columns: Row) -> None:
-            self.cells.save([(timing.table, self.complete(task, timing.table, row | columns))], task.key)
-
-        if call is None:
-            keep({})
-            return None
-        call.warm_up()
-        again = timetable.second(timing) if task.key in timetable.sample else None
-        timetable.entries.append(Entry(call, again, keep))
-        return timetable.entries[-1]
-
-    def untimed(self, task: Task) -> Row | None:
-        """Return the row that a timed cell adds its times to, as measured in this run or now; None for no row."""
-        errors = task.experiment.errors
-        assert errors is not None
-        if known := self.cells.rows(Task(errors, task.cell, task.name).key):
-            return dict(known[0][1])
-        row = next(errors.rows(task.cell, self.profile), None)
-        return None if row is None else dict(row[1])
+    def untimed(self, task: Task) -> list[Row]:
+        """Return the rows of the cell that is timed, as measured in this run, or now."""
+        assert task.experiment.of is not None
+        own = Task(task.experiment.of, task.cell, task.name)
+        if self.cells.rows(own.key) is None:
+            self.measure(own)
+        return [dict(row) for _, row in self.cells.rows(own.key) or ()]
 
     def timetable(self, tasks: Iterable[Task]) -> Timetable:
-        engines = {task.key: next((part for part in task.cell if part in ENGINES), "") for task in tasks}
-        return Timetable(engines, self.profile.visits)
+        return Timetable({task.key for task in tasks}, self.profile.visits)
 
 
 # -- processes ---------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from contactbench.runs.settings import ENDS, carry_of, control_of, setting_to, s
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
-from contactbench.solution import Counts, Solution, Status
+from contactbench.solution import GROWING, Counts, Solution, Status
 from contactbench.truth import OutOfTime, Reference
 
 
@@ -316,3 +316,10 @@ class Search:
         ended = worst.status, worst.message, seconds, error, solution.counts, run
         self.attempts.append(Attempt(value, run.request.setting, *ended))
         return self.attempts[-1]
+
+    def along(self, attempt: Attempt) -> Prepared:
+        """Return a run at a setting tried that carries every field; saved at the ends, where steps grow at each."""
+        scene = self.question.scene
+        setting = setting_to(scene.t_end, scene, self.control, attempt.value)
+        saves = None if self.control == GROWING else Elapsed(times(scene, ENDS))
+        return prepare(scene, self.method, save_at=saves, engine=self.engine, **setting)

@@ -8,20 +8,25 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Method
-from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.multistep import Multistep
 from contactbench.methods.prescribed import geometric_steps
 from contactbench.scene import Scene
-from contactbench.solution import GROWING, keywords
+from contactbench.solution import EXACT, GROWING, keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
 #: end times over whose runs the largest error is taken
 ENDS = 5
-#: coarsest step; below it a ladder halves
-COARSEST = 0.8
+#: coarsest step; below it a ladder halves, and from this order on falls by √2
+COARSEST, HIGH_ORDER = 0.8, 6
 #: evaluations that a run of a ladder may cost below its last step
 DEAREST = 2**18
+#: of runs along the motion the coarsest time for an evaluation, in parts of the span; the others, in parts of it; and
+#: the tolerances, beside the finest
+PARTS, BY_FOUR, LOW_ORDER = 400, (1.0, 1 / 4, 1 / 16, 1 / 64), 2
+ALONG = (1e-4, 1e-7, 1e-10)
+#: the tolerances of what chooses its steps by pilots
+PILOTED = [10.0**-k for k in range(3, 13)]
 RTOLS = [10.0**-k for k in range(3, 15)]
 #: beside the tolerances of `RTOLS`: some methods are a thousand times more accurate than asked
 LOOSEST = 1e-1
@@ -43,7 +48,7 @@ def steps(scene: Scene, method: Method) -> list[float]:
     That is from errors of 10⁻² or 10⁻³ on; high orders need not go as far down, and go on by `finer_steps` where they
     do.  Steps of one evaluation are an eighth of theirs.
     """
-    if (method.order or 1) < 6:
+    if (method.order or 1) < HIGH_ORDER:
         fine = halving_steps(scene, 9)
         longer = "body" in scene.kind or scene.slows_after is not None
         return [fine[0] * 5, fine[0] * 2.5, *fine] if longer else fine
@@ -52,19 +57,64 @@ def steps(scene: Scene, method: Method) -> list[float]:
     return [scene.t_end / n for n in dict.fromkeys(counts)]
 
 
-def finer_steps(scene: Scene, method: Method) -> list[float]:
-    """Return steps that halve below those, as long as a run costs no more than `DEAREST` evaluations."""
-    each = method.per_step(scene) if isinstance(method, FixedStep) else 1
+def finer_steps(scene: Scene, method: Method, dearest: float = DEAREST) -> list[float]:
+    """Return steps that halve below those, as long as a run costs no more evaluations than that."""
     halved = [steps(scene, method)[-1]]
-    while scene.t_end / halved[-1] * 2 * each <= DEAREST:
+    while scene.t_end / halved[-1] * 2 * evaluations_of_step(scene, method) <= dearest:
         halved.append(halved[-1] / 2)
     return halved[1:]
+
+
+def evaluations_of_step(scene: Scene, method: Method) -> float:
+    """Return the right-hand sides that a fixed step stands for, two rotations one."""
+    own: Any = method
+    each: float = own.per_step(scene)
+    return each / 2 if own.kind_on(scene) == "rotation" else each
 
 
 def tolerances(method: Method) -> list[float]:
     low, high = method.rtol_range
     rungs = [LOOSEST, *RTOLS, *(BETWEEN if method.order is None else [])]
     return [*sorted((rtol for rtol in rungs if low < rtol <= high), reverse=True), low]
+
+
+def ladder(scene: Scene, method: Method, control: str, dearest: float) -> tuple[list[float], list[float]]:
+    """Return the settings at which a method may be run, coarse to fine, and those among them that are enough.
+
+    dearest : evaluations of a run by steps at most.
+    """
+    if control == EXACT:
+        return [0.0], [0.0]
+    if control == "rtol":
+        every = tolerances(method) if method.adaptive else PILOTED
+        first = 1 if method.adaptive else 0  # the loosest is decades from the next
+        return every, [*every[:first], *every[first::2]]
+    coarse, finer = steps(scene, method), finer_steps(scene, method, dearest)
+    enough = [*coarse[::2], *(finer if (method.order or 1) >= HIGH_ORDER else finer[1::2])]
+    shortest = scene.t_end * evaluations_of_step(scene, method) / dearest
+    every = [step for step in (*coarse, *finer) if step >= shortest] or coarse[:1]
+    return every, [step for step in every if step in enough]
+
+
+def rungs_of_equal_cost(scene: Scene, method: Method) -> list[float]:
+    """Return the settings of the runs that are looked at along the motion, coarse to fine.
+
+    Steps are as many times longer as they have evaluations, so that a rung costs every method the same; low orders
+    have one more.
+    """
+    if method.control == EXACT:
+        return [0.0]
+    if method.adaptive:
+        finest = method.rtol_range[0]
+        return [*(rtol for rtol in ALONG if rtol > finest), finest]
+    paces = scene.pace or (scene.t_end / PARTS,)
+    if len(paces) == 1:
+        paces = tuple(paces[0] * part for part in BY_FOUR)
+    if (method.order or 1) <= LOW_ORDER:
+        paces = (*paces, paces[-1] / 4)
+    longest = scene.t_end / SAVES  # no step straddles a saved time
+    each = 1.0 if method.refuses(scene) else evaluations_of_step(scene, method)
+    return list(dict.fromkeys(min(pace * each, longest) for pace in paces))
 
 
 def control_of(scene: Scene, method: Method) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.methods.base import Method, prepare
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.prepared import Prepared
 from contactbench.peers.heyoka import SHARED
 from contactbench.questions.regret import WORST
 from contactbench.runs.experiment import Row
@@ -44,21 +45,6 @@ LEAP = 24.0
 FIRST_STEP, FIRST_TOLERANCE = 0.25, 1e-4
 #: truth: an error is asked for that is so many times what two solvers differ by
 CLEAR = 10.0
-#: a motion is short where a run to these tolerances takes no more in Python, in additions there; and what an evaluation
-#: takes beside its own
-SHORT, IN_PYTHON, TOLERANCES = 6e6, 80.0, (1e-12, 1e-13)
-
-
-def is_short(scene: Scene, known: Features) -> bool:
-    """Return whether runs to `TOLERANCES` take no more evaluations than there is time for in Python."""
-    most = max(1, int(SHORT / (known.cost + IN_PYTHON) / TYPICAL))
-    ends, carry = [part * scene.t_end for part in ENDS], carry_of(scene)
-    with np.errstate(all="ignore"):
-        runs = (
-            prepare(scene, "rk8-7", save_at=Elapsed(ends), carry=carry, rtol=rtol, max_steps=most)
-            for rtol in TOLERANCES
-        )
-        return all(run().ok for run in runs)
 
 
 def agreed(scene: Scene, carry: tuple[str, ...], one: Solution, other: Solution) -> Reference:
@@ -83,24 +69,20 @@ class Trial:
         scene, carry = self.question.scene, carry_of(self.question.scene)
         beside = OWN_WORK if self.stages == VARIABLE else BESIDE
         most = min(self.limit, LONGEST / (self.known.cost + beside))
-        runs = []
-        for part in ENDS:
-            end = part * scene.t_end
-            given = keywords(control or self.method.control, value)
-            given |= {"max_steps": max(100, int(most / self.stages))}
-            runs.append(prepare(scene, self.method, save_at=Elapsed([end]), carry=carry, **given))
-        solutions: list[Solution] = []
-        seconds = math.inf
-        for part, run in zip(ENDS, runs, strict=True):
+        given = keywords(control or self.method.control, value)
+        given |= {"max_steps": max(100, int(most / self.stages)), "carry": carry}
+        runs, solutions, seconds = list[Prepared](), list[Solution](), math.inf
+        for part in reversed(ENDS):  # where the whole run ends badly no other is made
+            runs.append(prepare(scene, self.method, save_at=Elapsed([part * scene.t_end]), **given))
             begun = perf_counter()
-            solutions.append(run())
+            solutions.append(runs[-1]())
             seconds = min(seconds, (perf_counter() - begun) / part)
             if not solutions[-1].ok:
                 break
-        last = solutions[-1]
-        error = self.question.error(solutions) if last.ok else math.nan
-        ended = last.status, last.message, seconds, error, last.counts, runs[-1]
-        self.tried.append(Attempt(value, runs[-1].request.setting, *ended))
+        last = solutions[0] if solutions[-1].ok else solutions[-1]
+        error = self.question.error(solutions[::-1]) if last.ok else math.nan
+        ended = last.status, last.message, seconds, error, last.counts, runs[0]
+        self.tried.append(Attempt(value, runs[0].request.setting, *ended))
         return self.tried[-1]
 
     @property
@@ -189,22 +171,12 @@ class Trial:
         costs = costs_to_reach(errors, [one.evaluations for one in good], targets)
         for target, cost in zip(targets, costs, strict=True):
             best, finest = self.best(target), min(self.tried, key=lambda one: one.value)
-            row: Row = {"error": target, "control": self.method.control, "engine": finest.engine}
+            row: Row = {"error": target}
             if best is None or math.isnan(cost):
                 ended = finest.status is not Status.ok
                 why = str(finest.status) if ended else "unreached"
-                yield row | {"status": why, "message": finest.message or "no setting tried is as accurate"}
+                yield row | {"status": why, "note": finest.message or "no setting tried is as accurate"}
                 continue
             share = cost / best.evaluations if best.evaluations else 1.0
-            order = 1.0 if self.method.adaptive else float(self.method.order or 1)
-            value = best.value * (
-                (target / max(best.error, target * AIM)) ** (1 / order) if share < 1 else 1.0
-            )
-            yield row | {
-                "status": "ok",
-                "message": "",
-                "value": value,
-                "evaluations": cost,
-                "error_reached": best.error,
-                "time_s": seconds.get(id(best), math.nan) * share,
-            }
+            row |= {"status": "ok", "reached": best.error, "evaluations": cost}
+            yield row | {"time_s": seconds.get(id(best), math.nan) * share}
