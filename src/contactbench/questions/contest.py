@@ -267,6 +267,11 @@ def families(runs: pd.DataFrame) -> dict[str, str]:
     return dict(zip(runs["method"], runs["family"], strict=True))
 
 
+def with_family(rows: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
+    known = families(runs)
+    return rows.assign(family=[known.get(name, "") for name in rows["method"]])
+
+
 def drawn(population: pd.DataFrame, problems: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of the random problems that are not hard, with what a pilot says of each problem."""
     usual = problems[problems["hard"] == ""].rename(columns={"cost": "force"})
@@ -281,8 +286,7 @@ def random_contests(
 
     cost : evaluations, or time_s, which was measured in one process.
     """
-    rows = drawn(population, problems)
-    rows = rows.assign(family=rows["method"].map(families(runs)), halves=1.0, processes=1.0)
+    rows = with_family(drawn(population, problems), runs).assign(halves=1.0, processes=1.0)
     rows["cost"] = rows[cost].where(rows["status"] == "ok")
     within = WIDEST if cost == "time_s" else 1.0
     return sides(rows, ("seed", "scene", "error"), within=within).merge(problems, on=["seed", "scene"])
