@@ -144,7 +144,7 @@ def test_report_and_gate_know_a_table_that_a_module_among_the_chapters_declares(
     shutil.copy(EXTENSIONS[-1], chapters / "half_life.py")
     run(sys.executable, EXTENSIONS[-1], tables).check_returncode()
     (tables / "environment.json").write_text(json.dumps({"runs": [RUN]}))
-    line = "import sys, contactbench.report as r; r.__path__.append(sys.argv.pop(1)); "
+    line = "import sys, contactbench.questions as r; r.__path__.append(sys.argv.pop(1)); "
     line += "from contactbench.cli import main; sys.exit(main(sys.argv[1:]))"
     contactbench = partial(run, sys.executable, "-c", line, chapters)
     contactbench("report", "--results", tables).check_returncode()

@@ -53,7 +53,7 @@ def test_the_examples_are_raced(repository):
     out = called(repository, "compare", "oscillator", *METHODS, "rk4", "--error", "1e-2", "--budget", "120s")
     assert all(re.search(rf"^{name} .*µs|^{name} .*ms", out, re.MULTILINE) for name in METHODS)
     assert re.search(r"^Take ", out, re.MULTILINE)
-    assert "which.md" in out.splitlines()[-1]
+    assert "problems.md" in out.splitlines()[-1]
 
 
 @pytest.mark.slow

@@ -251,7 +251,7 @@ def sides(
         reached[side[reached.index]].groupby(list(keys), sort=False).head(1).set_index(list(keys))
         for side in (own, ~own)
     ]
-    found = first[0].join(first[1], how="outer", lsuffix="_ours", rsuffix="_other")
+    found = first[0].add_suffix("_ours").join(first[1].add_suffix("_other"), how="outer")
     cost, halves, processes = (
         [found[f"{name}_{side}"].where(found[f"cost_{side}"].notna(), none) for side in ("ours", "other")]
         for name, none in (("cost", math.inf), ("halves", 1.0), ("processes", 1.0))
@@ -265,6 +265,11 @@ def sides(
 # -- other tables ----------------------------------------------------------------------------------
 def families(runs: pd.DataFrame) -> dict[str, str]:
     return dict(zip(runs["method"], runs["family"], strict=True))
+
+
+def with_family(rows: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
+    known = families(runs)
+    return rows.assign(family=[known.get(name, "") for name in rows["method"]])
 
 
 def drawn(population: pd.DataFrame, problems: pd.DataFrame) -> pd.DataFrame:
@@ -281,8 +286,7 @@ def random_contests(
 
     cost : evaluations, or time_s, which was measured in one process.
     """
-    rows = drawn(population, problems)
-    rows = rows.assign(family=rows["method"].map(families(runs)), halves=1.0, processes=1.0)
+    rows = with_family(drawn(population, problems), runs).assign(halves=1.0, processes=1.0)
     rows["cost"] = rows[cost].where(rows["status"] == "ok")
     within = WIDEST if cost == "time_s" else 1.0
     return sides(rows, ("seed", "scene", "error"), within=within).merge(problems, on=["seed", "scene"])

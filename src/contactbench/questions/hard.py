@@ -11,7 +11,7 @@ import pandas as pd
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import ALIKE, ties
 from contactbench.questions.answers import share
-from contactbench.questions.contest import hard_runs, ranked
+from contactbench.questions.contest import hard_runs, ranked, with_family
 from contactbench.questions.cost import leaders_view
 from contactbench.questions.judgement import SAVED
 from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
@@ -132,6 +132,6 @@ def parts(frames: Frames) -> Iterator[Part | None]:
     yield endings_view(hard)
     yield leaders_view(ranked(hard, saved=SAVED), "evaluations", "hard_leaders")
     yield limits_view(limits)
-    yield stability_map(limits)
+    yield stability_map(with_family(limits, frames["runs"]))
     yield rates_view(limits)
     yield strong_view(limits)

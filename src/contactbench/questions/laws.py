@@ -19,6 +19,7 @@ from contactbench.report.look import look
 from contactbench.report.numbers import count, names, scientific
 from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.solution import EXACT
+from contactbench.tables.declared import RUNS
 
 #: the scenes of the mission
 SCENES: list[str] = PROSE["README"]["scenes"]
@@ -74,9 +75,11 @@ def broken_view(rows: pd.DataFrame) -> View:
 
 # -- at equal cost ---------------------------------------------------------------------------------
 def laws_on(rows: pd.DataFrame) -> list[str]:
-    """Return the laws that a table at equal cost shows: of the energies where measured, of the map where claimed."""
-    shown = [law for law in ("energy_law", "hamiltonian_law") if rows[law].notna().any()]
-    return shown + [law for law in structural_laws() if rows[f"{law}_claimed"].any()]
+    """Return the laws that a table at equal cost shows: those of the map where claimed, the others where measured."""
+    of_the_map = structural_laws()
+    others = [law for law, column in RUNS.columns.items() if column.label and law not in of_the_map]
+    shown = [law for law in others if rows[law].notna().any()]
+    return shown + [law for law in of_the_map if rows[f"{law}_claimed"].any()]
 
 
 def law_cell(found: pd.Series, law: str) -> Cell:

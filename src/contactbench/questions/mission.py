@@ -49,7 +49,9 @@ def slower(frames: Frames) -> Answer | None:
 def findings(frames: Frames) -> Iterator[Answer]:
     """Yield the answers that stand in the README of the project."""
     for law, label in PROMISED.items():
-        yield from filter(None, [laws.kept(frames, law, f"Does it keep {label} where it promises to?")])
+        yield from filter(
+            None, [laws.kept(frames, law, f"Does a method keep {label} wherever it claims to?")]
+        )
     yield from orders.answers(frames)
     yield from filter(None, [cost.answer(frames, ASKED[0])])
     yield from list(problems.answers(frames))[-1:]

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pandas as pd
 
 from contactbench.questions.answers import share
+from contactbench.questions.contest import with_family
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import by_method, choose, floats, lowest, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
@@ -66,7 +67,7 @@ def order_cell(rows: pd.DataFrame) -> Cell:
 @chapter("orders", answers)
 def parts(frames: Frames) -> list[Part | None]:
     orders = matrix(fits(frames["orders"]), "method", "scene", order_cell)
-    return [view("orders", orders, agrees=AGREES), figure(frames["orders"])]
+    return [view("orders", orders, agrees=AGREES), figure(with_family(frames["orders"], frames["runs"]))]
 
 
 def guides(rows: pd.DataFrame, methods: list[str]) -> Iterator[Curve]:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from contactbench.measure.statistics import WIDEST, costs_to_reach
 from contactbench.questions.answers import evaluate
-from contactbench.questions.contest import ALLOWED, CONTACT, families, ring_costs, ring_runs
+from contactbench.questions.contest import ALLOWED, CONTACT, families, ring_costs, ring_runs, with_family
 from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import by_method, choose, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
@@ -31,8 +31,7 @@ def main_rows(frames: Frames) -> pd.DataFrame:
     """Return the runs at the damping that has the most of them: all methods are run there."""
     rows = ring_runs(frames["ring"], frames["times"])
     most = rows["gamma"].mode()
-    rows = rows[rows["gamma"].isin(most.head(1))]
-    return rows.assign(family=rows["method"].map(families(frames["runs"])).fillna(""))
+    return with_family(rows[rows["gamma"].isin(most.head(1))], frames["runs"])
 
 
 def answers(frames: Frames) -> Iterator[Answer]:

@@ -9,27 +9,29 @@ from cases import REPOSITORY
 from contactbench.cli import main
 from contactbench.gate import trees
 from contactbench.questions.write import README_PART
-from contactbench.tables.declared import CONVERGENCE, LAWS_TABLE
+from contactbench.tables.declared import ORDERS, RUNS
 from contactbench.tables.store import merge
 from frames import row
 
 
 def rows(method, order):
-    """A method of an order, at three steps."""
-    fit = {"order": order, "last_slope": order, "in_fit": True, "order_nominal": order, "profile": "smoke"}
+    """A method of an order, at three steps: what runs.csv and orders.csv have of it."""
     for h in (0.1, 0.01, 0.001):
+        error = {"error": h**order / 10, "status": "ok"}
         laws = {"energy_law": h**order, "contact_drift": h**order, "evaluations": round(20 / h)}
-        yield row("particle", method, h, solution_error=h**order / 10, step=h, **laws, **fit)
+        yield row("particle", method, h, profile="smoke", **error | laws)
+        fit = {"order": order, "in_fit": True, "order_nominal": order}
+        yield {"scene": "particle", "method": method, "engine": "llvm", "step": h} | error | fit
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A folder of tables with its documents, and a README beside it."""
     folder = tmp_path_factory.mktemp("project") / "results"
-    for table in (CONVERGENCE, LAWS_TABLE):
-        made = [*rows("contact-strang", 2), *rows("rk4", 4)]
-        merge(table, [{name: r[name] for name in r if name in table.every_column} for r in made], folder)
-    (folder.parent / "README.md").write_text(f"before\n{README_PART[0]}old{README_PART[1]}\nafter\n")
+    made = [*rows("contact-strang", 2), *rows("rk4", 4)]
+    merge(RUNS, made[::2], folder)
+    merge(ORDERS, made[1::2], folder)
+    (folder.parent / "README.md").write_text(f"before\n{README_PART[0]}outdated{README_PART[1]}\nafter\n")
     assert main(["report", "--results", str(folder), "--readme", str(folder.parent / "README.md")]) == 0
     return folder
 
@@ -49,7 +51,7 @@ def checked(results, capsys):
 def test_what_was_just_written_agrees(results, capsys):
     assert checked(results, capsys)[0] == 0
     text = (results.parent / "README.md").read_text()
-    assert (text[:7], text[-6:], "old" in text) == ("before\n", "after\n", False)
+    assert (text[:7], text[-6:], "outdated" in text) == ("before\n", "after\n", False)
     assert "| Do the methods have the order they claim?" in text
 
 
@@ -79,9 +81,9 @@ HARM = {
     "missing": lambda path: path.unlink(),
 }
 FILES = (
-    ("convergence.md", "../README.md"),
+    ("laws.md", "../README.md"),
     ("old.md", "figures/old.svg"),
-    ("laws.md", "figures/convergence.svg"),
+    ("laws.md", "figures/orders.svg"),
 )
 CASES = [(name, says) for says, names in zip(HARM, FILES, strict=True) for name in names]
 
@@ -95,7 +97,7 @@ def test_a_file_that_differs_is_named_and_nothing_is_written(name, says, results
 
 
 def test_points_that_are_moved_are_seen_and_drawn_anew(results, capsys):
-    figure = results / "figures" / "convergence.svg"
+    figure = results / "figures" / "orders.svg"
     before = figure.read_text()
     points = re.compile(r'(<use xlink:href="#\w+" x="[\d.]+" y=")([\d.]+)')
     figure.write_text(points.sub(lambda found: f"{found[1]}{0.8 * float(found[2]):.6f}", before))
@@ -106,7 +108,7 @@ def test_points_that_are_moved_are_seen_and_drawn_anew(results, capsys):
 
 
 def test_names_dates_and_last_digits_are_no_difference(results, capsys):
-    figure = results / "figures" / "convergence.svg"
+    figure = results / "figures" / "orders.svg"
     before = figure.read_text()
     text = re.sub(r"\b([a-z])[0-9a-f]{10}\b", lambda name: name[1] + name[0][:0:-1], before)
     text = re.sub(r"(\d+\.\d{6})(?=[\" ])", lambda place: f"{float(place[1]) + 2e-6:.6f}", text)
