@@ -9,7 +9,7 @@ from contactbench.errors import BadInput
 from contactbench.gate.compare import compare_folders
 from contactbench.tables.schema import TABLES, Rule
 from contactbench.tables.store import merge, read
-from made_up import ROWS, RUN, folder, point, row, same, time, without
+from made_up import ROWS, RUN, folder, row, same, time, without
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,10 @@ def test_what_may_move_is_green(judge):
     assert found.moved.empty, found.moved
 
 
-CLAIM, LIMIT = ROWS["claims"][0], {"question": "stability", "scene": "oscillator", "method": "rk4", "gamma": 0.0}
+CLAIM, LIMIT = (
+    ROWS["claims"][0],
+    {"question": "stability", "scene": "oscillator", "method": "rk4", "gamma": 0.0},
+)
 LOWER, UPPER = CLAIM | {"relation": "≥", "bound": 1.9}, CLAIM | {"bound": 0.01}
 POINT = {"figure": "f", "panel": "p", "curve": "c", "kind": "method", "point": 0}
 CURVE = [{**POINT, "x": 1.0, "y": 1e-9}, {**POINT, "point": 1, "x": 0.0, "y": 1.0}]
@@ -139,7 +142,9 @@ def tables(path, **rows):
     """A folder of these rows alone."""
     for name, each in rows.items():
         merge(TABLES[name], each, path)
-    (path / "environment.json").write_text(json.dumps({"runs": [RUN | {"tables": dict.fromkeys(rows, "whole")}]}))
+    (path / "environment.json").write_text(
+        json.dumps({"runs": [RUN | {"tables": dict.fromkeys(rows, "whole")}]})
+    )
     return path
 
 
@@ -149,7 +154,8 @@ def test_a_value_moves_within_its_limits_only(case, tmp_path, only_tables):
     only_tables(name)
     before = tables(tmp_path / "before", **{name: rows})
     little, much = (
-        tables(tmp_path / str(value), **{name: [{**rows[0], column: value}, *rows[1:]]}) for value in (little, much)
+        tables(tmp_path / str(value), **{name: [{**rows[0], column: value}, *rows[1:]]})
+        for value in (little, much)
     )
     assert compare_folders(before, little).moved.empty
     assert {measure for *_, measure in red(compare_folders(before, much))} == {column}
@@ -240,7 +246,9 @@ def test_new_rows_are_not_judged(baseline, tmp_path):
 def older(path):
     """A folder of tables as they were before these."""
     folder(path)
-    (path / "laws.csv").write_text("scene,method,setting,solution_error,schema,profile\nparticle,rk4,step=1,1,3,smoke\n")
+    (path / "laws.csv").write_text(
+        "scene,method,setting,solution_error,schema,profile\nparticle,rk4,step=1,1,3,smoke\n"
+    )
     (path / "claims.csv").write_text("id,claim,verdict,schema,profile\nC01,all,holds,3,smoke\n")
     (path / "motion.csv").write_text("scene,method,t,energy,schema\nparticle,rk4,1.0,0.5,3\n")
     return path

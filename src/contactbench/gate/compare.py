@@ -138,7 +138,7 @@ def allowed(rule: Rule, old: np.ndarray, rows: pd.DataFrame, alike: bool) -> np.
 
 def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False) -> pd.DataFrame:
     """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene."""
-    if before.empty:
+    if before.empty or before.equals(after):
         return rows_of()
     if after.empty:
         row = {"table": table.name, "measure": "table", "before": f"{len(before)} rows", "after": "none"}
@@ -155,6 +155,8 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool
         moved = distance(name, rule, both, alike)
         if name not in ("status", "profile"):  # the numbers of a run that ended otherwise say nothing more
             moved = np.where(same_end, moved, 0.0)
+        if not (moved > 1).any():
+            continue
         rows, moved = both[moved > 1], moved[moved > 1]
         old, new = ([show(value) for value in rows[column]] for column in (name, f"{name} after"))
         part = locate(table, rows).assign(measure=name, before=old, after=new, result="moved", distance=moved)
