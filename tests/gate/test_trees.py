@@ -221,6 +221,20 @@ def test_a_base_of_an_older_layout_is_neither_red_nor_compared(root, judge):
     assert red(judge(broken)) == {"tree → fresh: error"}
 
 
+def test_times_are_held_to_a_fresh_run_of_the_same_machine(root, tmp_path):
+    def timed(path, factor):
+        names = ("rk4", "rk8", "contact-abc")
+        rows = [made_up.time(m, f"step={k}", factor if m == "rk8" else 1.0) for m in names for k in (1, 2, 3)]
+        merge(TABLES["times"], rows, path)
+
+    timed(root / "results", 1.0)
+    commit(root, "Times\n\nTables-changed: times")
+    for isa, expected in {"x": {"tree → fresh: least_s"}, "y": set()}.items():
+        run = fresh(root, tmp_path / isa, isa=isa)
+        timed(run, 10.0)
+        assert red(trees.gate(root, fresh=run, parts=("accuracy",))) == expected
+
+
 def test_a_table_on_the_command_line_is_listed_too_and_must_be_one(root, judge):
     remake(broken)(root)
     assert judge(broken).red

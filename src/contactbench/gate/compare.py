@@ -123,8 +123,8 @@ def allowed(rule: Rule, old: np.ndarray, rows: pd.DataFrame, alike: bool) -> np.
             return np.where(rows["status"] == "ok", 0.0, SHARE * size)
         case Rule.point:
             curve = [rows[name] for name in ("figure", "panel", "curve")]
-            largest = pd.Series(size, rows.index).groupby(curve).transform("max").fillna(0.0).to_numpy()
-            return VALUE * largest + STRUCTURE
+            largest = pd.Series(size, rows.index).groupby(curve).transform("max").fillna(0.0)
+            return np.asarray(VALUE * largest + STRUCTURE)
         case Rule.count if alike:
             return 0.0
         case Rule.count:
@@ -305,8 +305,6 @@ def compare_runs(before: Frames, now: Frames, runs: Runs, which: str) -> Finding
     """Compare a fresh run with the rows of a folder that it has to make; without a note where there are none."""
     expected = {name: runs.expected(table, before[name], now[name]) for name, table in TABLES.items()}
     moved = [compare(table, expected[name], now[name], runs.alike) for name, table in TABLES.items()]
-    if runs.alike:
-        moved += [compare_times(table, before[name], now[name]) for name, table in TABLES.items()]
     count = sum(map(len, expected.values()))
     new = sum(int((~keys(t, now[n]).isin(keys(t, before[n]))).sum()) for n, t in TABLES.items())
     how = (
