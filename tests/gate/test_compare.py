@@ -3,13 +3,14 @@
 import json
 import math
 
+import pandas as pd
 import pytest
 
 from contactbench.errors import BadInput
-from contactbench.gate.compare import compare_folders
+from contactbench.gate.compare import compare_folders, compare_times
 from contactbench.tables.schema import TABLES, Rule
 from contactbench.tables.store import merge, read
-from made_up import ROWS, RUN, folder, point, row, same, time, without
+from made_up import ROWS, RUN, folder, row, same, time, without
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +114,10 @@ def test_what_may_move_is_green(judge):
     assert found.moved.empty, found.moved
 
 
-CLAIM, LIMIT = ROWS["claims"][0], {"question": "stability", "scene": "oscillator", "method": "rk4", "gamma": 0.0}
+CLAIM, LIMIT = (
+    ROWS["claims"][0],
+    {"question": "stability", "scene": "oscillator", "method": "rk4", "gamma": 0.0},
+)
 LOWER, UPPER = CLAIM | {"relation": "≥", "bound": 1.9}, CLAIM | {"bound": 0.01}
 POINT = {"figure": "f", "panel": "p", "curve": "c", "kind": "method", "point": 0}
 CURVE = [{**POINT, "x": 1.0, "y": 1e-9}, {**POINT, "point": 1, "x": 0.0, "y": 1.0}]
@@ -139,7 +143,9 @@ def tables(path, **rows):
     """A folder of these rows alone."""
     for name, each in rows.items():
         merge(TABLES[name], each, path)
-    (path / "environment.json").write_text(json.dumps({"runs": [RUN | {"tables": dict.fromkeys(rows, "whole")}]}))
+    (path / "environment.json").write_text(
+        json.dumps({"runs": [RUN | {"tables": dict.fromkeys(rows, "whole")}]})
+    )
     return path
 
 
@@ -149,7 +155,8 @@ def test_a_value_moves_within_its_limits_only(case, tmp_path, only_tables):
     only_tables(name)
     before = tables(tmp_path / "before", **{name: rows})
     little, much = (
-        tables(tmp_path / str(value), **{name: [{**rows[0], column: value}, *rows[1:]]}) for value in (little, much)
+        tables(tmp_path / str(value), **{name: [{**rows[0], column: value}, *rows[1:]]})
+        for value in (little, much)
     )
     assert compare_folders(before, little).moved.empty
     assert {measure for *_, measure in red(compare_folders(before, much))} == {column}
@@ -207,21 +214,16 @@ def test_counts_of_limits_may_move_elsewhere_by_what_the_method_is(tmp_path):
     assert red(compare_folders(before, after)) == {("limits", "rk4", "evaluations")}
 
 
-def test_times_are_compared_by_their_ratios_on_one_machine(tmp_path):
-    def timed(name, **factors):
-        rows = [
-            time(method, f"step={2.0**-k}", factors.get(method, 1) * 2.0**k / 1e6)
-            for method in ("rk4", "rk8", "contact-rkn6")
-            for k in range(3)
-        ]
-        return tables(tmp_path / name, times=rows, runs=[row()])
+def test_times_are_compared_by_their_ratios():
+    def timed(**factors):
+        names = ("rk4", "rk8", "contact-abc")
+        rows = [time(m, f"step={2.0**-k}", factors.get(m, 1 / 3) * 2.0**k) for m in names for k in range(3)]
+        return pd.DataFrame(rows)
 
-    before, faster = timed("before"), timed("faster", rk4=1 / 3, rk8=1 / 3, **{"contact-rkn6": 1 / 3})
-    assert compare_folders(before, faster).moved.empty
-    odd = timed("odd", rk8=10)
-    assert red(compare_folders(before, odd)) == {("times", "rk8", "least_s")}
-    (odd / "environment.json").write_text(json.dumps({"runs": [{**RUN, "isa": "y"}]}))
-    assert compare_folders(before, odd).moved.empty
+    before = timed(rk4=1, rk8=1, **{"contact-abc": 1})
+    assert compare_times(TABLES["times"], before, timed()).empty
+    found = compare_times(TABLES["times"], before, timed(rk8=1))
+    assert found[["method", "measure", "after"]].to_numpy().tolist() == [["rk8", "least_s", "×3.00"]]
 
 
 def test_a_column_that_is_lost_is_red(baseline, tmp_path):
@@ -240,7 +242,9 @@ def test_new_rows_are_not_judged(baseline, tmp_path):
 def older(path):
     """A folder of tables as they were before these."""
     folder(path)
-    (path / "laws.csv").write_text("scene,method,setting,solution_error,schema,profile\nparticle,rk4,step=1,1,3,smoke\n")
+    (path / "laws.csv").write_text(
+        "scene,method,setting,solution_error,schema,profile\nparticle,rk4,step=1,1,3,smoke\n"
+    )
     (path / "claims.csv").write_text("id,claim,verdict,schema,profile\nC01,all,holds,3,smoke\n")
     (path / "motion.csv").write_text("scene,method,t,energy,schema\nparticle,rk4,1.0,0.5,3\n")
     return path

@@ -123,8 +123,8 @@ def allowed(rule: Rule, old: np.ndarray, rows: pd.DataFrame, alike: bool) -> np.
             return np.where(rows["status"] == "ok", 0.0, SHARE * size)
         case Rule.point:
             curve = [rows[name] for name in ("figure", "panel", "curve")]
-            largest = pd.Series(size, rows.index).groupby(curve).transform("max").fillna(0.0).to_numpy()
-            return VALUE * largest + STRUCTURE
+            largest = pd.Series(size, rows.index).groupby(curve).transform("max").fillna(0.0)
+            return np.asarray(VALUE * largest + STRUCTURE)
         case Rule.count if alike:
             return 0.0
         case Rule.count:
@@ -138,7 +138,7 @@ def allowed(rule: Rule, old: np.ndarray, rows: pd.DataFrame, alike: bool) -> np.
 
 def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False) -> pd.DataFrame:
     """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene."""
-    if before.empty:
+    if before.empty or before.equals(after):
         return rows_of()
     if after.empty:
         row = {"table": table.name, "measure": "table", "before": f"{len(before)} rows", "after": "none"}
@@ -155,6 +155,8 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool
         moved = distance(name, rule, both, alike)
         if name not in ("status", "profile"):  # the numbers of a run that ended otherwise say nothing more
             moved = np.where(same_end, moved, 0.0)
+        if not (moved > 1).any():
+            continue
         rows, moved = both[moved > 1], moved[moved > 1]
         old, new = ([show(value) for value in rows[column]] for column in (name, f"{name} after"))
         part = locate(table, rows).assign(measure=name, before=old, after=new, result="moved", distance=moved)
@@ -303,8 +305,6 @@ def compare_runs(before: Frames, now: Frames, runs: Runs, which: str) -> Finding
     """Compare a fresh run with the rows of a folder that it has to make; without a note where there are none."""
     expected = {name: runs.expected(table, before[name], now[name]) for name, table in TABLES.items()}
     moved = [compare(table, expected[name], now[name], runs.alike) for name, table in TABLES.items()]
-    if runs.alike:
-        moved += [compare_times(table, before[name], now[name]) for name, table in TABLES.items()]
     count = sum(map(len, expected.values()))
     new = sum(int((~keys(t, now[n]).isin(keys(t, before[n]))).sum()) for n, t in TABLES.items())
     how = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -29,7 +29,8 @@ class Removed:
     @classmethod
     def read(cls, results: Path) -> Removed:
         path = results / "removed.toml"
-        return cls(**tomllib.loads(path.read_text(encoding="utf-8"))) if path.exists() else cls()
+        given = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        return cls(**{field.name: given.get(field.name, ()) for field in fields(cls)})
 
     def take_out(self, table: Table, rows: pd.DataFrame) -> pd.DataFrame:
         gone = pd.Series(table.name in self.tables, rows.index)

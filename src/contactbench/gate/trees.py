@@ -155,6 +155,7 @@ def compare_tables(root: Path, results: Path, before: Frames, fresh: Path, chang
         moved = [compare(table, one, tree)]
         if runs.alike:
             moved.append(compare_times(table, one, tree))
+            found += between("tree → fresh", compare_times(table, tree, made))
         if len(one) or not listed:  # all of a new table that is listed is new
             moved.append(unmade(table, runs, one, tree, made))
         found += between("base → tree", *moved, listed=listed)
