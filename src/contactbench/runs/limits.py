@@ -6,6 +6,7 @@ One cell: a method, or a method and a rate.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -94,7 +95,8 @@ def rates(cell: Cell, profile: Profile) -> Recorded:
 
 
 def rate_row(solution: Solution) -> Row:
-    row: Row = {"scene": solution.scene.name, "gamma": solution.scene.gamma, "status": str(solution.status)}
+    scene: Any = solution.scene
+    row: Row = {"scene": scene.name, "gamma": scene.gamma, "status": str(solution.status)}
     return row | {"evaluations": solution.counts.rhs_equivalents, "note": solution.message}
 
 
@@ -173,4 +175,5 @@ def setting_at_cost(scene: Scene, method: Method) -> float:
 
     if method.adaptive:
         return tolerance_at(cost, COST * PILOT, method.rtol_range)
-    return step_at(method, scene, COST * scene.t_end, SAMPLES) if method.control == "step" else 0.0
+    own: Any = method
+    return step_at(own, scene, COST * scene.t_end, SAMPLES) if method.control == "step" else 0.0

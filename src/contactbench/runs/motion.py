@@ -46,7 +46,8 @@ def lines(name: str) -> Iterator[tuple[Line, int | None]]:
         states, evaluations = saved.states(), ended.counts.evaluations
     energy, orbit = np.isin(t, along), np.isin(t, late)
     yield ("energy", name, t[energy], scene.energy(states)[energy]), evaluations
-    yield ("orbit", name, *(np.array(q)[orbit] for q in states.q)), evaluations
+    x, y = (np.asarray(q)[orbit] for q in states.q)
+    yield ("orbit", name, x, y), evaluations
 
 
 @experiment(lambda profile: [("motion",)])

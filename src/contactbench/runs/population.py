@@ -64,30 +64,21 @@ def raced(scene: Scene) -> list[Method]:
     methods from order 2 on, of others from `HIGH`; exact ones, pairs of high order, and the Taylor method.
     """
     stand_ins = {method.like for method in METHODS.values() if method.mission}
-    chosen: dict[object, Method] = {}
-    for method in METHODS.values():
-        if method.refuses(scene) or method.engines[0] in (*CALLBACKS, *PACKAGES):
-            continue
-        if method.stiff or method.iterates or method.follows or (method.order or HIGH) < 2:
-            continue
-        known = method.package and (method.mission or method.name in stand_ins)
-        if (
-            known
-            or method is TAYLOR
-            or (not method.package and not isinstance(method, FixedStep) and is_high(method))
-        ):
-            chosen[method.name] = SHARED if method is TAYLOR else method
-        elif isinstance(method, FixedStep) and (method.contact or method.mission or is_high(method)):
+    compiled = [m for m in METHODS.values() if m.engines[0] not in (*CALLBACKS, *PACKAGES)]
+    able = [m for m in compiled if not (m.stiff or m.iterates or m.follows or m.refuses(scene))]
+    theirs = [m for m in able if m.package and (m.mission or m.name in stand_ins or m is TAYLOR)]
+    ours = [m for m in able if not m.package and (m.contact or m.mission or (m.order or HIGH) >= HIGH)]
+    steps: dict[object, FixedStep] = {}
+    for method in ours:
+        if isinstance(method, FixedStep) and method.order > 1:
             alike = method.contact, method.order, method.one_step
-            chosen[alike] = min(
-                method, chosen.get(alike, method), key=lambda m: (m.per_step(scene), not m.mission)
-            )
+            both = method, steps.get(alike, method)
+            steps[alike] = min(both, key=lambda own: (own.per_step(scene), not own.mission))
     # first those by whose cost others are given up
-    return sorted(chosen.values(), key=lambda method: (bool(method.package), -(method.order or 0)))
-
-
-def is_high(method: Method) -> bool:
-    return (method.order or HIGH) >= HIGH
+    ranked = sorted(
+        [*steps.values(), *(m for m in ours if not isinstance(m, FixedStep))], key=lambda m: -(m.order or 0)
+    )
+    return [*ranked, *(SHARED if method is TAYLOR else method for method in theirs)]
 
 
 # -- rows ----------------------------------------------------------------------------------------------
@@ -130,7 +121,7 @@ def visited(tried: Sequence[Attempt]) -> dict[int, float]:
     for _ in range(VISITS):
         for call in calls.values():
             call.visit(1)
-    return seconds | {name: call.once[0] for name, call in calls.items()}
+    return seconds | {name: call.once for name, call in calls.items()}
 
 
 def hard_rows(problem: Problem) -> Recorded:
