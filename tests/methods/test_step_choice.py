@@ -176,6 +176,7 @@ def test_what_rounding_leaves_ends_the_search():
     run = cb.solve(scene, "contact-bm6", rtol=1e-13, save_at=[12.0], max_steps=10**6)
     assert run.status in (cb.Status.failed, cb.Status.budget)
     assert "rtol = 1e-13" in run.message
+    assert np.isnan(run.y).all()
 
 
 # -- pilots that all see the same wrong motion ------------------------------------------------------------

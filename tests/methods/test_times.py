@@ -25,6 +25,7 @@ SETTINGS = {
     "rkn8": {"step": 0.1},
     "rkn12": {"step": 0.2},
     "rk8-7": {"rtol": 1e-8},
+    "rkn8-6": {"rtol": 1e-8},
     "rkn12-10": {"rtol": 1e-8},
     "cvode-adams": {"rtol": 1e-7},
     "cyrk-dop853": {"rtol": 1e-6},
