@@ -55,9 +55,7 @@ def spend_more(run, y0):
 
 
 TIMED_ELSEWHERE = changed(
-    FixedStepRun,
-    shorten=lambda run, loop: None,
-    bare=lambda run, y0: FixedStepRun.bare(run, y0) * (1 + 1e-9),
+    FixedStepRun, shorten=lambda run, loop: None, bare=lambda run, y0: FixedStepRun.bare(run, y0) * (1 + 1e-9)
 )
 DERIVES_WRONGLY = changed(FixedStepRun, sensitivity=lambda run, y0: 1.001 * FixedStepRun.sensitivity(run, y0))
 OTHER_STEPS = changed(
