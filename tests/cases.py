@@ -195,6 +195,17 @@ def finished(process):
     return output
 
 
+class Ticks:
+    """A clock that every look moves."""
+
+    def __init__(self, tick: float = 1.0) -> None:
+        self.now, self.tick = 0.0, tick
+
+    def __call__(self) -> float:
+        self.now += self.tick
+        return self.now
+
+
 class Clock:
     """The processor's time of the tests alone, however busy the machine is, and what a test adds to it."""
 

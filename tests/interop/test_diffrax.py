@@ -59,7 +59,7 @@ def test_steps_that_change_are_runs_of_their_own():
 def test_gradients_are_those_of_the_numerical_map():
     def last(gamma, adjoint=None):
         options = {"adjoint": adjoint} if adjoint else {"max_steps": 32}
-        return solve("particle", "contact-rkn6", args={"gamma": gamma}, **options).ys[0][-1, 0]
+        return solve("particle", "contact-strang", args={"gamma": gamma}, **options).ys[0][-1, 0]
 
     h = 1e-5
     expected = (last(0.1 + h) - last(0.1 - h)) / (2 * h)
@@ -91,13 +91,13 @@ def test_back_in_time_it_takes_its_steps_back(scene):
     """To the start, for the steps are palindromic; between them, its cubics are those of the way there."""
     times = jnp.array([1.75, 0.5])
     t0 = getattr(SCENES[scene], "t", 0.0)
-    there = solve(scene, "contact-rkn6", saveat=diffrax.SaveAt(ts=t0 + times[::-1], t1=True)).ys
+    there = solve(scene, "contact-strang", saveat=diffrax.SaveAt(ts=t0 + times[::-1], t1=True)).ys
     constant = {
         "stepsize_controller": diffrax.ConstantStepSize(),
         "saveat": diffrax.SaveAt(ts=t0 + times, t1=True),
     }
     given = t0 + 2.0, t0, -0.1, tuple(part[-1] for part in there)
-    back = diffrax.diffeqsolve(terms_of(scene), cb.diffrax.Contact("contact-rkn6"), *given, **constant).ys
+    back = diffrax.diffeqsolve(terms_of(scene), cb.diffrax.Contact("contact-strang"), *given, **constant).ys
     for found, on_the_way, start in zip(back, there, (SCENES[scene].q, SCENES[scene].p), strict=True):
         np.testing.assert_allclose(found[-1], start, rtol=0, atol=1e-13)
         np.testing.assert_allclose(found[:-1], on_the_way[1::-1], rtol=0, atol=1e-13)
@@ -124,12 +124,7 @@ FULL = np.array([[0.2, 0.15], [0.15, 0.2]])
         (lambda p: p / (1 + p @ p), lambda p: -p, jnp.ones(2)),
         (lambda p: p, lambda p: {"a": -p["b"], "b": -p["a"]}, {"a": 1.0, "b": 2.0}),
     ],
-    ids=[
-        "a full matrix",
-        "quadratic damping",
-        "a velocity that is not linear",
-        "leaves that damp each other",
-    ],
+    ids=["a full matrix", "quadratic", "a velocity that is not linear", "of leaves by each other"],
 )
 def test_terms_that_it_does_not_solve_are_refused(velocity, damping, state):
     def term(function):

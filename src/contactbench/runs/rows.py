@@ -17,7 +17,6 @@ import numpy as np
 import contactbench as cb
 from contactbench.blame import UserError
 from contactbench.measure.clock import Call
-from contactbench.measure.laws import LAWS
 from contactbench.measure.laws import row as law_columns
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
@@ -168,7 +167,4 @@ def along(question: Question, without: str = "", most: float = math.inf) -> Row:
         without = f"of runs of more than {most:.0f} evaluations in Python"
     found = law_columns(solution, without)
     row |= {name: value for name, value in found.items() if name in RUNS.columns}
-    bounds = [
-        found[f"{name}_bound"] for name in LAWS if LAWS[name].differentiates and f"{name}_bound" in found
-    ]
-    return row | {"error": found["solution_error"], "bound": bounds[0] if bounds else math.nan}
+    return row | {"error": found["solution_error"]}
