@@ -230,7 +230,9 @@ def row(question: Question, one: Search, error: float, laws: Found, clock: Found
     found |= {"time_s": math.nan, "halves": math.nan} | timed
     found |= {"at_least": max(slow, default=0.0) if cut else math.nan}
     found["laws_kept"] = ", ".join(name for name, verdict in verdicts.items() if verdict)
-    found["laws_undecided"] = ", ".join(name for name, verdict in verdicts.items() if judged and verdict is None)
+    found["laws_undecided"] = ", ".join(
+        name for name, verdict in verdicts.items() if judged and verdict is None
+    )
     return found | {"status": status, "reason": reason} | {law: kept.get(law, math.nan) for law in of_laws}
 
 
