@@ -24,8 +24,10 @@ from contactbench.tables.schema import PROFILES as NAMES
 DEAR = ("jax", "python")
 #: rungs of a ladder in the smoke profile
 FEW = 3
-#: evaluations that a run of a ladder may cost where Python is called back, and that one whose map is differentiated
-DEAREST_CALLBACKS, DIFFERENTIATED = 2**12, 1000
+#: evaluations that a run of a ladder may cost where Python is called back
+DEAREST_CALLBACKS = 2**12
+#: evaluations that a run may cost whose map is differentiated: what it keeps shows in the coarser ones
+DIFFERENTIATED = {"compiled": 2**16, "callbacks": 1000}
 #: an error that no contest asks for; a rung lessens the error by this factor at least, or two in a row are the last;
 #: and an error that is about as large as the motion, of which a smaller one may come late
 SMALLEST, STILL_BETTER, PATIENCE, LOST = 1e-12, 0.7, 2, 0.1
@@ -154,7 +156,7 @@ def look_along(scene: Scene, method: Method, engine: str, profile: Profile) -> I
             message = f"not run: rtol={spent:g} spent the budget"
             row = key(question, SAVES) | {"status": "budget", "message": message}
         else:
-            row = guarded(scene, along, question, without, DIFFERENTIATED)
+            row = guarded(scene, along, question, without, DIFFERENTIATED[ENGINES[engine]])
         yield row | {"profile": NAMES[0] if value in ends else NAMES[1]}
         if row["status"] == "budget" and method.adaptive and math.isnan(spent):
             spent = value

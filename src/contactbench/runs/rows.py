@@ -153,7 +153,7 @@ def bare(question: Question) -> tuple[Row, Call]:
 def along(question: Question, without: str = "", most: float = math.inf) -> Row:
     """Return the row of a run saved at 25 times, with all laws.
 
-    without : why no derivative is taken.  most : evaluations called back from Python of a run that is differentiated.
+    without : why no derivative is taken.  most : evaluations of a run that is differentiated.
     """
     scene = cb.SCENES[question[0]]
     run = prepared(question, times(scene).tolist(), None)
@@ -163,8 +163,8 @@ def along(question: Question, without: str = "", most: float = math.inf) -> Row:
     if not solution.ok or row["truth"] == "diverged":
         return row
     solution.truth = truth_at(scene.name, solution.carry, SAVES)
-    if "python" in solution.engine and cb.METHODS[question[1]].adaptive and (row["evaluations"] or 0) > most:
-        without = f"of runs of more than {most:.0f} evaluations in Python"
+    if (row["evaluations"] or 0) > most:
+        without = f"of a run of more than {most:.0f} evaluations"
     found = law_columns(solution, without)
     row |= {name: value for name, value in found.items() if name in RUNS.columns}
     return row | {"error": found["solution_error"]}
