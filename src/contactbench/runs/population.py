@@ -38,18 +38,15 @@ OWN_SEED: list[int] = []
 TIGHT = (("rkn12-10", 1e-14), ("rk8-7", 1e-14))
 
 
-def truth_of(problem: Problem) -> tuple[Reference | None, str]:
-    """Return what two solvers agree on at the ends, and which; None where either fails."""
+def truth_of(problem: Problem) -> Reference | None:
+    """Return what two solvers agree on at the ends; None where either fails."""
     scene, carry = problem.scene, carry_of(problem.scene)
     ends = [part * scene.t_end for part in ENDS]
     method, rtol = next(each for each in TIGHT if METHODS[each[0]].refuses(scene) is None)
     solvers: list[tuple[Method | str, float]] = [(SHARED, SHARED.rtol_range[0])]
     solvers.append((method, max(rtol, METHODS[method].rtol_range[0])))
     found = [prepare(scene, one, save_at=Elapsed(ends), carry=carry, rtol=tight)() for one, tight in solvers]
-    source = f"heyoka-taylor, {method}"
-    if not all(one.ok for one in found):
-        return None, next(f"{one.method}: {one.message}" for one in found if not one.ok)
-    return agreed(scene, carry, *found), source
+    return agreed(scene, carry, *found) if all(one.ok for one in found) else None
 
 
 # -- who is run ----------------------------------------------------------------------------------------
@@ -85,7 +82,7 @@ def raced(scene: Scene) -> list[Method]:
 def examine(problem: Problem) -> tuple[Row, Features, Reference | None]:
     """Return the row of a problem, what a pilot finds, and the truth."""
     scene, known = problem.scene, features(problem.scene)
-    truth, _ = truth_of(problem)
+    truth = truth_of(problem)
     row = {"seed": problem.seed, "scene": scene.name, "structure": problem.family, "hard": problem.hard}
     row |= {"t_end": scene.t_end, "digits": truth.digits if truth else 0}
     return row | asdict(known), known, truth
