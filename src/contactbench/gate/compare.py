@@ -272,11 +272,12 @@ def is_older(path: Path) -> bool:
     return table is None or "schema" in columns or not {*table.key} <= columns
 
 
-def read_older(folder: Path, removed: Removed) -> tuple[Frames, int]:
-    """Return the tables of an older revision, less what was removed since, and how many are of an older layout."""
+def read_older(folder: Path, removed: Removed) -> tuple[Frames, Findings]:
+    """Return the tables of an older revision, less what was removed since, and a note of what cannot be compared."""
     older = {path.stem for path in folder.glob("*.csv") if is_older(path)} - {*removed.tables}
     frames = {name: empty(name) if name in older else load(name, folder) for name in TABLES}
-    return {name: removed.take_out(TABLES[name], rows) for name, rows in frames.items()}, len(older)
+    notes = [f"{len(older)} tables of the base are of an older layout: not compared"] if older else []
+    return {n: removed.take_out(TABLES[n], rows) for n, rows in frames.items()}, Findings(notes=tuple(notes))
 
 
 def load(name: str, folder: Path) -> pd.DataFrame:
@@ -290,15 +291,12 @@ def empty(name: str) -> pd.DataFrame:
 
 def compare_folders(baseline: Path, fresh: Path) -> Findings:
     before, older = read_older(baseline, Removed.read(fresh))
-    now = {name: load(name, fresh) for name in TABLES}
-    found = compare_runs(before, now, Runs.of(baseline, fresh), "base → fresh")
-    if not found.notes and not older:
+    found = older + compare_runs(
+        before, {name: load(name, fresh) for name in TABLES}, Runs.of(baseline, fresh), "base → fresh"
+    )
+    if not found.notes:
         raise BadInput(f"{baseline}: no row that a run of this profile makes")
-    return found + layout(older)
-
-
-def layout(older: int) -> Findings:
-    return Findings(notes=(f"{older} tables of the base are of an older layout: not compared",) * (older > 0))
+    return found
 
 
 def compare_runs(before: Frames, now: Frames, runs: Runs, which: str) -> Findings:

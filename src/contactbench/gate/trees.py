@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import TextIO
 
@@ -27,7 +27,6 @@ from contactbench.gate.compare import (
     compare_times,
     empty,
     keys,
-    layout,
     load,
     locate,
     read_older,
@@ -96,8 +95,8 @@ def gate(
         old = revisions.inside(tree, root, results)
         if not any(old.glob("*.csv")):
             raise BadInput(f"--base {base[:12]}: no tables in {where}/ at that revision")
-        before, older = read_older(old, Removed.read(results))
-        found = layout(older)
+        before, found = read_older(old, Removed.read(results))
+        older = bool(found.notes)
         if "accuracy" in parts:
             if fresh is None:
                 fresh = Path(scratch)
@@ -148,7 +147,7 @@ def row(measure: str, before: str, after: str, result: str, **where: object) -> 
 def compare_tables(root: Path, results: Path, before: Frames, fresh: Path, changed: set[str]) -> Findings:
     """Compare the tables of the tree with those of the base, and a fresh run with those of the tree."""
     (head, rows), (now, more) = (readable(side, changed) for side in (results, fresh))
-    rows += more + check_record(results, head) + check_record(fresh, now) + check_commit(root, fresh)
+    rows += more + check_records(root, {results: head, fresh: now}, fresh)
     runs, removed, found = Runs.of(results, fresh), Removed.read(results), Findings()
     for name, table in TABLES.items():
         one, tree, made, listed = before[name], head[name], now[name], name in changed
@@ -197,21 +196,20 @@ def check_rows(table: Table, before: pd.DataFrame, head: pd.DataFrame, fresh: pd
     return [made_alone] if count else []
 
 
-def check_record(results: Path, frames: Frames) -> list[Row]:
-    made = {name for run in provenance.runs(results) for name in run["tables"]}
-    found = [f"no run made {name}" for name, frame in frames.items() if len(frame) and name not in made]
-    return [row("record of the runs", "complete", each, "damaged") for each in found[:1]]
-
-
-def check_commit(root: Path, fresh: Path) -> list[Row]:
+def check_records(root: Path, results: Mapping[Path, Frames], fresh: Path) -> list[Row]:
+    """Return whether a run is recorded of every table of these folders, and the fresh ones are of this commit."""
+    rows = []
+    for folder, frames in results.items():
+        made = {name for run in provenance.runs(folder) for name in run["tables"]}
+        if alone := [name for name, frame in frames.items() if len(frame) and name not in made]:
+            rows.append(row("record of the runs", "complete", f"no run made {alone[0]}", "damaged"))
     head, measure = revisions.commit(root, "HEAD"), "commit of the fresh run"
     for run in provenance.runs(fresh):
-        commit = str(run.get("commit", ""))
-        if commit != head:
-            return [row(measure, head[:12], commit[:12], "another commit")]
+        if (commit := str(run.get("commit", ""))) != head:
+            return [*rows, row(measure, head[:12], commit[:12], "another commit")]
         if run.get("dirty") and not revisions.dirty(root):
-            return [row(measure, head[:12], "with local changes", "another tree")]
-    return []
+            return [*rows, row(measure, head[:12], "with local changes", "another tree")]
+    return rows
 
 
 def check_tests(old: Path, root: Path, messages: str) -> list[Row]:
