@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import DOP853
 
 import contactbench as cb
-from cases import mine
+from cases import few_slow, mine
 from contactbench.numbers.functions import cos, cosh, exp, sin, tanh
 from contactbench.scene import DrivenState
 from contactbench.truth.survey import Survey
@@ -104,9 +104,7 @@ def followed(force, rate, y, end, places, longest=0.1, atol=1e-13):
     return y
 
 
-@pytest.mark.parametrize(
-    "seed", [pytest.param(n, marks=[pytest.mark.slow] * (n not in QUICK)) for n in range(ALL)]
-)
+@pytest.mark.parametrize("seed", few_slow(range(ALL), *{*range(ALL)} - {*QUICK}))
 def test_no_reference_of_a_driven_scene_is_wrong(seed):
     made, known = scene(seed)
     found, true = cb.reference(made, [made.t_end], ()), followed(**known)
@@ -130,6 +128,9 @@ CASES = {
     "on a motion": (DOUBLE, 0.1, 1.3, 30.0, [(1e-6, 13.3, 0.02)]),
 }
 
+#: of which another shows the same, seldom run
+LONG = ("an ordinary pulse on rest", "a later one", "before a large one", "off a hilltop", "on a motion")
+
 
 def force_of(pulses, xp_exp):
     return lambda t: sum(a * xp_exp(-(((t - c) / w) ** 2)) for a, c, w in pulses)
@@ -142,9 +143,9 @@ def kicked(slope, gamma, q, end, pulses):
     return followed(lambda q, t: pulse(t) - slope(q), lambda t: gamma, [q, 0.0], end, places, 0.05, 1e-26)
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("case", few_slow(CASES, *LONG))
 def test_a_pulse_is_seen_at_the_scale_of_what_it_changes(case):
-    (well, slope), gamma, q, end, pulses = case
+    (well, slope), gamma, q, end, pulses = CASES[case]
     kick = force_of(pulses, exp)
     scene = mine(lambda q, t: well(q[0]) - q[0] * kick(t), q, t_end=end, kind=cb.Driven, gamma=gamma)
     found, true = cb.reference(scene, [end], ()), kicked(slope, gamma, q, end, pulses)
