@@ -190,8 +190,8 @@ def message(frames: Frames, scene: str) -> tuple[str, list[str]]:
     row = table.iloc[(len(table) - 1) // 2]
     at, both, ratio = f"at {power(row['error'])}", [row["ours"], row["other"]], row["ratio"]
     if 1 / row["margin"] <= ratio <= row["margin"]:
-        found = "are within 25 %" if row["margin"] <= 1.25 else "are too near for the clock"
-        return f"{scene}: {both[0]} and {both[1]} {found} of each other's time {at}", both
+        found = "take the same time within 25 %" if row["margin"] <= 1.25 else "are too near for the clock"
+        return f"{scene}: {both[0]} and {both[1]} {found} {at}", both
     if ratio > 1:
         both, ratio = both[::-1], 1 / ratio
     return f"{scene}: {both[0]} needs {100 * ratio:.0f} % of the time of {both[1]} {at}", both

@@ -47,11 +47,11 @@ def law_rows(runs: pd.DataFrame, law: str) -> pd.DataFrame:
 
 # -- equal cost ------------------------------------------------------------------------------------
 def met_cost(rows: pd.DataFrame) -> float:
-    """Return the number of evaluations that most methods have runs below and above, the largest of several."""
+    """Return the number of evaluations that most methods have runs below and above, the smallest of several."""
     ok = rows[(rows["status"] == "ok") & rows["evaluations"].notna()]
     spans = ok.groupby("method")["evaluations"].agg(["min", "max"]).astype(float)
     met = [int(((spans["min"] <= cost) & (cost <= spans["max"])).sum()) for cost in COSTS]
-    return max(zip(met, COSTS, strict=True))[1]
+    return COSTS[met.index(max(met))]
 
 
 def at_cost(own: pd.DataFrame, evaluations: float, columns: list[str]) -> pd.Series | None:

@@ -94,15 +94,20 @@ def at_equal_cost(frames: Frames, scene: str, method: str) -> pd.Series:
     runs, most = frames["runs"], equal_cost(frames, scene)
     rows = runs[(runs["scene"] == scene) & (runs["method"] == method) & (runs["saved"] == SAVED)]
     found = at_cost(rows, most, ["error", *LAWS])
-    timed = cost.compared(frames, scene, "compiled")
-    spent = at_cost(timed[timed["method"] == method], most, ["spent"])
     nothing = pd.Series({"evaluations": np.nan, "error": np.nan, **dict.fromkeys(LAWS, np.nan)})
-    return pd.concat(
-        [
-            nothing if found is None else found,
-            pd.Series({"time": spent["spent"] if spent is not None else np.nan}),
-        ]
-    )
+    found = nothing if found is None else found
+    return pd.concat([found, pd.Series({"time": time_of(frames, scene, method, found["evaluations"])})])
+
+
+def time_of(frames: Frames, scene: str, method: str, evaluations: float) -> float:
+    """Return the time of so many evaluations: log-log between timed runs, in proportion beyond the longest of them."""
+    timed = cost.compared(frames, scene, "compiled")
+    own = timed[timed["method"] == method].sort_values("evaluations", kind="stable")
+    spent, seconds = (np.array(floats(own[name])) for name in ("evaluations", "spent"))
+    if not len(own) or np.isnan(evaluations):
+        return np.nan
+    beyond = max(1.0, evaluations / spent[-1])
+    return float(np.exp(np.interp(np.log(evaluations), np.log(spent), np.log(seconds))) * beyond)
 
 
 def claimed(frames: Frames, scene: str, law: str) -> bool:

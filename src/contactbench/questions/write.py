@@ -90,10 +90,8 @@ def with_answers(readme: Path, frames: Frames) -> str:
     if around is None:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    answers = list(mission.findings(frames))
-    table, how = mission.overview(frames), fold(answers)
-    found = ["" if table is None else markdown.view(table, 2), markdown.answers(answers)]
-    found.append("" if how is None else markdown.fold(how, 2))
+    table = mission.overview(frames)
+    found = ["" if table is None else markdown.view(table, 2), markdown.answers(mission.findings(frames))]
     return "\n".join([around[0], "\n\n".join(filter(None, found)), "", around[1]])
 
 

@@ -180,7 +180,7 @@ def run(cell: Cell, profile: Profile) -> Recorded:
 
 @timed(run)
 def times(row: Row) -> Timing | None:
-    if row["saved"] != 1 or row["status"] != "ok" or row["error"] is None:
+    if row["saved"] != 1 or row["status"] != "ok" or row.get("error") is None:
         return None
     names = ("scene", "method", "engine", "control", "setting")
     question = tuple(row[name] for name in names)
