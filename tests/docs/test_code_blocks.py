@@ -20,7 +20,7 @@ PAGES = [
 #: seconds of a race whose page does not say how long it may take
 BUDGET = 5.0
 #: take ten seconds
-LONG = [page for page in PAGES if page.name in ("adding.md", "gallery.md", "tutorial.md")]
+LONG = [page for page in PAGES if page.name in ("adding.md", "embed.md", "gallery.md", "tutorial.md")]
 
 
 @pytest.mark.parametrize("page", few_slow(PAGES, *LONG), ids=lambda path: path.name)

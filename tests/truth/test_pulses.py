@@ -15,7 +15,7 @@ from contactbench.scene import DrivenState
 from contactbench.truth.survey import Survey
 
 #: of all seeds those that are quick, one of each kind, and a jump reached by steps that sum up to a little more
-QUICK, ALL = (0, 1, 2, 3, 5, 6, 11, 73), 240
+QUICK, ALL = (0, 2, 3, 5, 6, 11, 73), 240
 
 
 def bell(x):
@@ -166,7 +166,7 @@ def test_the_shortest_of_times_has_a_reference():
     assert cb.reference(scene, [1e-320], ()).y[0, 0] == 1.0
 
 
-@pytest.mark.parametrize("width", [3, 7, 0.7])
+@pytest.mark.parametrize("width", [3, 0.7])
 def test_a_division_that_heyoka_makes_a_product_is_seen_in_a_pulse_that_is_over(width):
     """(t − 30)/3 is (t − 30)·0.333… to heyoka, with the third of a double: p ends 16 digits off."""
     pulse = lambda q, t: -q[0] * exp(-(((t - 30) / width) ** 2))  # noqa: E731
@@ -188,7 +188,7 @@ def test_a_ramp_that_begins_on_rest_is_no_singularity():
     np.testing.assert_allclose(cb.reference(scene, [end], ()).y[0, :2], true, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("width", "height"), [(5e-3, 1e2), (5e-4, 1e3), (5e-5, 1e4)])
+@pytest.mark.parametrize(("width", "height"), [(5e-3, 1e2), (5e-5, 1e4)])
 def test_a_narrow_box_is_a_jump_and_no_singularity(width, height):
     box = lambda q, t: -q[0] * cb.math.where(abs(t - 3.0) < width, height, 0.0)  # noqa: E731
     scene = mine(box, 0.0, t_end=5.0, kind=cb.Driven, gamma=0.0)

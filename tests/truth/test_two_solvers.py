@@ -24,7 +24,7 @@ LIVE = {
 }
 
 
-@pytest.mark.parametrize("name", few_slow(LIVE, "ring", "damped"))
+@pytest.mark.parametrize("name", few_slow(LIVE, "ring", "free", "damped"))
 def test_two_solvers_in_doubles_have_the_digits_that_they_say(name):
     """Against 30 digits by other engines, component by component."""
     scene, times = LIVE[name], np.array([0.3, 0.8, 1.5])

@@ -59,8 +59,8 @@ class Column:
 
     meaning : what it is, a phrase.  rule : how it may differ between two runs; ungated : why it has no rule (a key
     needs neither, nor what a clock said).  timed : it comes from a clock.  exact : an input, written in full; other
-    numbers have six significant digits.  label : short name for headings.  infinite : infinity is a value of it, a limit
-    that there is not; elsewhere it is blank.
+    numbers have six significant digits.  label : short name for headings.  infinite : infinity is a value of it (no
+    limit); elsewhere it is blank.
     """
 
     meaning: str
