@@ -1,8 +1,8 @@
 """Finished cells: a file each in ``results/.cells/PROFILE``, there as a whole or not at all, merged into the tables.
 
 A merge rewrites the tables under a lock and only then renames the files it has read; to merge a file twice does no
-harm, so that no kill loses anything.  The files stay, and say which cells are done.  Once all cells of an experiment
-are, rows of its tables that none of them has made are dropped: their benchmark no longer exists.
+harm, so that no kill loses anything.  The files stay, and say which cells are done.  Once all cells of a run
+are, rows of the tables that none of them has made are dropped: their benchmark no longer exists.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ class Cells:
     def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[Row]]:
         done = self.done() if expected else {}
         done |= {e.cell: e.rows for e in entries if e.cell and e.path.parent == self.folder}
-        unfinished = {file for file, name in expected if (file, name) not in done}
-        return _by_table(done[cell] for cell in expected if cell[0] not in unfinished)
+        # several experiments may make rows of one table
+        return _by_table(done[cell] for cell in expected) if expected <= done.keys() else {}
 
     def _record(self, run: str) -> Path:
         return self.results / FOLDER / f"{run}.json"
