@@ -108,7 +108,7 @@ def test_the_mission_has_order_error_laws_and_costs_of_every_contestant():
     assert "J law" not in heads  # nobody claims it there
     shown = texts(view)
     assert [*shown] == ["contact-printed", "contact-strang", "contact-rkn6", "rk4"]
-    assert shown["rk4"][:4] == ["4.00", "1000", "1.0e-03", "1.0e-03"]
+    assert shown["rk4"][:4] == ["4.00", "100", "1.0e-02", "1.0e-02"]
     marks = {line[0].text: line[heads.index("contact drift")].mark for line in view.rows}
     assert marks == dict.fromkeys(shown, Mark.kept) | {"rk4": None}
     assert mission.scene_view(frames(), "particle") is None

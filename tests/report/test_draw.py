@@ -166,7 +166,7 @@ def test_a_title_names_first_who_is_cheaper_and_both_are_named(ratio):
     times = timed(runs, (scales[run["method"]] / run["setting"] for run in runs))
     title, named = cost.message(frames(runs=runs, times=times), "particle")
     assert named == sorted(scales, reverse=ratio == 5.0)
-    assert ("needs 20 % of the time" if ratio != 1.2 else "are within 25 %") in title
+    assert ("needs 20 % of the time" if ratio != 1.2 else "the same time within 25 %") in title
 
 
 # -- files -----------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from contactbench.errors import BadInput
 from contactbench.gate.removed import Removed
 from contactbench.measure.law import STRUCTURE
 from contactbench.methods import METHODS
+from contactbench.report.chapters import discovered
 from contactbench.report.markdown import escaped
 from contactbench.tables import provenance
 from contactbench.tables.schema import PROFILES, TABLES, Rule, Table, floor
@@ -274,6 +275,7 @@ def is_older(path: Path) -> bool:
 
 def read_older(folder: Path, removed: Removed) -> tuple[Frames, Findings]:
     """Return the tables of an older revision, less what was removed since, and a note of what cannot be compared."""
+    discovered()  # questions may declare tables of their own
     older = {path.stem for path in folder.glob("*.csv") if is_older(path)} - {*removed.tables}
     frames = {name: empty(name) if name in older else load(name, folder) for name in TABLES}
     notes = [f"{len(older)} tables of the base are of an older layout: not compared"] if older else []

@@ -119,13 +119,12 @@ class StepLoop[Ready](ABC):
     def tangent(
         self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
     ) -> np.ndarray:
-        since = self.dates(h, n, since)
+        if since is None and self.scene.keeps_dates:
+            since = self.dates(h, n)
         return self.tangents.states(self.scene, np.concatenate([y0, v]), h, n, since)[:, len(y0) :]
 
-    def dates(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None) -> np.ndarray | None:
-        """Return the dates of intervals; where none are given, the intervals follow each other from the start."""
-        if since is not None or not self.scene.keeps_dates:
-            return since
+    def dates(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Return the dates of intervals that follow each other from the start."""
         ends = np.cumsum(h * n)
         return dates.dates(self.scene, np.append(0.0, ends[:-1]), ends)
 
@@ -367,7 +366,8 @@ class Recorded(StepLoop[Rows]):
 
     def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Rows:
         """Return the steps, and the arguments of the loop unless they are too many."""
-        since = self.dates(h, n, since)
+        if since is None and self.scene.keeps_dates:
+            since = self.dates(h, n)
         few = len(n) * self.loop.program.width <= AHEAD
         rows = self.loop.rows(self.numbers, h, n, since) if few else None
         self.seconds = self.loop.seconds
@@ -433,7 +433,8 @@ class Plain(StepLoop[Spans]):
             self.program, self.seconds = program, elapsed()
 
     def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Spans:
-        since = self.dates(h, n, since)
+        if since is None and self.scene.keeps_dates:
+            since = self.dates(h, n)
         times = [[]] * len(n) if since is None else since.tolist()
         return list(zip(h.tolist(), n.tolist(), times, strict=True))
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import costs_to_reach
+from contactbench.plugins import OWN
 from contactbench.report.drawing import Axis, Curve, Span
 from contactbench.report.look import CONTACT, CONTESTANTS, look
 
@@ -60,7 +61,8 @@ def choose(
 ) -> list[str]:
     """Return the methods that a figure shows, at most MOST.
 
-    First its subjects, or the best of all and the best contact method; then the contestants of the mission.
+    First its subjects, or the best of all and the best contact method; then what plug-ins bring, and the contestants
+    of the mission.
     by_order : where there is room the best of every family and order, too.
     """
     groups: dict[tuple[str, int | None], list[Curve]] = {}
@@ -69,6 +71,7 @@ def choose(
         groups.setdefault((own.family, own.order), []).append(curve)
     contact = [curve for (family, _), some in groups.items() if family == CONTACT for curve in some]
     chosen = [*(subjects or [*best(curves, score), *best(contact, score)])]
+    chosen += [curve.method for curve in curves if curve.method not in OWN]
     for names in CONTESTANTS:
         chosen += best((curve for curve in curves if curve.method in names), score)
     for group in groups.values() if by_order else ():

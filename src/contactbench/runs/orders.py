@@ -16,6 +16,7 @@ from contactbench.measure.order import DIGITS, OrderFit, fit_order, march
 from contactbench.methods.base import Method
 from contactbench.methods.contact_log import Logarithmic
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.plugins import OWN
 from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.runs.settings import halving_steps, times
 from contactbench.scene import Scene
@@ -83,13 +84,14 @@ def is_extended(scene: Scene, method: Method) -> bool:
 def cells(profile: Profile) -> list[Cell]:
     """Return scenes and methods with a step; what iterates at 50 digits is dear, and has few scenes.
 
-    Smoke has one scene, and one method on the others.
+    Smoke has one scene, one method on the others, and what plug-ins bring.
     """
     scenes = [scene for scene in cb.SCENES.values() if not scene.hard]
     methods = [method for method in cb.METHODS.values() if method.control == "step"]
 
     def runs(scene: Scene, method: Method) -> bool:
-        if profile.brief and scene is not scenes[0] and method is not methods[0]:
+        brought = not {scene.name, method.name} <= OWN
+        if profile.brief and not (brought or scene is scenes[0] or method is methods[0]):
             return False
         dear = method.iterates and is_extended(scene, method)
         return not dear or scene.mission or profile.reaches("full")

@@ -42,10 +42,20 @@ def columns(declared: Data) -> dict[str, Column]:
     return found
 
 
+#: the laws of this package; those that no question reads have no column
+OWN_LAWS = frozenset(LAWS)
+
+
+def brought() -> dict[str, Column]:
+    """Return the columns of the laws that plug-ins bring."""
+    return {name: column for law in LAWS if law not in OWN_LAWS for name, column in law_columns(law).items()}
+
+
 def declare(name: str) -> Table:
     given: Data = DECLARED["tables"][name]
     lists: Data = {part: tuple(given[part]) for part in ("key", "whole") if part in given}
-    table = Table(name, given["about"], columns(given["columns"]), **lists)
+    more = brought if "law" in given["columns"].values() else dict
+    table = Table(name, given["about"], columns(given["columns"]), **lists, more=more)
     TABLES.add(table)
     return table
 

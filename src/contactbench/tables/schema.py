@@ -5,7 +5,7 @@ A row is keyed by the table's key columns; NAME.csv has all of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -77,20 +77,25 @@ class Column:
 class Table:
     """A result table.
 
-    key : the columns that name a row.  whole : leading key columns of what is always made as a whole: a new run
-    replaces all its rows.
+    own : its columns; more : gives those that plug-ins add.  key : the columns that name a row.  whole : leading key
+    columns of rows that are always made together: a new run replaces all of them.
     """
 
     name: str
     about: str
-    columns: Mapping[str, Column]
+    own: Mapping[str, Column]
     key: tuple[str, ...]
     whole: tuple[str, ...] = ()
+    more: Callable[[], Mapping[str, Column]] = dict
 
     def __post_init__(self) -> None:
         odd = [name for name in self.key if name not in self.columns or self.columns[name].timed]
         if odd:
             raise BadInput(f"table {self.name!r}: key columns {odd} must be columns without a clock")
+
+    @property
+    def columns(self) -> Mapping[str, Column]:
+        return {**self.own, **self.more()}
 
     @property
     def rules(self) -> dict[str, Rule]:

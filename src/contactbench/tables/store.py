@@ -118,12 +118,13 @@ def lost(values: pd.Series, typed: pd.Series) -> pd.Series:
 
 def check(table: Table, row: Row) -> None:
     """Raise `BadInput` for a row with a column or a value that the table cannot take."""
+    columns = table.columns
     for name, value in row.items():
-        if name not in table.columns:
+        if name not in columns:
             raise BadInput(
                 f"table {table.name!r} has no column {name!r}; columns: {', '.join(table.columns)}"
             )
-        kind = table.columns[name].type
+        kind = columns[name].type
         if value is None or kind == "text":
             continue
         if kind in ("flag", "answer"):
