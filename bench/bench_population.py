@@ -1,6 +1,2 @@
 def test_population(measure):
     measure()
-
-
-def test_population_hard(measure):
-    measure()

@@ -14,14 +14,13 @@ import pytest
 from tqdm import tqdm
 
 from contactbench.errors import BadInput
-from contactbench.measure.clock import Call
 from contactbench.measure.isolation import bind
 from contactbench.methods import METHODS
+from contactbench.runs import population
+from contactbench.runs.experiment import PROFILES, Experiment, experiments
+from contactbench.runs.runner import Run, Task
+from contactbench.runs.timetable import Timetable
 from contactbench.scenes import SCENES
-from contactbench.study import population
-from contactbench.study.experiment import PROFILES, Experiment, experiments
-from contactbench.study.runner import Run, Task
-from contactbench.study.timetable import Timetable
 from contactbench.tables.cells import DiskFull, disk
 
 #: what this process may use before it is bound to one of them
@@ -139,17 +138,18 @@ def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable]:
 
 @pytest.fixture
 def measure(task: Task, request: pytest.FixtureRequest) -> Callable[[], None]:
-    """A function that measures the cell; pytest-benchmark times a visit of its own, the least of all goes along."""
+    """A function that measures the cell; pytest-benchmark times its last call, the least of all goes along."""
 
     def measure() -> None:
         run = request.config.run
         with full_disk():
-            entry = run.measure(task, request.getfixturevalue("timetable") if task.experiment.timed else None)
-        call = entry and entry.call
-        if isinstance(call, Call) and request.config.pluginmanager.hasplugin("benchmark"):
-            benchmark = request.getfixturevalue("benchmark")
-            benchmark.group, entry.told = request.path.stem, benchmark.extra_info
-            benchmark.pedantic(call.runs[0], iterations=call.calls_a_round(call.once[0]))
+            entries = run.measure(
+                task, request.getfixturevalue("timetable") if task.experiment.timed else None
+            )
+        if entries and request.config.pluginmanager.hasplugin("benchmark"):
+            benchmark, call = request.getfixturevalue("benchmark"), entries[-1].call
+            benchmark.group, entries[-1].told = request.path.stem, benchmark.extra_info
+            benchmark.pedantic(call.run, iterations=call.calls_a_round())
 
     return measure
 
@@ -246,7 +246,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 
 
 def write_report(results: Path) -> None:
-    from contactbench.report import write
+    from contactbench.questions import write
 
     bind(CORES)  # nothing is timed any more
     readme = REPOSITORY / "README.md"

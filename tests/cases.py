@@ -48,8 +48,10 @@ USER = cb.Mechanical(
 TILTED = cb.SCENES["rigid_body_anisotropic"].with_(
     name="tilted", damping=((0.3, 0.1, 0.0), (0.1, 0.2, 0.05), (0.0, 0.05, 0.1))
 )
-#: the scenes that every experiment runs but that of stability
-STANDARD = [scene for scene in cb.SCENES.values() if not scene.hard and not scene.experiments]
+#: the first scenes, of a plain mechanical system and a body; and those where runs may end badly
+NAMES = ("oscillator", "particle", "central", "rigid_body", "rigid_body_anisotropic", "particle_long")
+STANDARD = [cb.SCENES[name] for name in (*NAMES, "quadratic_damping")]
+HARD = [scene for scene in cb.SCENES.values() if scene.hard]
 TWO_SCALES = cb.SCENES["stiff_spring"].with_(omega=3.0)  # not so stiff that round-off tests feel it
 #: all of them, the potentials only hard ones have, and the shapes the registry does not have
 ALL_SCENES = [*STANDARD, TWO_SCALES, *map(cb.SCENES.get, ("kepler_drag", "double_pendulum", "thermostat"))]
@@ -191,6 +193,17 @@ def finished(process):
     output, _ = process.communicate(timeout=240)
     assert process.returncode == 0, output
     return output
+
+
+class Ticks:
+    """A clock that every look moves."""
+
+    def __init__(self, tick: float = 1.0) -> None:
+        self.now, self.tick = 0.0, tick
+
+    def __call__(self) -> float:
+        self.now += self.tick
+        return self.now
 
 
 class Clock:

@@ -69,6 +69,20 @@ def bodies(n, dimensions, pair=softened, **changes):
     return cb.Mechanical(name="bodies", potential=body_potential(pair, own, dimensions), **given | changes)
 
 
+def planets(masses, q, p, softening, **given):
+    """Bodies of given masses in a plane."""
+    more = {"gamma": 0.0, "parameters": {"soft": softening**2}, "mass": tuple(np.repeat(masses, 2))} | given
+    return cb.Mechanical(name="planets", potential=body_potential(softened, masses, 2), q=q, p=p, **more)
+
+
+#: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.10: mass times velocity for p
+PLEIADES = planets(
+    np.arange(1.0, 8.0),
+    (3.0, 3.0, 3.0, -3.0, -1.0, 2.0, -3.0, 0.0, 2.0, 0.0, -2.0, -4.0, 2.0, 4.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, 0.0, 5.0, 10.5, 0.0, -10.5, 0.0),
+    0.0,
+    t_end=3.0,
+)
 BOUNDARIES = ("ring", "fixed", "free")
 #: few sites, every boundary, masses that are equal or not, every dimension
 SMALL = {

@@ -27,7 +27,7 @@ CONTRACTS = {
     "methods.one_step": ["OneStep"],
     "methods.prepared": ["Prepared"],
     "measure.law": ["Law"],
-    "scene.base": ["Scene", "System"],
+    "scene.base": ["Scene"],
     "scene.flow": ["Flow"],
     "splitting.composition": ["Composition"],
 }

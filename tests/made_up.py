@@ -14,46 +14,50 @@ from contactbench.tables.store import merge
 #: the record of a run, as complete as the benchmark writes it
 RUN = {"run": "one", "profile": "smoke", "cpu": "a", "isa": "x", "python": "3.13", "packages": {"jax": "1"}}
 RUN |= {"references": "r", "commit": "c", "dirty": False, "utc": "2026-01-01T00:00:00+00:00"}
-RUN |= {"tables": dict.fromkeys(("laws", "convergence", "work_precision", "claims"), "whole")}
-#: what every row has
-COMMON = {"scene": "particle", "engine": "jax", "status": "ok", "family": "established"}
-COMMON |= {"steps": 200, "evaluations": 800, "rhs_equivalents": 800.0}
+RUN |= {"tables": dict.fromkeys(("runs", "times", "orders", "claims"), "whole")}
+#: what every run has
+COMMON = {"scene": "particle", "engine": "jax", "status": "ok", "family": "established", "truth": "ok"}
+COMMON |= {"steps": 200, "evaluations": 800.0}
 
 
-def row(method="rk4", setting="step=0.1", profile="smoke", **more):
+def row(method="rk4", setting="step=0.1", saved=1, profile="smoke", **more):
+    """A run, its control and setting as one word."""
     control, _, value = setting.partition("=")
-    own = {"control": control, "value": float(value), "profile": profile}
-    return {**COMMON, "method": method, "setting": setting, **own, **more}
+    own = {"control": control, "setting": float(value), "saved": saved, "profile": profile}
+    return {**COMMON, "method": method, **own, **more}
 
 
-FOURTH = {"order": 4.0, "order_nominal": 4}
-EIGHTH = {"order": 8.0, "order_nominal": 8, "pairwise_order": 8.0, "in_fit": True}
-CLAIM = {
-    "id": "C01",
-    "scene": "particle",
-    "method": "any",
-    "verdict": "holds",
-    "status": "ok",
-    "profile": "smoke",
-}
-#: what the folder of a run holds: two methods on one scene, and a row of a larger profile
+def time(method="rk4", setting="step=0.1", seconds=1e-4, **more):
+    """The time of a run."""
+    own = row(method, setting, **more)
+    return {name: own[name] for name in TABLES["times"].key} | {"least_s": seconds}
+
+
+def point(method="rk4", step=0.1, **more):
+    """A point of a method's errors against the step."""
+    own = {"scene": "particle", "method": method, "engine": "llvm", "step": step, "status": "ok"}
+    return own | {"in_fit": True, "order": 4.0, "order_nominal": 4, **more}
+
+
+#: what the folder of a run holds: a few methods on one scene, and a row of a larger profile
 ROWS = {
-    "laws": [
-        row(solution_error=1e-5, energy_law=3e-6, momentum_law=2e-15, energy_increases=0.0, saved_times=25),
-        row("cvode-adams", "rtol=1e-06", solution_error=1e-4, momentum_law=1e-7, saved_times=25),
-    ],
-    "convergence": [
-        row(step=0.1, solution_error=1e-5, pairwise_order=4.01, in_fit=True, **FOURTH),
-        row(setting="step=0.8", step=0.8, solution_error=0.2, pairwise_order=2.0, in_fit=False, **FOURTH),
-        row("contact-o8", "step=0.03125", engine="mpmath", step=0.03125, solution_error=1e-20, **EIGHTH),
-    ],
-    "work_precision": [
-        row(carried="q p", solution_error=1e-6, time_median_s=1e-4),
-        row("cvode-adams", "rtol=1e-06", carried="q p", solution_error=2e-5, time_median_s=1e-3),
-        row(setting="step=0.01", profile="standard", carried="q p", solution_error=1e-10),
+    "runs": [
+        row(saved=25, error=1e-5, energy_law=3e-6, momentum_law=2e-15, momentum_law_claimed=True),
+        row("cvode-adams", "rtol=1e-06", saved=25, error=1e-4, momentum_law=1e-7),
+        row(error=1e-6),
+        row("cvode-adams", "rtol=1e-06", error=2e-5),
+        row(setting="step=0.01", profile="standard", error=1e-10),
         row("cvode-bdf", "rtol=1e-12", status="budget", message="too many"),
     ],
-    "claims": [{**CLAIM, "relation": "≤", "bound": 1e-12, "measured": 1e-16}],
+    "times": [time(), time("cvode-adams", "rtol=1e-06", 1e-3)],
+    "orders": [
+        point(error=1e-5),
+        point(step=0.8, error=0.2, in_fit=False),
+        point("contact-o8", 0.03125, engine="mpmath", error=1e-20, order=8.0, order_nominal=8),
+    ],
+    "claims": [
+        {"id": "C01", "verdict": "holds", "status": "ok", "relation": "≤", "bound": 1e-12, "measured": 1e-16}
+    ],
 }
 
 

@@ -1,4 +1,4 @@
-"""Solvers that misbehave, for the stability experiment to survive, and one that is exact."""
+"""Solvers that misbehave, for the benchmark to survive, and one that is exact."""
 
 import os
 import signal
@@ -43,14 +43,18 @@ class Planted(Adaptive):
 NAMES = ("planted-hang", "planted-crash", "planted-raise", "planted-nan", "planted-early")
 
 
-def row(method):
-    """A row of the stability table, made where the planted methods are registered."""
-    from contactbench.study.stability import stability_row
-
+def register():
     for name in NAMES:
         if name not in METHODS:
             METHODS.add(Planted(name))
-    return stability_row("oscillator", method, METHODS[method].engines[0], "rtol", 1e-6, 10_000)
+
+
+def row(question):
+    """A row of runs.csv, made where the planted methods are registered."""
+    from contactbench.runs.rows import along
+
+    register()
+    return along(question)
 
 
 class Exact(Prepared):
@@ -69,7 +73,7 @@ class Truth(Planted):
 
 def attempt(run, cells, timetable=None):
     """As that of the runner, of cells one of which takes its process down and one fails."""
-    from contactbench.study import runner
+    from contactbench.runs import runner
 
     def measure(own, task, timetable=None):
         if "rk4" in task.cell:

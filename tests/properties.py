@@ -8,7 +8,7 @@ from mpmath import mp
 
 import contactbench as cb
 from cases import TILTED, in_mp, random_state
-from contactbench.measure.order import local_order, order_at
+from contactbench.measure.order import order_at
 from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import Numbers, abilities
 from contactbench.scene import cross, dot, free_body, quaternion_product
@@ -309,11 +309,6 @@ def has_its_order(method, *scenes):
     """The claimed order, to 0.1, from 20, 40 and 80 steps to t = 1."""
     scenes = runs_on(method, *scenes)
     return all(abs(order_at(method, scene, 1.0, 20) - method.order) < 0.1 for scene in scenes)
-
-
-def has_its_local_order(method, *scenes):
-    """The claimed order, to 0.01, of a step of 10⁻⁶: its own error is as small as the step."""
-    return all(abs(local_order(method, scene) - method.order) < 0.01 for scene in runs_on(method, *scenes))
 
 
 def has_its_conformal_factor(method, *scenes):

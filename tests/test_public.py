@@ -46,7 +46,7 @@ SELDOM = {"scipy", "numpy.polynomial", "difflib", "logging", "concurrent.futures
         ("from contactbench.methods import METHODS", HEAVY | SELDOM),
         ("from contactbench.cli import main; main(['--help'])", HEAVY | SELDOM),
         ("from contactbench.cli import main; main(['list'])", HEAVY),
-        ("import contactbench.report.write", {"jax", "diffrax", "heyoka", "sksundae"}),
+        ("import contactbench.questions.write", {"jax", "diffrax", "heyoka", "sksundae"}),
     ],
 )
 def test_nothing_more_is_loaded_and_the_environment_is_left_alone(statement, without):
@@ -206,10 +206,3 @@ def test_notebooks_show_short_tables():
         assert (html[:7], html[-8:]) == ("<table>", "</table>")
         assert html.count("<tr>") < 60
         assert "<lambda>" not in html
-
-
-def test_three_masses_are_solved():
-    given = {"q": (1.0, 1.0, 1.0), "p": (0.0, 0.0, 0.0), "t_end": 2.0, "mass": (1.0, 2.0, 5.0)}
-    scene = cb.Mechanical(name="masses", potential=lambda q: sum(x * x for x in q) / 2, **given)
-    end = cb.solve(scene, "contact-rkn6", step=0.05).q[-1]
-    np.testing.assert_allclose(end, np.cos(2.0 / np.sqrt([1.0, 2.0, 5.0])), rtol=0, atol=1e-10)

@@ -51,7 +51,7 @@ __all__ += ["shifted", "solve", "step_map"]
 __version__ = "0.1.0"
 
 
-#: what not every program needs, and where it is imported from when first asked for
+#: public name → module; they are imported at the first access
 LATER = {"composition": "measure.own_composition", "compare": "study.compare"}
 #: parts that are modules, named as the library that they go with
 PARTS = ("diffrax", "scipy")

@@ -1,4 +1,4 @@
-"""Where other people's code is called: whose an error is, where it happened, and in what words it is told."""
+"""Calls of users' code: find the origin and the place of an error, and describe it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from types import FunctionType
 from contactbench.errors import BadInput, one_line
 from contactbench.limits import VARIABLE, Overrun, allowed, within
 
-#: characters of another's message that are repeated
+#: most characters of a foreign message that are repeated
 REPEATED = 120
-#: the functions of one number that `cb.math` has, by their names in `math`
+#: functions of one number in `cb.math`
 FUNCTIONS: tuple[str, ...] = ("exp", "expm1", "log", "log1p", "sqrt")
 FUNCTIONS += ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
-#: and those of several
+#: functions of several numbers in `cb.math`
 SEVERAL = ("atan2", "hypot", "where")
-#: where no user's code is: this package, Python's library, installed packages
+#: folders without users' code: this package, Python's library, installed packages
 _OURS = str(Path(__file__).parent) + os.sep
 _PATHS = [sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")]
 _NOT_USERS = (_OURS, *_PATHS, "<frozen")
@@ -37,8 +37,8 @@ class UserError(BadInput):
 def is_ours(function: object, asked: tuple[object, ...] = ()) -> bool:
     """Return whether a function, or a class, was written in this package: it computes the same tomorrow.
 
-    Where one that wraps another was written is told by its globals; what it has captured must not change either.
-    asked : those that captured it; functions of `cb.math` capture themselves.
+    The globals of a function show where it was written.  Its captured values must not change either.  asked : functions
+    that captured it; functions of `cb.math` capture themselves.
     """
     if any(function is each for each in asked):
         return True
@@ -67,7 +67,7 @@ def frame_of(error: BaseException) -> traceback.FrameSummary | None:
 
 
 def plain_function(error: BaseException) -> str | None:
-    """Return what to write in place of a function of `math` or NumPy that was given a number it does not know."""
+    """Return a hint for a function of `math` or NumPy that does not know the given kind of number."""
     frame = frame_of(error)
     math = os.path.join(_OURS, "numbers", "functions.py")  # cb.math itself was called, and is not to blame
     if frame is None or any(last.filename == math for last in traceback.extract_tb(error.__traceback__)):
@@ -88,7 +88,7 @@ def plain_function(error: BaseException) -> str | None:
 
 
 def user_error(what: str, error: BaseException) -> UserError:
-    """Return the error as a line: whose it is, where it happened, what it says."""
+    """Return the error as one line with its origin, place and message."""
     if isinstance(error, Overrun):
         says = f"ended after {allowed():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
     else:
@@ -113,7 +113,7 @@ def lengths(error: BaseException) -> str:
 
 
 def place(error: BaseException) -> str:
-    """Return where in a user's code an error happened: ", function (file, line n)"; empty where it did not."""
+    """Return the place of an error in users' code, ", function (file, line n)", or an empty string."""
     frame = frame_of(error)
     if frame is None:
         return ""
@@ -121,7 +121,7 @@ def place(error: BaseException) -> str:
 
 
 def blame(what: str, error: BaseException) -> BaseException:
-    """Return the error as a `UserError` where it comes from a user's own code, else as it is."""
+    """Return the error as a `UserError` if it comes from a user's code, else unchanged."""
     passed = isinstance(error, BadInput | KeyboardInterrupt | GeneratorExit)
     return error if passed or frame_of(error) is None else user_error(what, error)
 

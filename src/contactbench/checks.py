@@ -14,12 +14,12 @@ from contactbench.errors import BadInput, excerpt
 
 #: line breaks, other control characters, halves of characters
 CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f\\u2028\\u2029\\ud800-\\udfff]")
-#: packages that are imported by one name and installed by another, with what they need
+#: name of an imported package → the packages to install
 INSTALLED_AS = {"sksundae": "scikit-sundae numba", "diffrax": "diffrax optimistix"}
 
 
 def missing(package: str) -> str | None:
-    """Return that a package is not installed, and the command that does it; None where it is."""
+    """Return a message with the command that installs a missing package; None if it is installed."""
     if importlib.util.find_spec(package) is not None:
         return None
     name = INSTALLED_AS.get(package, package)
@@ -91,7 +91,7 @@ def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...
 
 
 def items_of(name: str, value: Any, wanted: str) -> list[Any]:
-    """Return the items of `value`, or `BadInput`, which says what is `wanted`; a string is no list of letters."""
+    """Return the items of `value`, or raise `BadInput` with the text `wanted`; a string is no list of letters."""
     try:
         return refuse(name, value, wanted) if isinstance(value, str | bytes) else list(value)
     except TypeError:

@@ -1,4 +1,4 @@
-"""The two exceptions users see for bad input, each a line that names the value and what is allowed."""
+"""The two exceptions for bad input: one line with the value and the allowed values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class BadInput(ValueError):
     Parameters
     ----------
     message
-        One line that names the value and what is allowed; longer texts are cut in the middle.
+        One line with the value and the allowed values; longer texts are cut in the middle.
     """
 
     def __init__(self, message: object) -> None:
@@ -42,7 +42,7 @@ def one_line(message: object, longest: int = LONGEST) -> str:
     text = " ".join("".join(c if c.isprintable() else " " for c in str(message)).split())
     if len(text) <= longest:
         return text
-    end = 2 * longest // 5  # what is allowed stands there
+    end = 2 * longest // 5  # it holds the allowed values
     head, tail = text[: longest - end - 3], text[-end:]
     cut, rest = head.rfind(" "), tail.find(" ")  # between words, unless they are long
     head = head[:cut] if len(head) - cut <= WORD else head

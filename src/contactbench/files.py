@@ -1,4 +1,4 @@
-"""Files that are there as a whole or not at all."""
+"""Write files completely or not at all."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def naming(path: Path) -> Iterator[None]:
 def replacing(path: Path, sync: bool = True, mode: str = "w") -> Iterator[Any]:
     """Open a file that takes the place of `path` when the block ends well; sync : even if power fails then.
 
-    What is no file, as a pipe or /dev/stdout, is written to as it is.
+    A path that is no regular file, such as a pipe or /dev/stdout, is written to directly.
     """
     text: Any = {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
     if path.exists() and not path.is_file():

@@ -21,11 +21,11 @@ RINGS, AGAIN = 3, 0.5
 
 
 class Overrun(BaseException):
-    """The time limit is over.  Not an `Exception`, so that the code it ends does not catch it."""
+    """The time limit is over.  It is no `Exception`, so that user code does not catch it."""
 
 
 def limit() -> float:
-    """Return the seconds that a first evaluation may take, 0 for any time."""
+    """Return the limit in seconds of a first evaluation, 0 for no limit."""
     try:
         seconds = float(os.environ.get(VARIABLE, 0.0))
     except ValueError:

@@ -28,19 +28,19 @@ from contactbench.scenes import SCENES
 
 GROUPS: dict[str, Registry] = {"contactbench.methods": METHODS, "contactbench.scenes": SCENES}
 
-#: what the package brings itself
+#: names of the methods and scenes of this package
 OWN = frozenset({*METHODS, *SCENES})
 
 
 def brought() -> set[str]:
-    """Return the names of the methods and scenes that are not the package's own."""
+    """Return the names of the methods and scenes from plug-ins."""
     return {*METHODS, *SCENES} - OWN
 
 
 #: files to load when contactbench is imported, separated as in PATH
 VARIABLE = "CONTACTBENCH_PLUGINS"
 
-#: what was loaded, and its SHA-256 or version: provenance of the rows it gives
+#: loaded plug-in → its SHA-256 or version, for the provenance of rows
 LOADED: dict[str, str] = {}
 _files: set[Path] = set()
 
@@ -77,7 +77,7 @@ def load_file(path: Path | str) -> None:
 
 
 def _registered() -> dict[tuple[str, int], object]:
-    """Return what is registered at the moment, by names and identity: a file may replace some."""
+    """Return all registered items by name and identity: a file may replace some."""
     return {(name, id(item)): item for registry in Registry.every for name, item in registry.items()}
 
 
@@ -94,7 +94,7 @@ def _run(path: Path) -> None:
 
 
 def try_out(item: object) -> None:
-    """Evaluate a scene's functions, or a step map on a scene, once: raises `BadInput` where that fails."""
+    """Evaluate a scene's functions, or a step map on a scene, once; raise `BadInput` if that fails."""
     if isinstance(item, Scene):
         verify(item)
     elif isinstance(item, FixedStep):
@@ -105,7 +105,7 @@ def try_out(item: object) -> None:
 
 
 def load_installed() -> None:
-    """Load entry points, and files named in the environment; nobody asked just now: a broken one is a warning."""
+    """Load entry points, and files named in the environment; a broken one gives a warning."""
     installed = entry_points()  # every package is looked at: once for both groups
     for group, registry in GROUPS.items():
         for point in installed.select(group=group):
@@ -132,7 +132,7 @@ def _warn(what: str, error: BaseException) -> None:
 
 
 def _register(registry: Registry, item: object) -> None:
-    """Add what an entry point names, unless importing its module has done so."""
+    """Register the object of an entry point, unless importing its module has done so."""
     if any(item is known or item is getattr(known, "step", None) for known in registry.values()):
         return
     if callable(item) and not hasattr(item, "name"):

@@ -68,7 +68,7 @@ class Registry(dict[str, Any]):
         return item
 
     def __setitem__(self, name: object, item: object) -> None:
-        """Register `item` under its own name, in place of what had it; raises `BadInput` as `add` does."""
+        """Register `item` under its own name and replace another item; raises `BadInput` as `add` does."""
         own = getattr(item, "name", None)
         if not isinstance(item, self.of) or own is None:
             raise BadInput(f"{excerpt(item)} cannot be registered: it is no {self.kind}")

@@ -1,4 +1,4 @@
-"""What a run returns: the saved states, how it ended, and what it cost."""
+"""Results of runs: the saved states, the status and the cost."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Status(StrEnum):
     ok
         All saved states are there.
     diverged
-        Not finite, or beyond 10⁶ times its scale: the start, one, or what the force and the velocity there lead to,
-        of q and p by themselves.
+        Not finite, or beyond 10⁶ times the scale of q or p: the size of the start, one, or the size estimated from
+        force and velocity at the start.
     budget
         The step or evaluation budget was spent.
     failed
@@ -86,14 +86,14 @@ class Counts(NamedTuple):
 #: components that are drawn
 DRAWN = 8
 
-#: the control of a method that has neither step nor tolerance, and that of steps that grow, by their mean
+#: controls of a method without step and tolerance, and of growing steps, which are given by their mean
 EXACT, GROWING = "exact", "growing"
 #: the variant of a fixed-step method that is given rtol: pilots choose its step
 PILOTS = "pilots"
 
 
 def setting_key(control: str, value: float) -> str:
-    """Return what is set and to what, as tables say it."""
+    """Return the control and its value as in tables."""
     return control if control == EXACT else f"{control}={value:.6g}"
 
 
@@ -102,9 +102,9 @@ def keywords(control: str, value: float) -> dict[str, Any]:
 
 
 class Differential(NamedTuple):
-    """The derivative of the saved states of a numerical map along the m tangents at the start, or why there is none.
+    """The derivative of the saved states of a numerical map along the m tangents at the start, or why it is missing.
 
-    estimates : (l, k, d, m), one to round-off, several by differences, or none.
+    estimates : (l, k, d, m); one estimate to round-off, several by differences, or none.
     """
 
     source: str
@@ -116,7 +116,7 @@ class Differential(NamedTuple):
 
     @property
     def value(self) -> np.ndarray:
-        """One estimate (k, d, m), for every tangent the first of the two that agree best; `BadInput` if none."""
+        """Return for every tangent the estimate that agrees best with the next, (k, d, m); `BadInput` if none."""
         if not self.taken:
             raise BadInput(f"no derivative of the numerical map: {self.source}")
         if len(self.estimates) == 1:
@@ -125,12 +125,12 @@ class Differential(NamedTuple):
         return np.stack([self.estimates[best, :, :, j] for j, best in enumerate(closest(gaps))], axis=-1)
 
 
-#: the error bar of a difference over the smallest disagreement of two estimates, which may be luck
+#: the error bar of a difference over the smallest disagreement of two estimates
 SAFETY = 2.0
 
 
 def closest(gaps: np.ndarray) -> np.ndarray:
-    """For every tangent (l, m) the estimate that differs least from the next; nan is far."""
+    """Return for every tangent, (l, m), the estimate that differs least from the next; nan counts as infinite."""
     return np.argmin(np.where(np.isnan(gaps), np.inf, gaps), axis=0)
 
 
@@ -165,7 +165,7 @@ class Solution:
     truth
         The `Reference` at its times, where it is known already, or why there is none; else the laws compute it.
     patience
-        The limit of time of the laws while they are measured.
+        The limit of time while laws are measured.
     """
 
     scene: Scene
@@ -185,12 +185,12 @@ class Solution:
     step_chosen: float = float("nan")
     step: float = float("nan")
     truth: Reference | BadInput | None = None
-    #: how long its laws may take, while they are measured
+    #: limit of time while laws are measured
     patience: Patience | None = None
 
     @staticmethod
     def of(ending: dict[str, object], y: np.ndarray, y0: np.ndarray) -> Solution:
-        """Return the solution with these states and all other attributes as they are, in a third of the time."""
+        """Return a solution from a dictionary of attributes and its states, three times as fast as the constructor."""
         made = _new(Solution)
         made.__dict__ = {**ending, "y": y, "y0": y0}
         return made
@@ -295,7 +295,7 @@ class Solution:
         return pd.DataFrame({"t": self.t, **columns})
 
     def laws(self, seconds: float = 60.0) -> pd.DataFrame:
-        """Return how far the run is from every law that applies to it, in so many seconds.
+        """Measure the deviation of the run from every law that applies to it, within a limit of seconds.
 
         See `contactbench.measure.laws.laws`.
         """
@@ -305,7 +305,7 @@ class Solution:
 
     @cached_property
     def differential(self) -> Differential:
-        """dΦ of the numerical map its user gets; where the state decides on the steps, this included."""
+        """Return dΦ of the numerical map, including the choice of steps."""
         if self.run is None:
             raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
         return self.run.differential(self.y0, self, self.patience)
@@ -364,6 +364,6 @@ class Solution:
         return self.scene.unpack(self.scene.entries(self.y0), self.carry)
 
 
-#: a run has diverged when |q|, |p| or |M| exceed this many times their scale: that of the start, one where it is
-#: smaller, as next to an equilibrium, and each by itself what the start leads to (`Scene.scales`)
+#: a run has diverged if |q|, |p| or |M| exceed this many times their scale, which is at least the size of the start,
+#: one, and the size of the motion estimated from the start (`Scene.scales`)
 DIVERGENCE = 1e6

@@ -19,7 +19,7 @@ from contactbench.errors import BadInput
 
 @cache
 def configure() -> None:
-    """Import JAX and make its settings; raises `BadInput` where it is not installed."""
+    """Import and configure JAX; raise `BadInput` if it is not installed."""
     if lacks := missing("jax"):
         raise BadInput(lacks)
     # read when JAX makes its first device
@@ -53,7 +53,7 @@ def configure_doubles() -> None:
 
 
 class Deferred:
-    """A module that is imported, and JAX configured, when one of its attributes is first asked for."""
+    """A module that is imported, with JAX configured, at the first access to an attribute."""
 
     def __init__(self, name: str, configure: Callable[[], None] = configure) -> None:
         self._name, self._configure = name, configure

@@ -1,4 +1,4 @@
-"""Every Python block of README and documentation runs, page by page, in the order of the page."""
+"""Every Python block of README and documentation runs, page by page; the methods it makes keep their contract."""
 
 import re
 from functools import partial
@@ -9,6 +9,8 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY, few_slow
 from contactbench.tables import declared
+from contactbench.testing import check_method
+from contactbench.testing.method import CASES
 from made_up import folder
 
 BLOCK = re.compile(r"^```python[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -18,9 +20,9 @@ PAGES = [
     if BLOCK.search(path.read_text()) and path.name != "trajectories.md"  # test_trajectories.py
 ]
 #: seconds of a race whose page does not say how long it may take
-BUDGET = 15.0
+BUDGET = 5.0
 #: take ten seconds
-LONG = [page for page in PAGES if page.name in ("adding.md", "gallery.md", "tutorial.md")]
+LONG = [page for page in PAGES if page.name in ("adding.md", "embed.md", "gallery.md", "tutorial.md")]
 
 
 @pytest.mark.parametrize("page", few_slow(PAGES, *LONG), ids=lambda path: path.name)
@@ -31,8 +33,10 @@ def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
         copy(table, made)
     monkeypatch.setattr(declared, "shipped_folder", lambda: made)
     monkeypatch.setattr(cb, "compare", partial(cb.compare, budget=BUDGET))
-    text, scope = page.read_text(), {}
+    text, scope, known = page.read_text(), {}, {*cb.METHODS}
     for block in BLOCK.finditer(text):
         # padded so that a traceback shows the page's own line
         before = "\n" * text.count("\n", 0, block.start(1))
         exec(compile(before + block[1], str(page), "exec"), scope)
+    for name in {*cb.METHODS} - known:
+        assert check_method(cb.METHODS[name], engines=cb.METHODS[name].engines[:1], scenes=CASES[:1])

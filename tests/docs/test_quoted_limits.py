@@ -6,9 +6,9 @@ import pytest
 
 from contactbench.gate import compare, speed
 from contactbench.measure import clock, law, statistics
-from contactbench.study import timetable
+from contactbench.runs import timetable
+from contactbench.runs.problems import FAMILIES
 from contactbench.study.compare import BUDGET
-from contactbench.study.problems import FAMILIES
 from contactbench.truth import survey
 
 #: the shortest pulse that is seen, in parts of the span
@@ -24,19 +24,19 @@ QUOTED = {
     ],
     "gate.md": [
         f"by a factor of {compare.FACTOR:.0f}",
-        f"by {compare.SLOPE}; slopes",
         f"by {compare.VALUE:.0%}",
         f"above {speed.LIMIT}",
         f"at most {1e3 * speed.LONGEST:.0f} ms",
     ],
     "reading.md": [
         f"more than {law.WRECKED:.0%}",
-        f"visited {clock.VISITS} times",
+        f"no larger error {clock.VISITS} times",
         f"{clock.ROUNDS} rounds of at least {1e3 * clock.ROUND_SECONDS} ms",
         f"more than {1e3 * clock.LONG:.0f} ms",
         *(f"more than {1e3 * seconds:.0f} ms" for seconds in timetable.SPARED),
-        f"{timetable.SAMPLE} of each",
-        f"{statistics.FLOOR - 1:.0%} at least",
+        f"a factor of {timetable.NEAR:g} of the least",
+        f"the others {timetable.OTHERS} times",
+        f"{statistics.WIDEST - 1:.0%} at least",
         f"wider than {statistics.WIDEST - 1:.0%}",
     ],
 }

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import few_slow
 from contactbench.xla import jax, jnp
 from own_scenes import PULSATING
 
@@ -35,7 +36,7 @@ def end(solution):
 
 @pytest.mark.parametrize("scene", ["particle", "forced_oscillator", "pulsating"])
 @pytest.mark.parametrize("method", ["contact-abc", "contact-strang", "contact-rkn6", "contact-rkn8"])
-@pytest.mark.quick(scene="particle", method=("contact-abc", "contact-rkn8"))
+@pytest.mark.quick(scene="particle", method="contact-abc")
 @pytest.mark.quick(scene="pulsating", method="contact-rkn6")
 def test_a_run_is_that_of_solve(scene, method):
     """Where dt0 does not divide the time, diffrax takes 0.1, 0.095 and then steps of 0.0975: three runs.
@@ -59,13 +60,14 @@ def test_steps_that_change_are_runs_of_their_own():
 def test_gradients_are_those_of_the_numerical_map():
     def last(gamma, adjoint=None):
         options = {"adjoint": adjoint} if adjoint else {"max_steps": 32}
-        return solve("particle", "contact-rkn6", args={"gamma": gamma}, **options).ys[0][-1, 0]
+        return solve("particle", "contact-strang", args={"gamma": gamma}, **options).ys[0][-1, 0]
 
     h = 1e-5
     expected = (last(0.1 + h) - last(0.1 - h)) / (2 * h)
-    assert float(jax.grad(last)(0.1)) == pytest.approx(float(expected), rel=1e-8)
+    backward = float(jax.grad(last)(0.1))
+    assert backward == pytest.approx(float(expected), rel=1e-8)
     forward = jax.jacfwd(lambda gamma: last(gamma, diffrax.ForwardMode()))(0.1)
-    assert float(forward) == pytest.approx(float(jax.grad(last)(0.1)), rel=1e-12)
+    assert float(forward) == pytest.approx(backward, rel=1e-12)
 
 
 def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum():
@@ -78,26 +80,26 @@ def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum(
     terms = term(lambda t, p, args: p), diffrax.MultiTerm(force, damping)
     controller = diffrax.ConstantStepSize()
     found = diffrax.diffeqsolve(
-        terms, cb.diffrax.Contact("contact-rkn8"), 0, 3, 0.1, (q, p), rates, stepsize_controller=controller
+        terms, cb.diffrax.Contact("contact-rkn6"), 0, 3, 0.1, (q, p), rates, stepsize_controller=controller
     ).ys[0]
     for start, rate, last in ((1.0, 0.1, found["a"][-1]), (0.5, 0.4, found["b"][-1, 0])):
         omega = np.sqrt(1 - rate**2 / 4)
         wave = np.cos(3 * omega) + rate / (2 * omega) * np.sin(3 * omega)
-        assert float(last) == pytest.approx(start * np.exp(-1.5 * rate) * wave, abs=1e-12)
+        assert float(last) == pytest.approx(start * np.exp(-1.5 * rate) * wave, abs=1e-9)
 
 
-@pytest.mark.parametrize("scene", ["particle", "pulsating"])
+@pytest.mark.parametrize("scene", few_slow(["particle", "pulsating"], "particle"))
 def test_back_in_time_it_takes_its_steps_back(scene):
     """To the start, for the steps are palindromic; between them, its cubics are those of the way there."""
     times = jnp.array([1.75, 0.5])
     t0 = getattr(SCENES[scene], "t", 0.0)
-    there = solve(scene, "contact-rkn6", saveat=diffrax.SaveAt(ts=t0 + times[::-1], t1=True)).ys
+    there = solve(scene, "contact-strang", saveat=diffrax.SaveAt(ts=t0 + times[::-1], t1=True)).ys
     constant = {
         "stepsize_controller": diffrax.ConstantStepSize(),
         "saveat": diffrax.SaveAt(ts=t0 + times, t1=True),
     }
     given = t0 + 2.0, t0, -0.1, tuple(part[-1] for part in there)
-    back = diffrax.diffeqsolve(terms_of(scene), cb.diffrax.Contact("contact-rkn6"), *given, **constant).ys
+    back = diffrax.diffeqsolve(terms_of(scene), cb.diffrax.Contact("contact-strang"), *given, **constant).ys
     for found, on_the_way, start in zip(back, there, (SCENES[scene].q, SCENES[scene].p), strict=True):
         np.testing.assert_allclose(found[-1], start, rtol=0, atol=1e-13)
         np.testing.assert_allclose(found[:-1], on_the_way[1::-1], rtol=0, atol=1e-13)
@@ -107,7 +109,7 @@ def test_between_steps_it_interpolates_by_cubics():
     times = np.linspace(0, 2, 41)
     truth = cb.solve("particle", "contact-rkn8", step=0.05, save_at=times, carry=()).q
     errors = [
-        np.abs(solve("particle", "contact-rkn8", dt0=h, saveat=diffrax.SaveAt(ts=times)).ys[0] - truth).max()
+        np.abs(solve("particle", "contact-rkn6", dt0=h, saveat=diffrax.SaveAt(ts=times)).ys[0] - truth).max()
         for h in (0.2, 0.1)
     ]
     assert 3.5 < np.log2(errors[0] / errors[1]) < 4.5
@@ -124,12 +126,7 @@ FULL = np.array([[0.2, 0.15], [0.15, 0.2]])
         (lambda p: p / (1 + p @ p), lambda p: -p, jnp.ones(2)),
         (lambda p: p, lambda p: {"a": -p["b"], "b": -p["a"]}, {"a": 1.0, "b": 2.0}),
     ],
-    ids=[
-        "a full matrix",
-        "quadratic damping",
-        "a velocity that is not linear",
-        "leaves that damp each other",
-    ],
+    ids=["a full matrix", "quadratic", "a velocity that is not linear", "of leaves by each other"],
 )
 def test_terms_that_it_does_not_solve_are_refused(velocity, damping, state):
     def term(function):

@@ -14,6 +14,7 @@ MERGED = [m for m in FIXED if m.one_step and not m.iterates and m.family != "var
 #: those whose compiled loop sums the terms of s in another order than one step alone does
 OTHERWISE, ROUNDINGS = ("rkn8", "rkn12"), 4 * np.finfo(float).eps
 SCENES = [*map(cb.SCENES.get, ("particle", "quadratic_damping", "rigid_body_anisotropic")), PULSATING]
+SCENES += [cb.SCENES["spherical_pendulum"]]
 START = {"q": (1.0,), "p": (0.0,), "gamma": 0.1, "t_end": 2.0}
 
 
@@ -30,7 +31,7 @@ def last(scene, method, **options):
 
 @pairs(MERGED, SCENES)
 @pytest.mark.quick(scene="particle", method=("contact-abc", "contact-strang", "contact-rkn8", "rk4"))
-@pytest.mark.quick(scene="pulsating", method="contact-rkn6")
+@pytest.mark.quick(scene=("pulsating", "spherical_pendulum"), method="contact-rkn6")
 def test_a_run_has_the_bits_of_solve(scene, method):
     """At an h that does not divide the time, too: 16 equal steps."""
     found = run(cb.scipy.Contact(method.name, scene), t0=getattr(scene, "t", 0.0))

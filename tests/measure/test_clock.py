@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from contactbench.measure import clock
-from contactbench.measure.clock import ROUND_SECONDS, VISITS, Call, Part, Race, Visit, time_columns
+from contactbench.measure.clock import ROUND_SECONDS, VISITS, Call, Race, Visit, ratio_column, time_columns
 
 
 @pytest.fixture
@@ -25,48 +25,27 @@ def machine(monkeypatch):
     return call
 
 
-def test_the_least_round_is_the_estimate_median_and_spread_stay_and_the_halves_are_odd_and_even_visits():
-    columns = time_columns([Visit([3.0, 2.0, 4.0], iterations=7), Visit([6.0, 1.0, 5.0], iterations=9)])
-    times = {"time_min_s": 1.0, "time_median_s": 3.5, "time_iqr_s": 2.5, "time_halves_ratio": 0.5}
-    assert columns == times | {"visits": 2, "rounds": 6, "iterations": 9}
-    assert time_columns([Visit([t]) for t in (4.0, 9.0, 9.0, 6.0)])["time_halves_ratio"] == 1.5
-    assert "time_halves_ratio" not in time_columns([Visit([1.0])])
-
-
-def test_fixed_and_marginal_cost_are_those_of_the_line_through_the_least_rounds():
-    part = Part(lambda: None, share=0.2, span=40.0)
-
-    def visit(drift):
-        return Visit([drift * (3e-6 + 2e-7 * 40)], [(3 - drift) * (3e-6 + 2e-7 * 8)])  # slow in turns
-
-    columns = clock.length_columns([visit(d) for d in (1.0, 1.0, 2.0, 2.0)], part)
-    assert columns["fixed_s"] == pytest.approx(3e-6)
-    assert columns["marginal_s"] == pytest.approx(2e-7)
-    assert columns["marginal_halves_ratio"] == pytest.approx(1.0)
-    no_time = [Visit([2.0], [1.0]), Visit([2.0], [3.0])]  # one half of the visits says less than none
-    assert "marginal_halves_ratio" not in clock.length_columns(no_time, part)
+def test_the_least_round_is_the_estimate_and_the_halves_are_odd_and_even_visits():
+    columns = time_columns([Visit([3.0, 2.0, 4.0]), Visit([6.0, 1.0, 5.0])])
+    assert columns == {"least_s": 1.0, "halves": 0.5}
+    assert time_columns([Visit([t]) for t in (4.0, 9.0, 9.0, 6.0)])["halves"] == 1.5
+    assert "halves" not in time_columns([Visit([1.0])])
 
 
 def test_a_second_process_is_compared_by_its_least_round():
-    part = Part(lambda: None, share=0.5, span=1.0)
-    first, second = [Visit([4.0], [1.0]), Visit([2.0], [1.5])], [Visit([9.0], [2.0]), Visit([3.0], [7.0])]
-    columns = clock.process_columns(first, second, part)
-    assert columns == {"time_process_ratio": 1.5, "marginal_process_ratio": 1.0}
-    assert clock.process_columns(first, second) == {"time_process_ratio": 1.5}
+    first, second = [Visit([4.0]), Visit([2.0])], [Visit([9.0]), Visit([3.0])]
+    assert ratio_column("process", clock.least, first, second) == {"process": 1.5}
+    assert ratio_column("process", clock.least, first, []) == {}
 
 
 def test_a_round_takes_as_long_as_it_should_however_slow_the_first_calls_were(machine):
     durations = [10 * ROUND_SECONDS] * 2 + [ROUND_SECONDS / 10] * 500
     call = Call(machine(*durations))
     call.warm_up()
-    assert call.visit().iterations == 1  # as the warm-up had it
-    assert call.visit().iterations in (10, 11)  # the clock's own rounding
-    part = Part(machine(ROUND_SECONDS / 100), share=0.1, span=1.0)
-    both = Call(machine(ROUND_SECONDS / 10), part)
-    both.warm_up()
-    visit = both.visit(2)
-    assert len(visit.whole) == len(visit.part) == 2
-    assert visit.part == pytest.approx([ROUND_SECONDS / 100] * 2)
+    assert call.calls_a_round() == 1
+    call.visit()
+    assert call.calls_a_round() in (10, 11)  # the clock's own rounding
+    assert call.visit(2).whole == pytest.approx([ROUND_SECONDS / 10] * 2)
 
 
 def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
@@ -76,15 +55,6 @@ def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
     call.warm_up()
     assert len(call.visit().whole) == 1
     assert calls["run"] == 2
-
-
-def test_a_call_without_its_part_is_as_warm(machine):
-    call = Call(machine(2 * clock.LONG), Part(machine(clock.LONG), share=0.5, span=1.0))
-    call.warm_up()
-    whole, before = call.without_part(), machine.now[0]
-    assert whole.warm_up() == pytest.approx(2 * clock.LONG)
-    assert machine.now[0] == before
-    assert whole.visit().part == ()
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,10 @@ import contactbench.measure.order as of_steps
 from chains import bodies
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import DIGITS, ROUND_OFF, fit_order
+from contactbench.runs.search import Attempt, Question, Search
+from contactbench.runs.settings import ENDS, carry_of, steps, times, tolerances
 from contactbench.scene.base import Elapsed
 from contactbench.splitting.tables import COMPOSITIONS
-from contactbench.study.search import Attempt, Question, Search
-from contactbench.study.settings import ENDS, carry_of, steps, times, tolerances
 from contactbench.truth import decimal_context
 from own_scenes import scene_of
 

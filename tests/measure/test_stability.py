@@ -7,8 +7,8 @@ import pytest
 
 import contactbench as cb
 from contactbench.measure import stability as linear
+from contactbench.runs.limits import creep_rows, stable_steps, weak_row
 from contactbench.scene import State
-from contactbench.study.stability import overdamped_row, weak_row
 from planted import Truth
 
 METHODS = [linear.kernel(method) for method in linear.fixed_step_methods()]
@@ -83,23 +83,27 @@ def test_the_error_of_a_whole_run_falls_with_the_order_of_the_method(name, order
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.4)
 
 
-@pytest.mark.parametrize("name", ["contact-abc", "contact-strang"])
-@pytest.mark.parametrize(("damping", "expected"), [(1.0, 1.08), (5.0, 2.54), (25.0, 13.3)])
-def test_splitting_force_and_friction_gets_the_creep_wrong(name, damping, expected):
-    row = overdamped_row(name, "step", damping / 50.0, None)
-    assert row["true_rate"] == linear.slow_rate(50.0)
-    assert row["ratio"] == pytest.approx(expected if name == "contact-abc" else 1.0, rel=0.01)
+@pytest.mark.parametrize(
+    ("name", "expected"), [("contact-abc", (1.08, 2.54, 13.3)), ("contact-strang", (1, 1, 1))]
+)
+def test_splitting_force_and_friction_gets_the_creep_wrong(name, expected):
+    rows = list(creep_rows(cb.METHODS[name]))
+    assert [row["setting"] * row["gamma"] for row in rows] == pytest.approx([1.0, 5.0, 25.0])
+    assert {row["true"] for row in rows} == {linear.slow_rate(50.0)}
+    assert [row["measured"] / row["true"] for row in rows] == pytest.approx(expected, rel=0.01)
 
 
 def test_the_last_kick_leaves_the_overdamped_momentum_too_large():
     """By (γh/2) coth(γh/2), docs/mathematics.md; the rate, and q, are right all the same."""
-    half = cb.SCENES["overdamped"].gamma * 0.5 / 2
-    row = overdamped_row("contact-strang", "step", 0.5, None)
-    assert row["rate_error"] < 0.005
-    assert row["q_error"] < 0.02
-    assert row["p_error"] == pytest.approx(half / math.tanh(half) - 1, rel=0.02)
-    fine = overdamped_row("cyrk-radau", "rtol", 1e-9, None)
-    assert max(fine["q_error"], fine["p_error"]) < 1e-6
+    scene = cb.SCENES["overdamped"]
+    half, truth = scene.gamma * 0.5 / 2, cb.reference(scene, [scene.t_end], ()).y[-1]
+    coarse, fine = (
+        np.abs(cb.solve(scene, name, save_at=[scene.t_end], carry=(), **setting).y[-1] / truth - 1)
+        for name, setting in (("contact-strang", {"step": 0.5}), ("cyrk-radau", {"rtol": 1e-9}))
+    )
+    assert coarse[0] < 0.02
+    assert coarse[1] == pytest.approx(half / math.tanh(half) - 1, rel=0.02)
+    assert fine.max() < 1e-6
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 1.0])
@@ -113,10 +117,10 @@ def test_contact_methods_damp_exactly_where_the_eigenvalues_are_complex(gamma):
 @pytest.mark.parametrize("t_end", [1e4, 1e5])
 def test_the_exact_solution_has_no_error_of_its_rate(t_end, registries):
     cb.METHODS.add(Truth("planted-truth"))
-    row = weak_row("weak_damping", "planted-truth", t_end)
+    row = weak_row(cb.METHODS["planted-truth"], t_end)
     assert row["status"] == "ok"
-    assert row["true_rate"] == pytest.approx(1e-5, rel=1e-4)
-    assert row["rate_error"] <= 1e-12
+    assert row["true"] == pytest.approx(1e-5, rel=1e-4)
+    assert row["error"] <= 1e-12
 
 
 @pytest.mark.parametrize("n", [1, 2, 7])
@@ -124,3 +128,12 @@ def test_the_exact_solution_has_no_error_of_its_rate(t_end, registries):
 def test_the_matrix_of_a_run_is_the_run(method, n):
     x = method.advance(linear.oscillator(0.5), State((0.6,), (0.8,)), 0.3, n, math)
     np.testing.assert_allclose(linear.run_matrix(method, 0.5, 0.3, n) @ (0.6, 0.8), [*x.q, *x.p], rtol=1e-12)
+
+
+def test_a_processed_method_has_two_borders_and_others_one():
+    processed, plain = (
+        {row["question"]: row["measured"] for row in stable_steps(cb.METHODS[name], 10.0)}
+        for name in ("contact-rkn8", "contact-strang")
+    )
+    assert processed == pytest.approx({"stability": 2.8435, "stability saved": 2.3295}, abs=1e-4)
+    assert plain == pytest.approx({"stability": linear.merged_limit(10.0, 1.0)}, rel=1e-9)

@@ -34,11 +34,11 @@ def test_a_ratio_is_found_in_noise_and_drift(true):
 
 # -- margins ---------------------------------------------------------------------------------------
 def test_a_margin_is_of_both_cells_and_of_processes_and_has_a_floor():
-    assert margin((1.0, 1.0), 1.0) == statistics.FLOOR == 1.03
-    assert margin((1.1, 1.0), 1.0) == margin((1.0, 1 / 1.1), 1.0) == pytest.approx(1.1)
-    assert margin((1.0, 1.0), 1.1) == pytest.approx(1.1)
-    together = np.exp(np.linalg.norm(np.log([1.06, 1.08, 1.04])))
-    assert margin((1.06, 1 / 1.08), 1.04) == pytest.approx(together)
+    assert margin((1.0, 1.0), 1.0) == margin((1.1, 1.0), 1.1) == statistics.WIDEST == 1.25
+    assert margin((1.3, 1.0), 1.0) == margin((1.0, 1 / 1.3), 1.0) == pytest.approx(1.3)
+    assert margin((1.0, 1.0), 1.3) == pytest.approx(1.3)
+    together = np.exp(np.linalg.norm(np.log([1.2, 1.2, 1.1])))
+    assert margin((1.2, 1 / 1.2), 1.1) == pytest.approx(together)
     assert margin((1.0, math.nan), 1.0) == math.inf  # of a cell that was visited once nothing is known
 
 

@@ -1,5 +1,6 @@
 """Recorded numbers, recorded programs, and the compiled loops made of them."""
 
+import ctypes
 import math
 import os
 import shutil
@@ -7,22 +8,22 @@ import stat
 import sys
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, FIXED, REPOSITORY, few_slow, pairs, random_state, run
+from cases import ALL_SCENES, FIXED, REPOSITORY, pairs, random_state, run
 from contactbench.measure import isolation
 from contactbench.methods.loops import loop_of
 from contactbench.numbers.control import repeat
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
 from contactbench.solution import Status
+from contactbench.trace import compiled, kept
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import FUNCTIONS, execute
-from contactbench.trace.kept import folder, read_kept, write_kept
+from contactbench.trace.kept import read_kept, write_kept
 from contactbench.trace.program import record
 from contactbench.trace.recording import ALIASES
 
@@ -95,7 +96,7 @@ def test_every_operation_is_compiled_to_what_it_is():
 
 # -- the engine ------------------------------------------------------------------------------------
 @pairs(FIXED, ALL_SCENES, lambda method, scene: method.refuses(scene) is None)
-@pytest.mark.quick(scene="particle")
+@pytest.mark.quick(scene="particle", method=("contact-rkn8", "contact-gauss2", "herglotz2", "rk4"))
 @pytest.mark.quick(method="contact-abc")
 def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
     """As the step map is written, to round-off: uneven saved times, every field carried or none.
@@ -198,30 +199,39 @@ def run_elsewhere(folder, source=RUN):
     return done.stdout.split(" ", 1)
 
 
-@pytest.fixture(scope="module")
-def first(tmp_path_factory):
-    """A cache of one program, and the states that it gave."""
-    folder = tmp_path_factory.mktemp("cache")
-    compiled, states = run_elsewhere(folder)
-    assert compiled == "1"
-    return folder, states
+def test_a_second_process_compiles_nothing(tmp_path):
+    compiled, states = run_elsewhere(tmp_path)
+    (path,) = (tmp_path / "programs").iterdir()
+    before = path.stat().st_mtime_ns
+    assert (compiled, path.suffix) == ("1", ".object")
+    assert run_elsewhere(tmp_path) == ["0", states]
+    assert [*(tmp_path / "programs").iterdir()] == [path]
+    assert path.stat().st_mtime_ns == before
+
+
+def compiled_anew():
+    """Whether a machine as that of a new process compiles a program, or finds it kept; what it computes is right."""
+    made = compiled.Machine()
+    address = made.address("key", "i64", ("i64",), lambda builder, x: builder.add(x[0], x[0].type(41)))
+    assert ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)(address)(1) == 42
+    return bool(made.compiled)
 
 
 @pytest.fixture
-def kept(first, tmp_path):
-    """A copy of it, its file, and the states."""
-    folder = shutil.copytree(first[0], tmp_path / "cache")
-    (path,) = (folder / "programs").iterdir()
-    assert path.suffix == ".object"
-    return folder, path, first[1]
+def cache(tmp_path, monkeypatch):
+    """The folder of a cache in which nothing is kept yet."""
+    monkeypatch.setenv("CONTACTBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(kept, "folder", kept.folder.__wrapped__)
+    return tmp_path / "cache"
 
 
-def test_a_second_process_compiles_nothing(kept):
-    folder, path, states = kept
-    before = path.stat().st_mtime_ns
-    assert run_elsewhere(folder) == ["0", states]
-    assert [*(folder / "programs").iterdir()] == [path]
-    assert path.stat().st_mtime_ns == before
+@pytest.fixture
+def path(cache):
+    """The file of the one program that it keeps."""
+    assert compiled_anew()
+    assert not compiled_anew()
+    (path,) = (cache / "programs").iterdir()
+    return path
 
 
 def flip(content):
@@ -232,39 +242,37 @@ def flip(content):
 DAMAGE = (lambda whole: b"\x9c" * len(whole), lambda whole: whole[: len(whole) // 2], lambda whole: b"", flip)
 
 
-@pytest.mark.parametrize("damage", few_slow(DAMAGE, *DAMAGE[:3]))
-def test_a_damaged_program_is_compiled_anew_and_replaced(damage, kept):
-    folder, path, states = kept
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_program_is_compiled_anew_and_replaced(damage, path):
     path.write_bytes(damage(path.read_bytes()))
     assert read_kept(path) is None
-    assert run_elsewhere(folder) == ["1", states]
+    assert compiled_anew()
     assert read_kept(path)
-    assert run_elsewhere(folder) == ["0", states]
+    assert not compiled_anew()
 
 
-def test_a_program_that_can_neither_be_read_nor_replaced_is_compiled(kept):
-    folder, path, states = kept
-    path.unlink()
+def fill(path):
     (path / "in the way").mkdir(parents=True)
-    assert run_elsewhere(folder) == ["1", states]
-    assert [*(folder / "programs").iterdir()] == [path]
 
 
-def test_a_folder_that_cannot_be_written_to_is_no_obstacle_and_none_is_left_elsewhere(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    (tmp_path / "temporary").mkdir()
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
-    assert run_elsewhere(tmp_path / "file")[0] == "1"
-    assert not [*(tmp_path / "temporary").iterdir()]
+FIFO = pytest.param(getattr(os, "mkfifo", None), marks=pytest.mark.posix)
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are none here")
-def test_a_pipe_in_the_place_of_a_program_is_left_alone(kept):
-    folder, path, states = kept
+@pytest.mark.parametrize("put", [fill, FIFO])
+def test_what_can_neither_be_read_nor_replaced_is_left_alone(put, path):
     path.unlink()
-    os.mkfifo(path)
-    assert run_elsewhere(folder) == ["1", states]
-    assert path.is_fifo()
+    put(path)
+    assert compiled_anew()
+    assert [*path.parent.iterdir()] == [path]
+    assert not path.is_file()
+
+
+def test_a_folder_that_cannot_be_written_to_is_no_obstacle_and_none_is_left_elsewhere(cache, monkeypatch):
+    cache.write_text("")
+    (elsewhere := cache.with_name("temporary")).mkdir()
+    monkeypatch.setenv("TMPDIR", str(elsewhere))
+    assert compiled_anew()
+    assert not [*elsewhere.iterdir()]
 
 
 # -- whose it is: compiled code is run, so that nobody else may have put it there --------------------
@@ -272,24 +280,15 @@ OTHERS = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files belong to n
 
 
 @OTHERS
-def test_the_folder_of_programs_is_the_users_alone(first):
-    assert stat.S_IMODE((first[0] / "programs").stat().st_mode) == 0o700
-
-
-@OTHERS
 @pytest.mark.parametrize("mode", [0o777, 0o1777])
-def test_nothing_is_kept_in_a_folder_of_everybody(mode, tmp_path, monkeypatch):
-    """Neither of ours nor of XLA."""
-    tmp_path.chmod(mode)
-    monkeypatch.setenv("CONTACTBENCH_CACHE", str(tmp_path))
+def test_nothing_is_kept_in_a_folder_of_everybody(mode, cache, monkeypatch):
+    """Neither of ours nor of XLA; a folder of our own is the user's alone."""
     for kind in ("programs", "xla"):
-        assert folder.__wrapped__(kind) is None
-    monkeypatch.setenv("CONTACTBENCH_CACHE", str(tmp_path / "mine"))
-    for kind in ("programs", "xla"):
-        assert stat.S_IMODE(folder.__wrapped__(kind).stat().st_mode) == 0o700
-    assert stat.S_IMODE((tmp_path / "mine").stat().st_mode) == 0o700
+        assert stat.S_IMODE(kept.folder(kind).stat().st_mode) == stat.S_IMODE(cache.stat().st_mode) == 0o700
+    cache.chmod(mode)
+    assert [kept.folder(kind) for kind in ("programs", "xla")] == [None, None]
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
-    monkeypatch.setattr(isolation, "folder", lambda kind: None)
+    monkeypatch.setattr(isolation, "folder", kept.folder)
     monkeypatch.setattr(os, "environ", dict(os.environ))
     isolation.settle()
     assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
@@ -299,34 +298,26 @@ def test_nothing_is_kept_in_a_folder_of_everybody(mode, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("whose", "mode"), [("folder", 0o777), ("folder", 0o770), ("file", 0o622), ("file", 0o664)]
 )
-def test_what_others_may_write_to_is_not_run(whose, mode, kept):
+def test_what_others_may_write_to_is_not_run(whose, mode, path):
     """A folder is left alone, a program compiled anew."""
-    folder, path, states = kept
     (path if whose == "file" else path.parent).chmod(mode)
     before = path.stat().st_mtime_ns
     assert whose == "folder" or read_kept(path) is None
-    assert run_elsewhere(folder) == ["1", states]
+    assert compiled_anew()
     assert [*path.parent.iterdir()] == [path]
     assert read_kept(path) if whose == "file" else path.stat().st_mtime_ns == before
 
 
 @OTHERS
-def test_a_program_of_another_user_is_not_loaded(kept, monkeypatch):
-    path = kept[1]
-    assert read_kept(path)
-    other = path.stat().st_uid + 1
-    monkeypatch.setattr(os, "getuid", lambda: other)
-    assert read_kept(path) is None
-
-
-def test_a_program_fits_no_other_name(kept):
+def test_a_program_of_another_user_or_of_another_name_is_not_loaded(path, monkeypatch):
     """A name is a digest of the program, the versions and the processor."""
-    path = kept[1]
-    other = path.with_name("program_of_another_processor.object")
-    shutil.copy(path, other)
+    shutil.copy(path, other := path.with_name("program_of_another_processor.object"))
     assert read_kept(other) is None
     write_kept(other, read_kept(path))
     assert read_kept(other) == read_kept(path)
+    user = path.stat().st_uid + 1
+    monkeypatch.setattr(os, "getuid", lambda: user)
+    assert read_kept(path) is None
 
 
 # -- calls from Python -----------------------------------------------------------------------------
@@ -396,15 +387,6 @@ def test_what_a_call_returns_is_not_changed_by_the_next(small, monkeypatch):
     np.testing.assert_array_equal(whole.y, copies[1])
 
 
-def test_one_run_may_be_called_by_several_threads():
-    run = cb.prepare("oscillator", "contact-strang", step=1e-3, carry=(), save_at=[2.0])
-    starts = [run.start * k for k in range(1, 9)]
-    alone = [run.bare(start) for start in starts]
-    with ThreadPoolExecutor(4) as pool:
-        for _ in range(20):
-            np.testing.assert_array_equal(list(pool.map(run.bare, starts)), alone)
-
-
 def test_a_program_runs_without_the_interpreter_lock():
     """Another thread counts while one runs: with the lock held it would wait for the end."""
     run = cb.prepare("oscillator", "contact-strang", step=1e-7, carry=(), save_at=[1.0], max_steps=10**8)
@@ -429,6 +411,4 @@ assert found[:4] * 3 == found, found
 
 
 def test_threads_that_compile_first_share_what_they_compile(tmp_path):
-    for _ in range(3):
-        shutil.rmtree(tmp_path / "cache", ignore_errors=True)
-        run_elsewhere(tmp_path / "cache", TOGETHER)
+    run_elsewhere(tmp_path, TOGETHER)

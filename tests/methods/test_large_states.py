@@ -30,7 +30,9 @@ def driven(t_end=1.0):
     )
 
 
-@pytest.mark.parametrize("carry", [(), ("s",)], ids=["motion", "action"])
+@pytest.mark.parametrize(
+    "carry", [("s",), pytest.param((), marks=pytest.mark.slow)], ids=["action", "motion"]
+)
 @pytest.mark.parametrize("name", FIXED)
 def test_stages_in_a_loop_take_the_steps_of_stages_written_out(name, carry):
     method, h, n = cb.METHODS[name], 0.02, 12
@@ -42,6 +44,8 @@ def test_stages_in_a_loop_take_the_steps_of_stages_written_out(name, carry):
 
 @pytest.mark.parametrize("scene", [LARGE, driven()], ids=["constant damping", "changing damping"])
 @pytest.mark.parametrize("name", ["rkn12", *PAIRS])
+@pytest.mark.quick(name="rkn12-10")
+@pytest.mark.quick(name="rk8-7", scene="driven-chain")
 def test_they_are_as_accurate_on_every_chain(name, scene):
     setting = {"rtol": 1e-10} if name in PAIRS else {"step": 0.1}
     true = cb.solve(scene, "contact-rkn8", step=0.005, save_at=[0.5, 1.0])

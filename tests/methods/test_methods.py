@@ -183,6 +183,7 @@ def test_diffrax_spends_a_budget_of_attempts_and_the_last_one_may_reach_the_end(
     assert np.isnan(short.y[1]).all()
 
 
+@pytest.mark.slow
 def test_kvaerno_takes_the_steps_its_error_control_wants():
     """With diffrax's default root finder half the steps are rejected at this tolerance."""
     counts = cb.solve("particle", "diffrax-kvaerno5", rtol=1e-10, save_at=[20.0]).counts
@@ -206,9 +207,8 @@ import jax
 import jax.numpy as jnp
 import contactbench as cb
 
-for method in ("diffrax-tsit5", "diffrax-kvaerno5"):
-    run = cb.prepare("oscillator", method, rtol=1e-9)
-    print(run().ok, run(q=(0.5,)).ok, cb.LAWS["solution_error"](run()) < 1e-6, end=" ")
+run = cb.prepare("oscillator", "diffrax-tsit5", rtol=1e-9)
+print(run().ok, run(q=(0.5,)).ok, cb.LAWS["solution_error"](run()) < 1e-6, end=" ")
 print(jnp.ones(1).dtype, jax.config.jax_enable_x64)
 """
 
@@ -218,4 +218,4 @@ def test_diffrax_computes_in_doubles_and_leaves_jax_as_it_is(disabled):
     """Compiled, whatever is set for the user's own functions."""
     done = run(sys.executable, "-c", JAX, JAX_ENABLE_X64=0, JAX_DISABLE_JIT=disabled)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.split() == [*["True"] * 6, "float32", "False"]
+    assert done.stdout.split() == [*["True"] * 3, "float32", "False"]

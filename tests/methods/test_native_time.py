@@ -65,11 +65,3 @@ def test_initial_data_begin_at_a_time_of_their_own(method, engine):
     np.testing.assert_array_equal(moved.y, own.y)
     assert moved.y[0, 2] == 3.7
     assert cb.LAWS["solution_error"](own) < 1e-6
-
-
-@pytest.mark.parametrize("engine", ["llvm", "python"])
-def test_fixed_steps_are_saved_at_the_times_of_the_grid(engine):
-    """And not at the sum of their lengths."""
-    times = np.arange(31) / 10
-    run = cb.solve("forced_oscillator", "contact-strang", step=0.01, save_at=times, carry=(), engine=engine)
-    np.testing.assert_array_equal(run.y[:, 2], times)

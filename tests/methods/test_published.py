@@ -4,29 +4,10 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from chains import PLEIADES
 
-cos, sqrt = cb.math.cos, cb.math.sqrt
+cos = cb.math.cos
 
-MASSES = np.arange(1.0, 8.0)
-#: one body after the other
-POSITIONS = np.array([(3, 3), (3, -3), (-1, 2), (-3, 0), (2, 0), (-2, -4), (2, 4)], dtype=float)
-VELOCITIES = np.array([(0, 0), (0, 0), (0, 0), (0, -1.25), (0, 1), (1.75, 0), (-1.5, 0)])
-#: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.10
-PLEIADES = cb.Mechanical(
-    name="pleiades",
-    potential=lambda q: (
-        -sum(
-            MASSES[i] * MASSES[j] / sqrt((q[2 * i] - q[2 * j]) ** 2 + (q[2 * i + 1] - q[2 * j + 1]) ** 2)
-            for i in range(7)
-            for j in range(i)
-        )
-    ),
-    q=tuple(POSITIONS.ravel()),
-    p=tuple((MASSES[:, None] * VELOCITIES).ravel()),
-    mass=tuple(np.repeat(MASSES, 2)),
-    gamma=0.0,
-    t_end=3.0,
-)
 #: Mazzia, Magherini, Test Set for Initial Value Problem Solvers, release 2.4: x₁ … x₇, y₁ … y₇ at t = 3
 PLEIADES_AT_3 = (
     *(0.3706139143970502, 3.237284092057233, -3.222559032418324, 0.6597091455775310),

@@ -7,11 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from mpmath import mp
 
 import contactbench as cb
 from cases import mine
-from chains import chain
 from contactbench.measure.order import order_at
 from contactbench.methods.by_tolerance import Explicit, RungeKuttaPair
 from contactbench.methods.runge_kutta import read_tableau, runge_kutta
@@ -89,11 +87,10 @@ def test_a_changed_coefficient_is_noticed(name):
 
 
 @pytest.mark.parametrize("name", FIXED)
-@pytest.mark.parametrize("scene", ["particle", "forced_pulsating", "central"])
-def test_the_order_is_measured(name, scene):
-    """At 50 digits, with s; γ constant and γ(t)."""
+def test_the_order_is_measured_under_a_damping_that_changes(name):
+    """At 50 digits, with s; under a constant one it is rule 6 of the contract of methods."""
     method = cb.METHODS[name]
-    assert order_at(method, scene_of(scene), 1.0, 10) == pytest.approx(method.order, abs=0.1)
+    assert order_at(method, scene_of("forced_pulsating"), 1.0, 10) == pytest.approx(method.order, abs=0.1)
 
 
 @pytest.mark.parametrize("name", ["rkn8-6", "rkn12-10"])
@@ -107,22 +104,13 @@ def test_the_embedded_formula_has_its_order(name):
 
 # -- fixed steps -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["rkn8", "rkn12", "rkn8-6", "rkn12-10"])
-@pytest.mark.parametrize(
-    "scene", ["oscillator", "forced_oscillator", "forced_pulsating", "lane_emden_1", "central"]
-)
+@pytest.mark.parametrize("scene", ["forced_oscillator", "forced_pulsating", "lane_emden_1", "central"])
 def test_undamped_coordinates_solve_the_equations(name, scene):
     scene = scene_of(scene)
     chosen = {"rtol": 1e-12} if "-" in name else {"step": scene.t_end / 400}
     solution = cb.solve(scene, name, save_at=[scene.t_end], **chosen)
     reference = cb.reference(scene, [scene.t_end])
     assert np.abs(solution.y - reference.y).max() < 1e-8 * np.abs(reference.y).max(), "q, p and s"
-
-
-@pytest.mark.parametrize("name", ["rkn12", "rk8"])
-def test_engines_agree_where_stages_are_a_loop(name):
-    scene = chain(16)
-    runs = [cb.solve(scene, name, step=0.1, save_at=[2.0], engine=each).y for each in ("llvm", "python")]
-    assert np.abs(runs[0] - runs[1]).max() < 1e-13
 
 
 # -- by tolerance ----------------------------------------------------------------------------------
@@ -160,25 +148,6 @@ def test_saved_times_are_stepped_onto(name):
     truth = cb.reference(PARTICLE, times[1:]).y
     assert np.abs(solution.y[1:] - truth).max() < 1e-9
     assert np.array_equal(solution.y[0], PARTICLE.pack(PARTICLE.initial(("s",))))
-
-
-@pytest.mark.parametrize("name", [*PAIRS, "rkn8", "rkn12", "rk8"])
-def test_steps_end_at_breaks(name):
-    """A force that jumps: without breaks no better than its first order in the step across the jump."""
-    jump, setting = 3.3, {"rtol": 1e-10} if "-" in name else {"step": 0.25}
-    potential = lambda q, t: q[0] ** 2 / 2 + cb.math.where(t < jump, 0.0, 1.0) * q[0]  # noqa: E731
-    broken = mine(potential, t_end=8.0, kind=cb.Driven, gamma=0.2, breaks=(jump,))
-    omega = math.sqrt(1 - 0.01)
-
-    def free(q, p, t):
-        decay, c, s = math.exp(-0.1 * t), math.cos(omega * t), math.sin(omega * t)
-        return decay * (q * c + (p + 0.1 * q) / omega * s), decay * (p * c - (q + 0.1 * p) / omega * s)
-
-    q, p = free(1.0, 0.0, jump)
-    q, p = free(q + 1.0, p, 8.0 - jump)
-    solution = cb.solve(broken, name, save_at=[8.0], carry=(), **setting)
-    assert solution.ok
-    assert np.allclose(solution.y[-1][:2], (q - 1.0, p), rtol=0, atol=2e-9)
 
 
 @pytest.mark.parametrize("name", ["rkn8", "rkn12", "rkn8-6", "rkn12-10"])
@@ -231,12 +200,3 @@ def test_a_mutated_pair_loses_its_proportionality():
         cb.solve(OSCILLATOR, m, rtol=1e-10, save_at=[20.0]).counts.evaluations for m in ("rk8-7", method)
     )
     assert planted > 3 * own
-
-
-def test_digits_are_those_of_the_numbers():
-    """At 50 digits coefficients are divided as such, not rounded to doubles before."""
-    with mp.workdps(50):
-        x = PARTICLE.initial(())
-        x = x._replace(q=tuple(map(mp.mpf, x.q)), p=tuple(map(mp.mpf, x.p)))
-        end = cb.METHODS["rk8"].advance(PARTICLE, x, mp.mpf("0.1"), 1, mp)
-        assert isinstance(end.q[0], mp.mpf)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import mine
+from cases import few_slow, mine
+from chains import PLEIADES, planets
 from contactbench.methods import step_choice
 from contactbench.methods.distance import distance
 from contactbench.methods.step_choice import LOST, Gap, error_of
@@ -48,50 +49,28 @@ def test_a_slope_that_is_not_the_order_s_is_not_believed():
 
 
 # -- the error of the run ----------------------------------------------------------------------------
-def bodies(masses, q, p, softening, **given):
-    def potential(q):
-        pairs = [(i, j) for i in range(len(masses)) for j in range(i)]
-        return -sum(
-            masses[i]
-            * masses[j]
-            / sqrt((q[2 * i] - q[2 * j]) ** 2 + (q[2 * i + 1] - q[2 * j + 1]) ** 2 + softening**2)
-            for i, j in pairs
-        )
-
-    return cb.Mechanical(
-        name="bodies", potential=potential, q=q, p=p, mass=tuple(np.repeat(masses, 2)), **given
-    )
-
-
 MORSE = mine(lambda q: (1 - exp(-q[0])) ** 2, 0.7269, -0.1539, t_end=120.0, gamma=0.0)
-PLEIADES = bodies(
-    np.arange(1.0, 8.0),
-    (3.0, 3.0, 3.0, -3.0, -1.0, 2.0, -3.0, 0.0, 2.0, 0.0, -2.0, -4.0, 2.0, 4.0),
-    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, 0.0, 5.0, 10.5, 0.0, -10.5, 0.0),
-    0.0,
-    t_end=3.0,
-    gamma=0.0,
-)
 WALL = mine(
     lambda q: exp(80 * (q[0] - 1)) + exp(-80 * (q[0] + 1)), -0.3641258, 1.3090031, t_end=20.0, gamma=0.0
 )
-FALL = bodies(
+FALL = planets(
     (1.58975914, 1.65739093),
     (1.77912598, -1.50342803, 0.59925624, -0.59198945),
     (0.0, 0.0, 0.0, 0.0),
     0.05,
     t_end=5.0,
-    gamma=0.0,
 )
 
 
-@pytest.mark.parametrize("rtol", [1e-3, 1e-5, 1e-7, 1e-9])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-7])
 def test_morse(rtol):
     assert error(cb.solve(MORSE, "contact-rkn8", rtol=rtol, save_at=[120.0])) < rtol
 
 
 @pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("method", ["contact-log8", "contact-rkn8", "rkn12"])
+@pytest.mark.quick(method="contact-rkn8", rtol=1e-3)
+@pytest.mark.quick(method=("contact-log8", "rkn12"), rtol=1e-6)
 def test_pilots_on_another_way_are_not_compared(method, rtol):
     """Of the Pleiades, long steps that follow the motion take 581, 120 and 38 steps: fewer, the shorter they are."""
     run = cb.solve(PLEIADES, method, rtol=rtol, save_at=[3.0])
@@ -129,7 +108,10 @@ def test_evaluations_of_a_run_that_fails_are_counted():
     assert 10 < run.pilot(run.start).counts.evaluations < 1000
 
 
-@pytest.mark.parametrize("seed", range(8))
+SLOW = range(4, 8)
+
+
+@pytest.mark.parametrize("seed", few_slow(range(8), *SLOW))
 def test_random_motions(seed):
     """A twentieth of what was run once, by every method: 950 runs, two beyond 2 rtol, of chaotic motions."""
     rng = np.random.default_rng(seed)
@@ -137,7 +119,7 @@ def test_random_motions(seed):
     if kind < 2:
         masses = rng.uniform(0.3, 3.0, kind + 2)
         q, p = rng.normal(size=2 * len(masses)), rng.normal(size=2 * len(masses)) * (0.4 * kind)
-        scene = bodies(masses, tuple(q), tuple(p), 0.3, t_end=end, gamma=gamma)
+        scene = planets(masses, tuple(q), tuple(p), 0.3, t_end=end, gamma=gamma)
     elif kind == 2:
         # two atoms in a row, bound to the origin and to each other
         scene = cb.Mechanical(
@@ -159,7 +141,8 @@ def test_random_motions(seed):
             gamma=gamma,
         )
     times = ([end], None, [0.37 * end, 0.8 * end, end])[seed % 3]
-    for method in rng.choice([m.name for m in FIXED if m.refuses(scene) is None], 6, replace=False):
+    drawn = rng.choice([m.name for m in FIXED if m.refuses(scene) is None], 6, replace=False)
+    for method in drawn[: 6 if seed in SLOW else 3]:
         rtol = max(10.0 ** -rng.uniform(2, 9), {1: 1e-3, 2: 1e-5, 4: 1e-7}.get(cb.METHODS[method].order, 0))
         run = cb.solve(scene, str(method), rtol=rtol, carry=(), max_steps=10**6, save_at=times)
         assert not run.ok or error(run) < 2 * rtol, (method, rtol)
@@ -170,12 +153,11 @@ def test_what_rounding_leaves_ends_the_search():
     """Three bodies that pass each other closely: no step has errors below 10⁻⁸."""
     rng = np.random.default_rng(28)
     masses = rng.uniform(0.3, 3.0, 3)
-    scene = bodies(
-        masses, tuple(rng.normal(size=6)), tuple(rng.normal(size=6) * 0.4), 0.02, t_end=12.0, gamma=0.0
-    )
+    scene = planets(masses, tuple(rng.normal(size=6)), tuple(rng.normal(size=6) * 0.4), 0.02, t_end=12.0)
     run = cb.solve(scene, "contact-bm6", rtol=1e-13, save_at=[12.0], max_steps=10**6)
     assert run.status in (cb.Status.failed, cb.Status.budget)
     assert "rtol = 1e-13" in run.message
+    assert np.isnan(run.y).all()
 
 
 # -- pilots that all see the same wrong motion ------------------------------------------------------------
@@ -227,6 +209,6 @@ def test_the_unit_of_a_component_that_starts_at_zero_changes_no_step(method, uni
 
 
 def test_a_first_pilot_of_many_steps_that_is_unstable_is_not_the_last():
-    long = cb.SCENES["particle"].with_(t_end=4e6)
-    run = cb.solve(long, "contact-strang", rtol=1e-3, max_steps=10**8, save_at=[4e6])
+    long = cb.SCENES["particle"].with_(t_end=3e5)
+    run = cb.solve(long, "contact-strang", rtol=1e-3, max_steps=10**7, save_at=[3e5])
     assert run.status in ("ok", "budget"), run

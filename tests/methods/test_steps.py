@@ -1,6 +1,7 @@
 """Steps: prescribed ones, those chosen for a tolerance, and one alone as a pure function."""
 
 import dataclasses
+from itertools import product
 
 import numba
 import numpy as np
@@ -63,14 +64,17 @@ def test_a_constant_grid_is_a_step_bit_for_bit(engine, save_at):
         assert (grid.counts, grid.step) == (scalar.counts, scalar.step)
 
 
-@pytest.mark.parametrize("scene", [*SCENES, chain(16, "ring")], ids=lambda scene: scene.name)
-def test_engines_agree(scene):
+MOVED = [(scene, name) for scene, name in product(SCENES, SHAPES) if cb.METHODS[name].refuses(scene) is None]
+MOVED += [(chain(13, "ring"), "contact-rkn6")]
+
+
+@pytest.mark.parametrize(("scene", "name"), MOVED, ids=lambda x: getattr(x, "name", x))
+def test_engines_agree(scene, name):
     grid = grid_of(scene, plateau=3)
     times = scene.begins + np.array([0.0, *np.cumsum(grid)[[3, 11]]])
-    for name in (name for name in SHAPES if cb.METHODS[name].refuses(scene) is None):
-        runs = [cb.solve(scene, name, step=grid, save_at=times, engine=engine) for engine in ENGINES]
-        assert all(gap(run.y, runs[0].y) < ROUND_OFF for run in runs)
-        assert all(gap(run.sensitivity, runs[0].sensitivity) < ROUND_OFF for run in runs)
+    one, other = (cb.solve(scene, name, step=grid, save_at=times, engine=engine) for engine in ENGINES)
+    assert gap(other.y, one.y) < ROUND_OFF
+    assert gap(other.sensitivity, one.sensitivity) < ROUND_OFF
 
 
 def test_no_two_saved_times_are_one_end_of_a_step():
@@ -85,10 +89,7 @@ def test_no_two_saved_times_are_one_end_of_a_step():
 # -- what it keeps, and what it costs ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("steps", "evaluations", "error"),
-    [(6, 72, 6.0e-7), (12, 144, 9.14e-9), (24, 288, 1.416e-10), (48, 576, 1.56e-12)],
-)
+@pytest.mark.parametrize(("steps", "evaluations", "error"), [(6, 72, 6.0e-7), (24, 288, 1.416e-10)])
 def test_growing_steps_on_a_motion_that_slows_down(steps, evaluations, error):
     """Of equal steps five times as many do not reach it."""
     end = {"save_at": [STAR.begins + STAR.t_end]}
@@ -176,33 +177,22 @@ def test_pilots_that_agree_on_another_motion_are_not_believed(scene, method):
     """Steps of many periods all end alike, far off or at rest: errors were up to 700 times the motion, and `ok`."""
     options = {"save_at": [scene.t_end / 2, scene.t_end], "carry": ()}
     solution = cb.solve(scene, method, rtol=1e-4, **options)
-    true = cb.solve(scene, "heyoka-taylor", rtol=1e-15, **options)
+    true = cb.solve(scene, "rk8-7", rtol=1e-13, **options)
     assert np.linalg.norm(solution.y - true.y, axis=1).max() < 1e-4 * np.linalg.norm([*scene.q, *scene.p])
 
 
-def test_the_pilots_are_counted():
+def test_the_pilots_are_counted_and_other_initial_data_get_a_step_of_their_own():
     run = cb.prepare("particle", "contact-rkn6", rtol=1e-8, save_at=[20.0])
-    solution = run()
+    solution, steps = run(), []
     alone = cb.solve("particle", "contact-rkn6", step=20.0 / solution.counts.steps, save_at=[20.0])
     np.testing.assert_allclose(alone.y, solution.y, rtol=1e-12)
     assert alone.counts.evaluations < solution.counts.evaluations < 2.5 * alone.counts.evaluations
     assert solution.setting == "rtol=1e-08"
-
-
-def test_other_initial_data_get_a_step_of_their_own():
-    run = cb.prepare("particle", "contact-rkn6", rtol=1e-8, save_at=[20.0])
-    gentle, wild = run(q=(0.01, 0.0), p=(0.0, 0.0)), run(q=(2.5, 1.0), p=(1.0, 2.0))
-    assert wild.counts.steps != gentle.counts.steps
-    for solution in (gentle, wild):
-        assert cb.LAWS["solution_error"](solution) < 2e-8
-
-
-def test_a_tolerance_out_of_reach_ends_as_budget():
-    options = {"rtol": 1e-9, "save_at": [20.0], "max_steps": 2000, "engine": "python"}
-    solution = cb.solve("particle", "contact-printed", **options)
-    assert solution.status is cb.Status.budget
-    assert "rtol = 1e-09" in solution.message
-    assert np.isnan(solution.y).all()
+    for q, p in (((0.01, 0.0), (0.0, 0.0)), ((2.5, 1.0), (1.0, 2.0))):
+        found, true = run(q=q, p=p), cb.prepare("particle", "rk8-7", rtol=1e-13, save_at=[20.0])(q=q, p=p)
+        steps.append(found.counts.steps)
+        assert gap(found.y[:, :4], true.y[:, :4]) < 2e-8
+    assert steps[0] != steps[1]
 
 
 @pytest.mark.parametrize(("method", "rtol"), [("contact-o8", 1e-6), ("contact-rkn6", 1e-7), ("rk4", 1e-8)])
@@ -269,11 +259,12 @@ def test_numba_refuses_one_that_iterates_and_jax_takes_it(name):
     for compiled in (lambda: step.compiled, lambda: numba.njit(lambda y: step(y, STEP))(step.start)):
         with pytest.raises(CannotRecord, match=rf"'{name}' iterates.*jax\.jit, or use cb\.prepare"):
             compiled()
-    np.testing.assert_allclose(jax.jit(step)(step.start, STEP), step(step.start, STEP), rtol=1e-14)
+    if name == "contact-gauss2":  # XLA takes many seconds for the others
+        np.testing.assert_allclose(jax.jit(step)(step.start, STEP), step(step.start, STEP), rtol=1e-14)
 
 
 def test_jax_compiles_vectorises_and_differentiates_it():
-    step = cb.step_map("particle", "contact-rkn6")
+    step = cb.step_map("particle", "contact-strang")
     np.testing.assert_allclose(jax.jit(step)(step.start, STEP), step(step.start, STEP), rtol=1e-14)
     rates = jnp.array([0.0, 0.1, 0.5])
     many = jax.vmap(lambda gamma: jnp.stack(step(step.start, STEP, gamma=gamma)))(rates)

@@ -11,12 +11,12 @@ from matplotlib.text import Text
 
 import contactbench as cb
 from contactbench import METHODS
-from contactbench.report import convergence, draw, laws, paper, work_precision
-from contactbench.report.chapters import Tables
+from contactbench.questions import cost, laws, orders, paper
+from contactbench.report import draw
 from contactbench.report.curves import MOST, cheapest, choose, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import CONTESTANTS, LOOKS, look
-from frames import frames, row, table
+from frames import frames, row, table, timed
 
 ERRORS = tuple(10.0**-k for k in range(1, 12))
 
@@ -51,18 +51,18 @@ def test_the_best_and_the_contestants_of_the_mission_are_shown_and_nothing_else(
     assert [c.method for c in only(curves, chosen)] == chosen
 
 
-def test_the_subjects_of_a_figure_are_shown_and_free_places_go_to_other_families():
+def test_the_subjects_of_a_figure_are_shown_and_free_places_go_to_other_families_if_it_has_few_contestants():
     curves = [
         curve(*item) for item in CONTESTED.items() if not item[0].startswith(("cvode", "scipy", "cyrk"))
     ]
-    chosen = choose(curves, cheapest, subjects=["herglotz2", "contact-rkn8"])
+    chosen = choose(curves, cheapest, ["herglotz2", "contact-rkn8"], by_order=True)
     assert chosen[:4] == ["herglotz2", "contact-rkn8", "contact-strang", "rk4"]
     assert set(chosen[4:]) == {"diffrax-dopri8", "rkn12", "contact-rkn6", "heyoka-taylor"}
 
 
 @pytest.mark.parametrize("contestants", CONTESTANTS, ids=lambda names: names[0])
 def test_every_contestant_is_named_on_a_planted_scene(contestants):
-    for panel in FIGURES["work_precision"]().panels:
+    for panel in FIGURES["cost"]().panels:
         assert {c.label for c in panel.curves} & set(contestants)
 
 
@@ -74,38 +74,37 @@ ORDERS = {name: order for name, order in ALL.items() if order and name.startswit
 
 
 def worked(name, k, order, step):
-    spent = round((10 + k) / step)
-    cost = {"rhs_equivalents": spent, "time_median_s": 1e-7 * spent, "time_min_s": 9e-8 * spent}
-    return row(
-        "particle", name, step, solution_error=min(1.0, 0.1 * step ** (order or 9)), engine="llvm", **cost
-    )
+    error = min(1.0, 0.1 * step ** (order or 9))
+    return row("particle", name, step, error=error, evaluations=round((10 + k) / step), saved=1)
 
 
 def converged(name, k, order, step):
     error = max(1e-17, (0.3 + 0.01 * len(name)) * step**order)
-    return row("particle", name, step, step=step, solution_error=error, order=order, order_nominal=order)
+    fit = {"step": step, "error": error, "order": order, "order_nominal": order, "status": "ok"}
+    return {"scene": "particle", "method": name} | fit
 
 
 def deviated(name, k, order, step):
     keeps = LOOKS[name].family == "contact"
     claims = dict.fromkeys(("contact_drift_claimed", "contact_drift_kept"), keeps)
     drift = 1e-15 if keeps else step**4
-    return row("central", name, step, solution_error=step**4, contact_drift=drift, **claims)
+    return row("central", name, step, error=step**4, contact_drift=drift, **claims)
 
 
-def planted(name, made, orders):
-    """A table of a row for each method and step."""
-    return table(
-        name, [made(one, k, orders[one], step) for (k, one), step in product(enumerate(orders), STEPS)]
-    )
+def planted(made, methods):
+    """A row for each method and step."""
+    return [made(one, k, methods[one], step) for (k, one), step in product(enumerate(methods), STEPS)]
+
+
+def costed():
+    runs = planted(worked, ALL)
+    return frames(runs=runs, times=timed(runs, (9e-8 * run["evaluations"] for run in runs)))
 
 
 FIGURES = {
-    "work_precision": lambda: work_precision.figure(
-        Tables(frames(), work_precision=planted("work_precision", worked, ALL)), "particle"
-    ),
-    "convergence": lambda: convergence.figure(planted("convergence", converged, ORDERS)),
-    "structure": lambda: laws.structure(planted("laws", deviated, ALL)),
+    "cost": lambda: cost.figure(costed(), "particle"),
+    "orders": lambda: orders.figure(table("orders", planted(converged, ORDERS))),
+    "structure": lambda: laws.structure(table("runs", planted(deviated, ALL))),
 }
 
 
@@ -152,35 +151,22 @@ def test_every_curve_is_there_and_every_name_once(real):
     assert len({c.method for panel in figure.panels for c in panel.curves if c.line}) <= MOST + 1  # guides
 
 
-def test_the_convergence_plot_has_a_guide_of_every_order():
-    (panel,) = FIGURES["convergence"]().panels
+def test_the_figure_of_orders_has_a_guide_of_every_order():
+    (panel,) = FIGURES["orders"]().panels
     guides = [c for c in panel.curves if c.role == "guide"]
     slopes = [np.diff(np.log(guide.y)) / np.diff(np.log(guide.x)) for guide in guides]
     orders = sorted({ORDERS[c.method] for c in panel.curves if c.method})
     assert [slope.mean() for slope in slopes] == pytest.approx(orders)
 
 
-@pytest.mark.parametrize("ratio", [0.2, 5.0])
+@pytest.mark.parametrize("ratio", [0.2, 1.2, 5.0])
 def test_a_title_names_first_who_is_cheaper_and_both_are_named(ratio):
-    rows = [
-        row("particle", method, h, solution_error=h**4, engine="llvm", time_min_s=scale / h)
-        for method, scale in (("contact-rkn4", ratio), ("rk4", 1.0))
-        for h in (0.2, 0.02, 0.002)
-    ]
-    _, named = work_precision.message(frames(work_precision=rows), "particle")
-    assert named == sorted(["contact-rkn4", "rk4"], reverse=ratio > 1)
-
-
-def test_a_title_has_the_verdict_of_the_tables_whose_margin_is_of_all_scenes():
-    """One noisy cell of a scene alone would make its methods a tie."""
-    rows = [
-        row(scene, method, h, solution_error=h**4, engine="llvm", time_min_s=scale / h, time_process_ratio=p)
-        for scene, cells in (("particle", [1.6]), ("oscillator", [1.0] * 30))
-        for method, scale in (("contact-rkn4", 1.0), ("rk4", 1.3))
-        for h, p in zip(np.geomspace(0.2, 0.002, max(3, len(cells))), [*cells, np.nan, np.nan], strict=False)
-    ]
-    title, named = work_precision.message(frames(work_precision=rows), "particle")
-    assert (named, "needs 77% of the time" in title) == (["contact-rkn4", "rk4"], True), title
+    scales = {"contact-rkn4": ratio, "rk4": 1.0}
+    runs = [row("particle", name, h, error=h**4, saved=1) for name in scales for h in (0.2, 0.02, 0.002)]
+    times = timed(runs, (scales[run["method"]] / run["setting"] for run in runs))
+    title, named = cost.message(frames(runs=runs, times=times), "particle")
+    assert named == sorted(scales, reverse=ratio == 5.0)
+    assert ("needs 20 % of the time" if ratio != 1.2 else "the same time within 25 %") in title
 
 
 # -- files -----------------------------------------------------------------------------------------

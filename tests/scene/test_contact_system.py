@@ -5,16 +5,14 @@ import pickle
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import contactbench as cb
-from cases import by_name, refusal
+from cases import by_name, few_slow, refusal
 from contactbench.measure.order import order_at
 from contactbench.methods import contact_gauss
 from contactbench.methods.implicit import TRIED, jacobian
 from contactbench.scene import State
 from contactbench.testing import check_scene
-from contactbench.testing.method import with_counter
 from contactbench.truth import decimal_context
 from contactbench.xla import jax, jnp
 from decimals import pullback
@@ -128,13 +126,9 @@ def test_it_is_pickled_and_changed_and_stepped():
     step = cb.step_map(ROUGH, "contact-gauss4")
     one = cb.solve(ROUGH, "contact-gauss4", step=0.1, save_at=[0.1]).y[-1]
     np.testing.assert_allclose(step(step.start, 0.1), one, rtol=1e-14)
-    contact = cb.scipy.Contact("contact-gauss4", ROUGH)
-    run = solve_ivp(contact.rhs, (0, 1), contact.start, method=contact, max_step=0.1)
-    own = cb.solve(ROUGH, "contact-gauss4", step=0.1, save_at=[1.0])
-    np.testing.assert_allclose(run.y[:, -1], own.y[-1], rtol=1e-12)
 
 
-@pytest.mark.parametrize("scene", [ROUGH, GENERAL], ids=["rough", "general"])
+@pytest.mark.parametrize("scene", few_slow([ROUGH, GENERAL], GENERAL), ids=["rough", "general"])
 def test_jax_takes_gradients_of_a_step_that_iterates(scene):
     """Of the equations, not of the iteration: also for arrays, and for the scene's numbers."""
     step, h = cb.step_map(scene, "contact-gauss2"), 0.1
@@ -216,17 +210,6 @@ def test_a_wrong_coefficient_costs_the_structure(monkeypatch):
     assert off_the_form("contact-gauss4", ROUGH) > 1e-9
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_every_evaluation_is_counted(method):
-    twin, calls = with_counter(GENERAL.recorded(), "rhs")
-    run = cb.prepare(twin, method, step=0.1, engine="python")
-    calls[0] = 0
-    counts = run().counts
-    assert counts.evaluations == calls[0]
-    compiled = cb.solve(GENERAL, method, step=0.1).counts.evaluations
-    assert counts.evaluations == pytest.approx(compiled, rel=0.02)  # increments end in other roundings
-
-
 def test_stages_start_from_the_last_steps_polynomial():
     """Evaluations a stage: 6.2 and 14.2, where every step starts afresh 7.7 and 15.1 (measured)."""
     for step, most in ((0.0125, 6.5), (0.2, 14.6)):
@@ -239,10 +222,6 @@ def test_a_step_without_a_solution_fails_and_says_so(engine):
     solution = cb.solve("kepler_drag", "contact-gauss4", step=0.125, save_at=[0.5], engine=engine)
     assert solution.status is cb.Status.failed
     assert "does not converge at t = 0, of a step of 0.125" in solution.message
-
-
-def test_a_motion_that_escapes_diverges():
-    assert cb.solve("escape", "contact-gauss4", step=0.0017).status is cb.Status.diverged
 
 
 @pytest.mark.parametrize("engine", ["llvm", "python"])
@@ -344,15 +323,8 @@ def system(H, **changes):
 
 
 def massive(**changes):
-    given = {
-        "name": "mine",
-        "mass": matrix,
-        "potential": height,
-        "q": (1.0, 0.5),
-        "p": (0.0, 0.0),
-        "t_end": 1.0,
-    }
-    return lambda: cb.Mechanical(**given | changes)
+    given = {"mass": matrix, "potential": height, "q": (1.0, 0.5), "p": (0.0, 0.0), "t_end": 1.0}
+    return lambda: cb.Mechanical(name="mine", **given | changes)
 
 
 @pytest.mark.parametrize(

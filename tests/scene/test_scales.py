@@ -6,10 +6,10 @@ import pytest
 import contactbench as cb
 from contactbench.measure.laws import errors_of
 from contactbench.methods.base import METHODS
+from contactbench.runs.search import Question, Search
+from contactbench.runs.settings import ENDS, times
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import FAINT, errors, sizes_of
-from contactbench.study.search import Question, Search
-from contactbench.study.settings import ENDS, times
 from contactbench.truth.two_solvers import doubles
 
 UNITS = (1.0, 1e3, 1e-3)

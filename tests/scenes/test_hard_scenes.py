@@ -1,19 +1,12 @@
 """The hard scenes: their truths, what is known about them, and what must not break on them."""
 
-import math
-
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import few_slow, mine, saved
+from cases import HARD, few_slow, mine, saved
 from contactbench.scene.base import Elapsed
-from contactbench.scenes import scenes_of
-from contactbench.study import stability
-from contactbench.study.stability import TOLERANCES, rows_of, settings
 from contactbench.truth import blow_up_time, condition_number
-
-HARD = scenes_of("stability")
 
 
 @pytest.mark.parametrize("scene", HARD, ids=lambda scene: scene.name)
@@ -67,46 +60,6 @@ def test_blow_up_time_against_an_integral():
     assert digits >= 30
     assert float(time) == 1.0
     assert blow_up_time(cb.SCENES["particle"].with_(gamma=0.3)) is None
-
-
-# -- what is run is decided by counts ----------------------------------------------------------------
-def test_the_clock_decides_nothing(monkeypatch):
-    """A clock that says every call took minutes changes the time in the row and nothing else."""
-    method = cb.METHODS["contact-rkn6"]
-    asked = ("large_step", method.name, method.engines[0], "rtol", 1e-6, 10_000)
-    row = stability.stability_row(*asked)
-    ticks = iter(range(0, 10**6, 300))
-    monkeypatch.setattr(stability, "perf_counter", lambda: float(next(ticks)))
-    slow = stability.stability_row(*asked)
-    assert slow.pop("time_s") == 300.0
-    assert row.pop("time_s") < 300.0
-    assert slow == row
-    assert math.isfinite(row["contact_drift"])
-
-
-@pytest.mark.parametrize("name", [name for name, m in cb.METHODS.items() if m.adaptive])
-def test_every_adaptive_method_gets_its_full_range(name):
-    method = cb.METHODS[name]
-    tolerances = [value for kind, value in settings(cb.SCENES["large_step"], method) if kind == "rtol"]
-    assert tolerances[-1] == method.rtol_range[0] <= TOLERANCES[-1]
-    assert tolerances == sorted(set(tolerances), reverse=True)
-    assert tolerances[:3] == [1e-4, 1e-7, 1e-10]
-
-
-def test_after_a_spent_budget_no_tighter_tolerance_is_run():
-    class Worker:
-        ran = ()
-
-        def call(self, limit, function, setting, status):
-            self.ran = (*self.ran, setting)
-            return {"setting": setting, "status": status, "message": "spent"}
-
-    endings = {"rtol=0.001": "ok", "rtol=0.0001": "budget", "rtol=1e-05": "ok", "rtol=1e-06": "ok"}
-    worker = Worker()
-    rows = rows_of([({"setting": s, "status": "failed"}, None, (s, e)) for s, e in endings.items()], worker)
-    assert worker.ran == ("rtol=0.001", "rtol=0.0001")
-    assert [row["status"] for row in rows] == ["ok", "budget", "budget", "budget"]
-    assert "rtol=0.0001" in rows[-1]["message"]
 
 
 # -- laws where numbers run out --------------------------------------------------------------------

@@ -9,7 +9,7 @@ from mpmath import mp
 
 import contactbench as cb
 import decimals
-from cases import in_mp, mine, pairs
+from cases import few_slow, in_mp, mine, pairs
 from contactbench.measure import order as precision
 from contactbench.measure.laws import decay_rate
 from contactbench.methods.contact import ContactMethod
@@ -126,7 +126,7 @@ def test_compositions_for_any_force_take_it_and_other_methods_do_not():
 
 
 @pytest.mark.parametrize("s", [0.0, 1e-12, -0.3, 0.7, 2.0])
-@pytest.mark.parametrize("h", [1e-3, 0.3, -0.2, 0.8])
+@pytest.mark.parametrize("h", few_slow([1e-3, 0.3, -0.2, 0.8], 1e-3, 0.8))
 def test_quadrature_is_the_closed_form(s, h):
     """To round-off in doubles where Γ'h is below one, to 45 digits in mpmath; 2.5 are the largest here."""
     with mp.workdps(50):

@@ -42,11 +42,6 @@ def test_the_code_as_it_is_has_every_property(name, mp50):
     assert PROPERTIES[name]()
 
 
-@pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
-def test_every_composition_has_its_local_order(composition, mp50):
-    assert properties.has_its_local_order(contact_method(composition), PARTICLE, BODY)
-
-
 def is_right(composition):
     """Sums, the factor, into which only coefficients of the damping enter, and the order."""
     method = contact_method(composition)

@@ -14,10 +14,10 @@ RESULTS = Path(__file__).parents[2] / "results"
 
 @pytest.fixture
 def committed(tmp_path):
-    """The committed laws in a repository of their own."""
+    """The committed runs in a repository of their own."""
     folder = tmp_path / "results"
     folder.mkdir()
-    for name in ("laws.csv", "environment.json"):
+    for name in ("runs.csv", "environment.json"):
         shutil.copy(RESULTS / name, folder)
     author = ["-c", "user.name=x", "-c", "user.email=x@example.org"]
     for command in (["init", "-q"], ["add", "."], [*author, "commit", "-qm", "tables"]):
@@ -28,19 +28,19 @@ def committed(tmp_path):
 def test_a_run_ends_with_the_answers_of_its_tables(committed):
     text = ending(committed)
     assert text.startswith("Of ")
-    assert "\nDoes it keep J and the contact form where it promises to?\n    J always" in text
+    assert "\nDoes a method keep J wherever it claims to?\n    always" in text
     assert "clocks aside: nothing moved." in text
 
 
 def test_what_moved_is_named(committed):
-    rows = pd.read_csv(committed / "laws.csv", dtype=str, keep_default_na=False)
+    rows = pd.read_csv(committed / "runs.csv", dtype=str, keep_default_na=False)
     chosen = rows.index[(rows["method"] == "rk4") & (rows["scene"] == "particle")][0]
-    rows.loc[chosen, "solution_error"] = str(10 * float(rows.loc[chosen, "solution_error"]))
-    rows.to_csv(committed / "laws.csv", index=False)
-    assert "laws particle rk4" in (text := ending(committed))
+    rows.loc[chosen, "error"] = str(10 * float(rows.loc[chosen, "error"]))
+    rows.to_csv(committed / "runs.csv", index=False)
+    assert "runs particle rk4" in (text := ending(committed))
     assert "1 measure moved" in text
 
 
 def test_tables_outside_a_repository_have_nothing_to_be_compared_with(tmp_path):
-    shutil.copy(RESULTS / "laws.csv", tmp_path)
+    shutil.copy(RESULTS / "runs.csv", tmp_path)
     assert "Not compared with the tables before it" in ending(tmp_path)

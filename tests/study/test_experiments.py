@@ -1,40 +1,46 @@
-"""The benchmark: its profiles, timed cells, and a disk that is full."""
+"""The benchmark: its profiles, what is run and how far, what is timed and how often, and a disk that is full."""
 
 import math
 import re
 from collections import Counter
-from itertools import chain
 
 import pytest
 
 import contactbench as cb
-from cases import REPOSITORY, bench, few_slow, finished, own_processes
-from contactbench.measure.clock import Part, Visit
-from contactbench.measure.laws import errors_of
+from cases import HARD, REPOSITORY, bench, few_slow, finished, own_processes
+from contactbench.measure.clock import Visit
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.paper import CLAIMS
-from contactbench.paper.curves import FIGURES
-from contactbench.scenes import scenes_of
-from contactbench.study import choice, work_precision
-from contactbench.study.choice import DEAR, SMOKE
-from contactbench.study.claims import LONG
-from contactbench.study.decay import COSTS, SAVES, evaluations, value_at
-from contactbench.study.experiment import PROFILES, Timing, experiments
-from contactbench.study.search import step_at, tolerance_at
-from contactbench.study.settings import DEAREST, ENDS, finer_steps, steps
-from contactbench.study.timetable import SAMPLE, SPARED, Entry, Timetable
-from contactbench.study.work_precision import errors, evaluations_spread, ladder, passes_through, runs
-from contactbench.tables.declared import DEFINITIONS, WORK_PRECISION
+from contactbench.runs import grid
+from contactbench.runs.experiment import PROFILES, Timing, experiments
+from contactbench.runs.grid import FEW, SMALLEST, cells, climb, engines, look_along, run
+from contactbench.runs.rows import along, bare, ended, passes_through
+from contactbench.runs.search import step_at, tolerance_at
+from contactbench.runs.settings import (
+    ALONG,
+    DEAREST,
+    ENDS,
+    SAVES,
+    control_of,
+    evaluations_of_step,
+    ladder,
+    rungs_of_equal_cost,
+    steps,
+    times,
+)
+from contactbench.runs.timetable import OTHERS, SPARED, Entry, Timetable
+from contactbench.tables.declared import RUNS
 from contactbench.tables.schema import PROFILES as NAMES
 from contactbench.tables.store import read
 
+SMOKE, STANDARD, FULL = PROFILES.values()
 
+
+# -- what is timed ---------------------------------------------------------------------------------
 class Scripted:
     """A call whose visits take so long, one after the other; `order` says when it was visited."""
 
     def __init__(self, name, order, *times, lasts=0.001):
         self.name, self.order, self.times, self.lasts = name, order, iter(times), lasts
-        self.part = Part(lambda: None, share=0.25, span=1.0)
 
     def warm_up(self):
         return self.lasts
@@ -42,96 +48,95 @@ class Scripted:
     def visit(self, rounds=3):
         self.order.append(self.name)
         t = next(self.times)
-        return Visit([2 * t, t, 3 * t], [t / 2] * 3)
+        return Visit([2 * t, t, 3 * t])
 
 
-def test_the_smoke_profile_has_every_adaptive_method_at_its_tightest_tolerance():
-    cells = {(scene, name, value) for scene, name, _, _, value in ladder(PROFILES["smoke"])}
-    adaptive = {(SMOKE, name, method.rtol_range[0]) for name, method in cb.METHODS.items() if method.adaptive}
-    assert len(adaptive) > 10
-    assert adaptive <= cells
+def entry(name, order, recorded, *times, error=1e-3, again=None, lasts=0.001, **key):
+    known = {"scene": "s", "method": name, "engine": "llvm", "control": "step"} | key
+    record = lambda row: recorded.update({name: (row, len(order))})  # noqa: E731
+    return Entry(
+        Timing(known, None, (), error), {}, Scripted(name, order, *times, lasts=lasts), again, record
+    )
 
 
-def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_last():
-    order, recorded, cells = [], {}, "abcdef"
-    table = Timetable(dict.fromkeys(cells, ""), visits=8)
-
-    def entry(name):
-        again = Scripted(f"{name} again", order, *[3.0] * 8) if name == "a" else None
-        record = lambda columns: recorded.update({name: (columns, len(order))})  # noqa: E731
-        return Entry(Scripted(name, order, *[4.0, 2.0] * 4), again, record)
-
-    table.entries += map(entry, cells)
+def test_visits_are_spread_over_the_timed_part_and_a_row_is_recorded_after_its_last():
+    order, recorded, table = [], {}, Timetable(set(), visits=8)
+    for name in "abcdef":
+        again = Scripted("a again", order, *[3.0] * 8) if name == "a" else None
+        table.entries.append(entry(name, order, recorded, *[4.0, 2.0] * 4, again=again))
     table.go()
-    size = len(cells) + 1
+    size = 7
     sweeps = {tuple(order[k : k + size]) for k in range(0, len(order), size)}
     assert len(sweeps) == 8
     assert {tuple(sorted(sweep)) for sweep in sweeps} == {("a", "a again", *"bcdef")}
-    for name, (columns, visited) in recorded.items():
-        assert (columns["visits"], columns["rounds"]) == (8, 24)
-        assert columns["time_min_s"] == 2.0
-        assert columns["marginal_s"] == pytest.approx((2.0 - 1.0) / 0.75)
-        assert columns.get("time_process_ratio") == (1.5 if name == "a" else None)
-        assert visited > 7 * size
+    for name, (row, visited) in recorded.items():
+        assert (row["method"], row["least_s"], row["halves"]) == (name, 2.0, 0.5)
+        assert row.get("process") == (1.5 if name == "a" else None)
+        assert visited == 8 * size
+
+
+#: error, time, and what else is told of a row: who is visited as often as there is time for
+CONTENDERS = {
+    "the fastest": (1e-3, 1.0, {}, True),
+    "a slower one": (1e-3, 1.9, {}, True),
+    "a much slower one": (1e-3, 2.1, {}, False),
+    "one that is more accurate": (1e-4, 4.0, {}, True),
+    "one that is more accurate and slower": (1e-4, 9.0, {}, False),
+    "one that is less accurate and slower": (1e-2, 3.0, {}, False),
+    "one with callbacks": (1e-3, 50.0, {"engine": "python"}, True),
+    "one on another scene": (1e-3, 50.0, {"scene": "other"}, True),
+    "by tolerance": (1e-3, 3.0, {"control": "rtol"}, True),
+    "by tolerance, and slower": (1e-3, 9.0, {"control": "rtol"}, False),
+}
+
+
+def test_contenders_are_visited_more_often_than_those_that_are_slower_and_no_better():
+    order, recorded, table = [], {}, Timetable(set(), visits=8)
+    for name, (error, time, key, _) in CONTENDERS.items():
+        table.entries.append(entry(name, order, recorded, *[time] * 8, error=error, **key))
+    table.go()
+    assert Counter(order) == {name: 8 if often else OTHERS for name, (*_, often) in CONTENDERS.items()}
+    assert set(recorded) == set(CONTENDERS)
 
 
 def test_what_lasts_long_is_visited_less_often_and_recorded_once():
-    order, recorded = [], []
-    table = Timetable(dict.fromkeys("abc", ""), visits=6)
+    order, recorded, table = [], {}, Timetable(set(), visits=6)
     for name, lasts in {"a": 0.001, "b": 2 * min(SPARED), "c": 2 * max(SPARED)}.items():
         again = Scripted(f"{name} again", order, *[2.0] * 6, lasts=lasts)
-        record = lambda columns, name=name: recorded.append((name, columns["visits"]))  # noqa: E731
-        table.entries.append(Entry(Scripted(name, order, *[2.0] * 6, lasts=lasts), again, record))
+        table.entries.append(entry(name, order, recorded, *[2.0] * 6, again=again, lasts=lasts, scene=name))
     table.go()
     assert Counter(order) == {"a": 6, "a again": 6, "b": 3, "b again": 3, "c": 2, "c again": 2}
     assert set(order[6:8]) == {"a", "a again"}
-    assert sorted(recorded) == [("a", 6), ("b", 3), ("c", 2)]
+    assert set(recorded) == {*"abc"}
 
 
-def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
-    cells = {k: "llvm" if k % 10 else "c" for k in range(1000)} | {1000 + k: "jax" for k in range(5)}
-    sample = Timetable(cells, 8).sample
-    assert Counter(cells[k] for k in sample) == {"llvm": SAMPLE, "c": SAMPLE, "jax": 3}
-    assert Timetable(cells, 8).sample == sample
+QUESTION = ("particle", "contact-strang", "llvm", "step", 0.1)
 
 
 def test_another_process_prepares_and_times_what_it_is_told():
-    cell = ("particle", "contact-strang", "llvm", "step", 0.1)
-    with Timetable({}, 8) as table:
-        call = table.second(Timing(WORK_PRECISION, runs, (cell, None)))
-        assert set(call.prepared.result()[1]) == {"call_s"}
-        call.warm_up()
+    with Timetable(set(), 8) as table:
+        call = table.second(Timing({"engine": "llvm"}, bare, (QUESTION,), 1e-3))
+        assert call.warm_up() > 0
         visit = call.visit(2)
         assert len(visit.whole) == 2
-        assert min(visit.whole) * visit.iterations > 1e-5
+        assert min(visit.whole) > 1e-8
 
 
-# -- The profiles of the benchmark, and which cells they visit -------------------------------------
-def visited(name, profile="smoke"):
-    return experiments()[name].cells(PROFILES[profile])
+def test_what_is_timed_is_a_run_to_the_end_alone_that_ended_well_and_is_not_solved_anew(monkeypatch):
+    row = ended(QUESTION)
+    timing = experiments()["times"].timing
+    monkeypatch.setattr(grid, "ended", None)
+    assert timing(row).key == {name: row[name] for name in timing(row).key}
+    assert timing(row).error == row["error"]
+    assert timing(row | {"saved": SAVES}) is timing(row | {"status": "budget"}) is None
+    known, call = bare(*timing(row).arguments)
+    assert known.keys() == {"compile_s", "first_s"}
+    assert call.run()[:4] == pytest.approx(
+        cb.solve(*QUESTION[:2], step=0.1, save_at=[20.0]).y[-1][:4], rel=1e-13
+    )
 
 
-def test_the_smoke_profile_visits_every_scene_method_figure_and_soon_measured_claim():
-    everything = {("scene", name) for name in cb.SCENES} | {("method", name) for name in cb.METHODS}
-    assert set(visited("definition")) == everything
-    timed = {cell[:2] for cell in visited("work_precision_errors")}
-    assert {name for scene, name in timed if scene == "particle"} == set(cb.METHODS)
-    soon = {name for name, method in cb.METHODS.items() if method.engines[0] not in DEAR}
-    assert {cell[1] for cell in visited("laws")} == soon
-    hard = {cell[0] for cell in visited("stability")}
-    assert hard == {scene.name for scene in scenes_of("stability")}
-    assert set(LONG) < set(CLAIMS)
-    assert {cell[0] for cell in visited("claim")} == set(CLAIMS) - set(LONG)
-    assert {cell[0] for cell in visited("paper_figure")} == set(FIGURES)
-
-
-@pytest.mark.parametrize("experiment", ["laws", "convergence", "decay_laws", "work_precision"])
-def test_a_scene_that_names_its_experiments_is_run_by_these_and_no_others(experiment):
-    few = {name: scene.experiments for name, scene in cb.SCENES.items() if scene.experiments}
-    cells = visited(experiment, "standard")
-    assert {cell[0] for cell in cells} & few.keys() == {name for name in few if experiment in few[name]}
-
-
+# -- which cells -----------------------------------------------------------------------------------
 def test_pytest_has_a_test_of_every_experiment_in_the_file_of_its_question():
     found = {
         path.stem.removeprefix("bench_"): re.findall(r"def test_(\w+)", path.read_text())
@@ -150,98 +155,190 @@ def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
     assert smoke <= standard <= full
 
 
-@pytest.mark.parametrize("place", range(len(choice.LEFT)))
-def test_every_line_of_what_is_left_to_full_leaves_something_out_of_a_standard_run(place, monkeypatch):
-    left = choice.LEFT[place]
-    some = [experiments()[name] for name in left.experiments] or list(experiments().values())
-    without = (*choice.LEFT[:place], *choice.LEFT[place + 1 :])
-    cells = set(map(str, chain.from_iterable(each.cells(PROFILES["standard"]) for each in some)))
-    monkeypatch.setattr(choice, "LEFT", without)
-    assert cells < set(map(str, chain.from_iterable(each.cells(PROFILES["standard"]) for each in some)))
+@pytest.mark.parametrize("name", cb.METHODS)
+def test_every_method_is_run_somewhere_and_the_mission_with_all_its_contestants(name):
+    standard, full = (set(cells(profile)) for profile in (STANDARD, FULL))
+    assert full == {(scene, method) for scene in cb.SCENES for method in cb.METHODS}
+    method, here = cb.METHODS[name], {scene for scene, m in standard if m == name}
+    mission = {scene.name for scene in cb.SCENES.values() if scene.mission}
+    stiff = {scene.name for scene in cb.SCENES.values() if scene.stiff}
+    assert here >= (mission if method.mission or not grid.is_dear(method) else stiff)
+    assert not method.like or method.like in cb.METHODS
 
 
-# -- A disk that is full while a benchmark runs ----------------------------------------------------
-#: after one file of the run and one of a cell, or when the tables are written, there is no room
-FULL = """
-import errno
-from contactbench.methods import METHODS
-from contactbench.tables import cells
-
-METHODS["rk4"] = METHODS["rk4"].__class__(**vars(METHODS["rk4"]))  # a plug-in registers something
-
-def full(once):
-    calls = []
-    def write(*arguments, **more):
-        calls.append(1)
-        if len(calls) > {after}:
-            raise OSError(errno.ENOSPC, "No space left on device", "a-file")
-        return once(*arguments, **more)
-    return write
-
-cells.{name} = full(cells.{name})
-"""
+def test_the_smoke_profile_has_every_scene_and_what_is_soon_compiled():
+    smoke = set(cells(SMOKE))
+    assert {scene for scene, _ in smoke} == set(cb.SCENES)
+    assert {method for _, method in smoke} == {n for n, m in cb.METHODS.items() if not grid.is_dear(m)}
 
 
-@pytest.mark.parametrize("bench", few_slow([bench, own_processes], own_processes))
-@pytest.mark.parametrize(("name", "after"), few_slow([("replacing", 2), ("merge", 0)], ("merge", 0)))
-def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, bench, tmp_path):
-    fault, results = tmp_path / "full.py", tmp_path / "results"
-    fault.write_text(FULL.format(name=name, after=after))
-    process = bench(results, "definition and contact", "--plugin", str(fault))
-    output, _ = process.communicate(timeout=120)
-    assert process.returncode == 2, output
-    (line,) = (line for line in output.splitlines() if "No space left" in line)
-    assert "--resume" in line
-    assert "Traceback" not in output
-    finished(bench(results, "definition and contact", "--resume"))
-    assert len(read(DEFINITIONS, results)) == sum("contact" in name for name in (*cb.METHODS, *cb.SCENES))
+def test_callbacks_are_run_where_the_mission_is_and_elsewhere_the_first_engine_alone():
+    for scene in cb.SCENES.values():
+        for method in cb.METHODS.values():
+            assert engines(scene, method)[0] == method.engines[0]
+            assert scene.mission or engines(scene, method) == [method.engines[0]]
+    rk4, particle = cb.METHODS["rk4"], cb.SCENES["particle"]
+    assert engines(particle, rk4) == list(rk4.engines)
+    mine = particle.with_(name="mine")
+    assert engines(mine, cb.METHODS["rk8"]) == list(rk4.engines)  # what is brought is run by all there is
 
 
-# -- What work–precision adds to a run, and settings at which methods cost the same ----------------
+# -- which settings --------------------------------------------------------------------------------
+FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
+
+
+@pytest.mark.parametrize("scene", cb.SCENES.values(), ids=cb.SCENES)
+def test_a_rung_along_the_motion_costs_all_fixed_steps_the_same(scene):
+    costs = {}
+    for method in FIXED:
+        values = rungs_of_equal_cost(scene, method)
+        assert values == sorted(set(values), reverse=True)
+        assert max(values) <= scene.t_end / SAVES * (1 + 1e-9)
+        if not method.refuses(scene):
+            costs[method.name] = [evaluations_of_step(scene, method) / step for step in values]
+    finest = {cb.METHODS[name].order <= 2: cost[-1] for name, cost in costs.items()}
+    for name, cost in costs.items():
+        assert cost[-1] == pytest.approx(finest[cb.METHODS[name].order <= 2]), name
+
+
+@pytest.mark.parametrize("name", [name for name, m in cb.METHODS.items() if m.adaptive])
+def test_every_adaptive_method_gets_its_full_range(name):
+    method = cb.METHODS[name]
+    tolerances = rungs_of_equal_cost(cb.SCENES["large_step"], method)
+    assert tolerances[-1] == method.rtol_range[0] <= ALONG[-1]
+    assert tolerances == sorted(set(tolerances), reverse=True)
+    assert tolerances[:3] == [*ALONG]
+
+
+@pytest.mark.parametrize("method", cb.METHODS.values(), ids=cb.METHODS)
+def test_a_ladder_falls_and_the_standard_one_is_part_of_it(method):
+    scene = cb.SCENES["kepler"]
+    every, enough = ladder(scene, method, control_of(scene, method), DEAREST)
+    assert every == sorted(set(every), reverse=True)
+    assert enough == [value for value in every if value in enough]
+    assert 2 * len(enough) >= len(every)
+    if method.control == "step":
+        assert scene.t_end / every[-1] * evaluations_of_step(scene, method) <= DEAREST
+
+
 @pytest.mark.parametrize(
-    ("method", "scene", "rtol", "turns"),
+    ("falls_by", "floor", "rungs"),
     [
-        ("cvode-bdf", "particle", 1e-4, False),
-        ("heyoka-taylor", "particle", 1e-4, False),
-        ("cvode-adams", "particle_long", 1e-12, True),  # 31 to 49 thousand evaluations were met
+        (256.0, 1e-16, 5),  # 10⁻¹² is passed by the fifth
+        (256.0, 1e-10, 6),  # two steps below that at which round-off shows are tried
+        (1.6, 1e-16, 99),
     ],
+    ids=["passes every error", "meets round-off", "costs too much"],
 )
-def test_only_a_long_tight_run_turns_on_the_last_digit_of_its_data(method, scene, rtol, turns):
-    run = cb.prepare(scene, method, rtol=rtol, save_at=[cb.SCENES[scene].t_end], carry=())
-    spread = evaluations_spread(run, run().counts.evaluations)
-    assert spread > 0.1 if turns else spread == 0
+@pytest.mark.parametrize("profile", [SMOKE, STANDARD, FULL], ids=PROFILES)
+def test_a_ladder_goes_on_to_the_end_of_what_a_method_can_do(monkeypatch, falls_by, floor, rungs, profile):
+    scene, method = cb.SCENES["thermostat"], cb.METHODS["rk8"]
+    every, enough = ladder(scene, method, "step", DEAREST)
+
+    def measured(question):
+        rung = enough.index(question[-1]) if question[-1] in enough else 0
+        error = max(1e-3 * falls_by**-rung, floor)
+        return {"status": "ok", "error": error, "setting": question[-1]}
+
+    monkeypatch.setattr(grid, "ended", measured)
+    rows = list(climb(scene, method, "llvm", "step", profile))
+    last = enough[min(rungs, len(enough)) - 1]
+    wanted = {
+        SMOKE: enough[:FEW],
+        STANDARD: [h for h in enough if h >= last],
+        FULL: [h for h in every if h >= last],
+    }
+    assert {row["setting"] for row in rows} == set(wanted[profile])
+    told = {row["setting"]: row["profile"] for row in rows}
+    assert all(
+        told[h] == (NAMES[0] if h in enough[:FEW] else NAMES[1] if h in enough else NAMES[2]) for h in told
+    )
 
 
-FIXED = [method.name for method in cb.METHODS.values() if isinstance(method, FixedStep)]
+def test_ladders_reach_every_error_where_steps_can():
+    scene, method = cb.SCENES["thermostat"], cb.METHODS["rk8"]
+    rows = list(climb(scene, method, "llvm", "step", STANDARD))
+    assert [row.get("error", 1.0) <= SMALLEST for row in rows] == [False] * (len(rows) - 1) + [True]
 
 
-@pytest.mark.parametrize("method", FIXED)
+def test_after_a_spent_budget_no_tighter_tolerance_is_run(monkeypatch):
+    ran = []
+
+    def scripted(question, *more):
+        ran.append(question[-1])
+        return {"setting": question[-1], "status": "budget" if question[-1] < 1e-5 else "ok"}
+
+    monkeypatch.setattr(grid, "along", scripted)
+    method = cb.METHODS["cyrk-dop853"]
+    rows = list(look_along(cb.SCENES["particle"], method, "c++", STANDARD))
+    assert ran == [*ALONG[:2]]
+    assert [row["status"] for row in rows] == ["ok", "budget", "budget", "budget"]
+    assert all(f"rtol={ALONG[1]:g}" in row["message"] for row in rows[2:])
+
+
+# -- what a row says -------------------------------------------------------------------------------
+def test_a_cell_has_one_row_that_says_why_a_scene_is_refused():
+    rows = [row for _, row in run.rows(("rigid_body", "rkn8"), STANDARD)]
+    assert [(row["saved"], row["status"]) for row in rows] == [(1, "unsupported"), (SAVES, "unsupported")]
+    assert all(row["message"] for row in rows)
+
+
+@pytest.mark.parametrize(("scene", "method"), [("particle", "contact-rkn4"), ("rigid_body", "cyrk-dop853")])
+def test_rows_of_a_cell_have_keys_of_their_own_and_follow_from_the_public_call(scene, method):
+    rows = [row for _, row in run.rows((scene, method), STANDARD)]
+    assert len({tuple(row[name] for name in RUNS.key) for row in rows}) == len(rows)
+    assert {row["profile"] for row in rows} == {NAMES[0], NAMES[1]}
+    for row in rows:
+        item, saved = cb.SCENES[scene], row["saved"]
+        given = {row["control"]: row["setting"], "engine": row["engine"]}
+        at = times(item, SAVES) if saved == SAVES else [item.t_end]
+        carry = ("R",) if "R" in item.optional else ()
+        own = cb.solve(scene, method, save_at=at, carry=None if saved == SAVES else carry, **given)
+        assert (row["steps"], row["evaluations"]) == (own.counts.steps, own.counts.rhs_equivalents)
+        if saved == SAVES:
+            assert row["error"] == cb.LAWS["solution_error"](own)
+            assert row["energy_law"] == cb.LAWS["energy_law"](own)
+
+
+@pytest.mark.parametrize("method", FIXED, ids=lambda method: method.name)
 def test_fixed_steps_pass_through_the_earlier_ends(method):
     """The error there, of runs of their own and of one that passes through; a processed method has more of it."""
     scene = cb.SCENES["central"]
-    ends = [scene.t_end * k / ENDS for k in range(1, ENDS)]
-    rung = 2 if cb.METHODS[method].one_step else 4  # those with a history begin with steps too long for them
-    options = {"step": steps(scene, cb.METHODS[method])[rung], "engine": "python", "carry": ()}
-    own = errors_of([cb.solve(scene, method, save_at=[t], **options) for t in ends]).max()
-    passing = errors_of([cb.solve(scene, method, save_at=ends, **options)]).max()
-    same = passing == pytest.approx(own, rel=1e-6, abs=1e-14)
-    assert same == passes_through(cb.METHODS[method], "python", "step")
+    ends = times(scene, ENDS).tolist()
+    step = steps(scene, method)[2 if method.one_step else 4]  # a history begins with steps too long for it
+    own = ended((scene.name, method.name, "python", "step", step))["error"]
+    passing = cb.solve(scene, method, save_at=ends, step=step, engine="python", carry=())
+    same = cb.LAWS["solution_error"](passing) == pytest.approx(own, rel=1e-6, abs=1e-14)
+    assert same == passes_through(method, "python", "step")
 
 
-@pytest.mark.parametrize(
-    ("scene", "method", "value", "fields"),
-    [
-        ("particle", "contact-strang", 0.8, "q p"),
-        ("quadratic_damping", "contact-strang", 0.8, "q p s"),
-        ("rigid_body", "cyrk-vern8", 1e-5, "M R"),
-        ("forced_oscillator", "contact-strang", 0.8, "q p t"),
-        ("forced_oscillator", "cyrk-vern8", 1e-5, "q p"),
-    ],
-)
-def test_carried_is_what_is_integrated(scene, method, value, fields):
-    item = cb.METHODS[method]
-    row = errors((scene, method, item.engines[0], item.control, value), PROFILES["standard"])
-    assert row["carried"] == fields
+def test_a_law_is_judged_by_what_the_run_claims():
+    row = along(("particle", "contact-strang", "llvm", "step", 0.05))
+    assert row["contact_drift_claimed"]
+    assert row["contact_drift_kept"]
+    assert row["contact_drift"] <= row["bound"] == 1e-12
+    other = along(("particle", "rk4", "llvm", "step", 0.05))
+    assert not other["contact_drift_claimed"]
+    assert not other["contact_drift_kept"]
+    without = along(("particle", "cyrk-dop853", "c++", "rtol", 1e-7), "on the mission's scenes only")
+    assert "contact_drift" not in without
+    assert "contact_drift_kept" not in without
+
+
+def test_nothing_is_judged_of_a_motion_that_ends_in_infinity():
+    for scene in HARD:
+        if scene.name == "escape":
+            row = along(
+                (
+                    scene.name,
+                    "contact-strang",
+                    "llvm",
+                    "step",
+                    rungs_of_equal_cost(scene, cb.METHODS["rk4"])[-1],
+                )
+            )
+            assert (row["truth"], row["status"]) == ("diverged", "diverged")
+            assert "error" not in row
 
 
 # -- settings of equal cost ------------------------------------------------------------------------
@@ -268,53 +365,47 @@ def test_bad_ends_at_loose_tolerances_and_spent_budgets_are_avoided():
     assert cost(tolerance_at(cost, 15.0, RANGE)) == pytest.approx(cheapest, rel=0.05)
 
 
-@pytest.mark.parametrize("name", ["contact-strang", "contact-rkn8", "contact-o8", "rk4", "scipy-dop853"])
-@pytest.mark.parametrize("cost", COSTS)
-def test_costs_are_equal_within_a_tenth_and_settings_the_same_every_time(name, cost):
-    scene, method = cb.SCENES["central"], cb.METHODS[name]
-    target = cost * scene.t_end
-    value = value_at(scene, method, target)
-    assert value == value_at(scene, method, target)
-    assert evaluations(scene, method, value) == pytest.approx(target, rel=0.1)
-
-
 def test_steps_end_at_the_saved_times_and_rotations_count_half():
     for name in ("contact-strang", "contact-rkn4"):
         method, body = cb.METHODS[name], cb.SCENES["rigid_body"]
-        h = step_at(method, body, 600.0, SAVES)
-        n = round(body.t_end / h)
-        assert n % SAVES == 0
+        n = round(body.t_end / step_at(method, body, 600.0, ENDS))
+        assert n % ENDS == 0
         assert method.counts(body, n) / 2 == pytest.approx(600, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("falls_by", "floor", "rungs"),
-    [
-        (256.0, 1e-16, 5),  # 10⁻¹² is passed by the fifth
-        (256.0, 1e-10, 6),  # two steps below that at which round-off shows are tried
-        (1.2, 1e-16, 99),
-    ],
-    ids=["passes every error", "meets round-off", "costs too much"],
-)
-def test_a_ladder_goes_on_to_the_end_of_what_a_method_can_do(monkeypatch, falls_by, floor, rungs):
-    scene, method = cb.SCENES["thermostat"], cb.METHODS["rk8"]
-    every = [steps(scene, method)[-1], *finer_steps(scene, method)]
+# -- a disk that is full while a benchmark runs ----------------------------------------------------
+#: after one file of the run and one of a cell, or when the tables are written, there is no room
+FULL_DISK = """
+import errno
+from contactbench.methods import METHODS
+from contactbench.tables import cells
 
-    def measured(cell):
-        return (
-            max(1e-3 * falls_by ** -every.index(cell[-1]), floor)
-            if rungs < 99
-            else 0.5 ** every.index(cell[-1])
-        )
+METHODS["rk4"] = METHODS["rk4"].__class__(**vars(METHODS["rk4"]))  # a plug-in registers something
 
-    monkeypatch.setattr(work_precision, "error_of", measured)
-    run = [h for h in every if not work_precision.is_past_the_end(("thermostat", "rk8", "llvm", "step", h))]
-    assert run == every[: min(rungs, len(every))]
-    assert scene.t_end / every[-1] * method.per_step(scene) > DEAREST / 2
+def full(once):
+    calls = []
+    def write(*arguments, **more):
+        calls.append(1)
+        if len(calls) > {after}:
+            raise OSError(errno.ENOSPC, "No space left on device", "a-file")
+        return once(*arguments, **more)
+    return write
+
+cells.{name} = full(cells.{name})
+"""
+KEYWORD = "run and particle and not long and herglotz and not timed"
 
 
-def test_ladders_of_the_standard_profile_reach_every_error_where_steps_can():
-    cells = [c for c in ladder(PROFILES["standard"]) if c[:2] == ("thermostat", "rk8") and c[3] == "step"]
-    reached = [work_precision.error_of(cell) for cell in cells if not work_precision.is_past_the_end(cell)]
-    assert min(reached) < 1e-12
-    assert len(reached) < len(cells)
+@pytest.mark.parametrize("bench", few_slow([bench, own_processes], own_processes))
+@pytest.mark.parametrize(("name", "after"), few_slow([("replacing", 2), ("merge", 0)], ("merge", 0)))
+def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, bench, tmp_path):
+    fault, results = tmp_path / "full.py", tmp_path / "results"
+    fault.write_text(FULL_DISK.format(name=name, after=after))
+    process = bench(results, KEYWORD, "--plugin", str(fault))
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 2, output
+    (line,) = (line for line in output.splitlines() if "No space left" in line)
+    assert "--resume" in line
+    assert "Traceback" not in output
+    finished(bench(results, KEYWORD, "--resume"))
+    assert set(read(RUNS, results)["method"]) == {"herglotz1", "herglotz2"}

@@ -2,18 +2,29 @@
 
 import pytest
 
-import contactbench as cb
 import planted
 from cases import refusal
-from contactbench.study import runner
-from contactbench.study.experiment import PROFILES, Experiment, experiments
-from contactbench.study.runner import Run, Task
+from contactbench.runs import runner
+from contactbench.runs.experiment import PROFILES, Experiment, experiments
+from contactbench.runs.runner import Run, Task
 from contactbench.tables.cells import Cells
-from contactbench.tables.declared import CONVERGENCE, DEFINITIONS
+from contactbench.tables.declared import RUNS
 from contactbench.tables.store import read
-from made_up import row
 
-TASK = Task(experiments()["laws"], ("particle_long", "cvode-adams"), "particle_long-cvode-adams")
+
+def row(method):
+    made = {
+        "scene": "particle",
+        "method": method,
+        "engine": "llvm",
+        "control": "step",
+        "setting": 0.1,
+        "saved": 1,
+    }
+    return made | {"status": "ok", "message": ""}
+
+
+TASK = Task(experiments()["run"], ("particle_long", "cvode-adams"), "particle_long-cvode-adams")
 
 
 @pytest.mark.parametrize(
@@ -22,9 +33,9 @@ TASK = Task(experiments()["laws"], ("particle_long", "cvode-adams"), "particle_l
         ("", True),
         ("particle and cvode", True),
         ("Particle_Long and not (rk4 or timed)", True),
-        ("bench_laws.py and not not adams", True),
+        ("bench_grid.py and not not adams", True),
         ("rk4 or heyoka", False),
-        ("not laws", False),
+        ("not run", False),
     ],
 )
 def test_cells_are_chosen_by_parts_of_their_names_as_pytest_does(expression, chosen):
@@ -41,16 +52,16 @@ def test_what_is_no_expression_is_refused(expression):
     ("more", "message"),
     [
         ({"colour": "red"}, "no column 'colour'"),
-        ({"solution_error": "small"}, "'solution_error': 'small' is no finite number"),
+        ({"error": "small"}, "'error': 'small' is no finite number"),
         ({"steps": 1.5}, "'steps': 1.5 is no whole number"),
-        ({"in_fit": 1.0}, "'in_fit': 1.0 is no truth value"),
+        ({"momentum_law_kept": 1.0}, "'momentum_law_kept': 1.0 is no truth value"),
         ({"status": "failed", "message": ""}, "status failed without a message"),
     ],
 )
 def test_a_row_is_refused_where_it_is_recorded_and_the_next_run_starts(more, message, tmp_path):
     def rows(cell, profile):
-        yield CONVERGENCE, row("contact-abc")
-        yield CONVERGENCE, row("rk4") | more
+        yield RUNS, row("contact-abc")
+        yield RUNS, row("rk4") | more
 
     run = Run(tmp_path, PROFILES["smoke"], "some")
     run.begin()
@@ -58,17 +69,17 @@ def test_a_row_is_refused_where_it_is_recorded_and_the_next_run_starts(more, mes
     assert message in refusal(lambda: run.measure(task))
     run.end()
     Run(tmp_path, PROFILES["smoke"], "some").begin()
-    assert list(read(CONVERGENCE, tmp_path)["method"]) == ["contact-abc"]  # what came before it
+    assert list(read(RUNS, tmp_path)["method"]) == ["contact-abc"]  # what came before it
     assert not run.cells.done()
 
 
 def test_a_cell_of_another_version_is_left_aside_and_stops_no_run(tmp_path):
     cells = Cells(tmp_path, "smoke", "before")
     cells.begin({"profile": "smoke"})
-    cells.save([(CONVERGENCE, row("contact-abc") | {"colour": "red"})], ("bench.py", "a"))
-    cells.save([(CONVERGENCE, row("rk4"))], ("bench.py", "b"))
+    cells.save([(RUNS, row("contact-abc") | {"colour": "red"})], ("bench.py", "a"))
+    cells.save([(RUNS, row("rk4"))], ("bench.py", "b"))
     Run(tmp_path, PROFILES["smoke"]).begin()
-    assert list(read(CONVERGENCE, tmp_path)["method"]) == ["rk4"]
+    assert list(read(RUNS, tmp_path)["method"]) == ["rk4"]
     assert len(list(cells.folder.glob("*.new"))) == 1
 
 
@@ -76,11 +87,10 @@ def test_a_cell_of_another_version_is_left_aside_and_stops_no_run(tmp_path):
 def test_a_cell_that_takes_its_process_down_or_fails_costs_itself(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runner, "attempt", planted.attempt)
     run = Run(tmp_path, PROFILES["smoke"], "some", timed=False)
-    chosen = "definition and method and (contact-strang or rk4 or scipy or method-contact-gauss4)"
+    chosen = "run and particle and not long and (herglotz or rk4 or gauss4)"
     assert runner.work(run, chosen) == 2
     told = capsys.readouterr().err
-    assert "definition[method-rk4]: the solver took its process down (signal 9)" in told
-    assert "definition[method-contact-gauss4]: ValueError in planted.py" in told
-    names = {name for name in cb.METHODS if "contact-strang" in name or "scipy" in name}
-    assert set(read(DEFINITIONS, tmp_path)["method"]) == names
-    assert len(run.cells.done()) == len(names)
+    assert "run[particle-rk4]: the solver took its process down (signal 9)" in told
+    assert "run[particle-contact-gauss4]: ValueError in planted.py" in told
+    assert set(read(RUNS, tmp_path)["method"]) == {"herglotz1", "herglotz2"}
+    assert len(run.cells.done()) == 2

@@ -9,17 +9,33 @@ import pytest
 
 from cases import bench, finished, own_processes
 from contactbench.tables.cells import FOLDER, Cells
-from contactbench.tables.declared import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
+from contactbench.tables.declared import ORDERS, RUNS, TIMES
 from contactbench.tables.provenance import runs
 from contactbench.tables.schema import TABLES
 from contactbench.tables.store import read
-from made_up import row
 
-SMALL = "particle and (strang or cvode-adams) and not long"
-#: both by two engines, the adaptive one at two tolerances
-TIMED = 6
-#: convergence of one, decay and laws of both; errors and times
-CELLS = 5 + 2 * TIMED
+SMALL = "bench_grid and particle and (strang or cvode-adams) and not long"
+#: both by two engines, at three settings
+TIMED = 12
+#: runs and times of both
+CELLS = 4
+
+
+def row(method="rk4", **more):
+    """A row of runs.csv; the same makes one of orders.csv."""
+    made = {
+        "scene": "particle",
+        "method": method,
+        "engine": "llvm",
+        "control": "step",
+        "setting": 0.1,
+        "saved": 1,
+    }
+    return made | {"status": "ok", "profile": "smoke"} | more
+
+
+def order(**more):
+    return {"scene": "particle", "method": "rk4", "step": 0.1, "status": "ok", "error": 1e-3} | more
 
 
 def finish(results, *names, run="one", profile="smoke", selection="", merged=(), **more):
@@ -27,27 +43,27 @@ def finish(results, *names, run="one", profile="smoke", selection="", merged=(),
     cells = Cells(results, profile, run, selection)
     cells.begin({"profile": profile})
     for name in names:
-        cells.save([(CONVERGENCE, row(name, **more))], ("bench.py", name))
+        cells.save([(RUNS, row(name, **more))], ("bench.py", name))
     if merged is not None:
         cells.merge([("bench.py", name) for name in merged])
     return cells
 
 
-def methods(results, table=CONVERGENCE):
+def methods(results, table=RUNS):
     return list(read(table, results)["method"])
 
 
 def test_a_run_ends_in_the_tables(tmp_path):
     cells = Cells(tmp_path, "smoke", "one")
     cells.begin({"profile": "smoke"})
-    cells.save([(CONVERGENCE, row()), (LAWS_TABLE, row())], ("bench.py", "a"))
-    cells.save([(CONVERGENCE, row("contact-abc", status="failed"))], ("bench.py", "b"), finished=False)
+    cells.save([(RUNS, row()), (ORDERS, order())], ("bench.py", "a"))
+    cells.save([(RUNS, row("contact-abc", status="failed"))], ("bench.py", "b"), finished=False)
     cells.merge()
     assert methods(tmp_path) == ["contact-abc", "rk4"]
     (run,) = runs(tmp_path)
-    assert (run["run"], run["tables"]) == ("one", {"convergence": "part", "laws": "part"})
+    assert (run["run"], run["tables"]) == ("one", {"runs": "part", "orders": "part"})
     assert set(cells.done()) == {("bench.py", "a")}
-    assert [name for name, _ in cells.rows(("bench.py", "a"))] == ["convergence", "laws"]
+    assert [name for name, _ in cells.rows(("bench.py", "a"))] == ["runs", "orders"]
     assert cells.rows(("bench.py", "b")) is None
     assert not Cells(tmp_path, "standard", "two").done()
 
@@ -76,7 +92,7 @@ def test_what_is_merged_is_not_merged_again(tmp_path):
     finish(tmp_path, "a", status="ok")
     finish(tmp_path, "a", run="two", profile="standard", status="failed")
     finish(tmp_path, "b", run="three")
-    assert list(read(CONVERGENCE, tmp_path)["status"]) == ["failed", "ok"]
+    assert list(read(RUNS, tmp_path)["status"]) == ["failed", "ok"]
 
 
 KILLED_WHILE_MERGING = """
@@ -84,16 +100,15 @@ import os, sys
 from pathlib import Path
 from contactbench.tables import cells, provenance, store
 from contactbench.tables import declared as tables
-row = {"scene": "particle", "method": "rk4", "engine": "jax", "setting": "step=0.1", "status": "ok", "message": ""}
-alone = {name: row[name] for name in tables.LAWS_TIME.key[:-1]}
-two = [(t, row) for t in (tables.CONVERGENCE, tables.LAWS_TABLE)]
-timed = (tables.WORK_PRECISION, {**row, "time_median_s": 1.0})
+row = {"scene": "particle", "method": "rk4", "engine": "llvm", "control": "step", "setting": 0.1, "saved": 1}
+ended = {**row, "status": "ok", "message": ""}
+order = {"scene": "particle", "method": "rk4", "step": 0.1}
 calls = []
 def killed(results, steps):
     run = cells.Cells(results, "smoke", "killed")
     run.begin({"profile": "smoke"})
-    run.save([*two, (tables.LAWS_TIME, {**alone, "t": 1.0}), timed], ("bench.py", "a"))
-    run.save([(tables.CONVERGENCE, {**row, "method": "contact-abc"})], ("bench.py", "b"))
+    run.save([(tables.RUNS, ended), (tables.ORDERS, order), (tables.TIMES, {**row, "least_s": 1.0})], ("bench.py", "a"))
+    run.save([(tables.RUNS, {**ended, "method": "contact-abc"})], ("bench.py", "b"))
     replace = os.replace
     def dying(*paths):
         calls.append(paths)
@@ -109,8 +124,8 @@ for steps in map(int, sys.argv[2:]):  # a process each, without importing everyt
         killed(Path(sys.argv[1]) / str(steps), steps)
     print(steps, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
-#: files that take their names: five of four tables, the list of runs, two cells that are merged
-STEPS = range(9)
+#: files that take their names: three tables, the list of runs, two cells that are merged
+STEPS = range(7)
 
 
 @pytest.fixture(scope="module")
@@ -131,9 +146,9 @@ def test_a_kill_while_merging_loses_and_doubles_nothing(killed_while_merging, st
     cells = Cells(results, "smoke", "next")
     cells.begin({"profile": "smoke"})
     assert methods(results) == ["contact-abc", "rk4"]
-    for table in (LAWS_TABLE, WORK_PRECISION):
+    for table in (ORDERS, TIMES):
         assert methods(results, table) == ["rk4"]
-    assert list(read(WORK_PRECISION, results)["time_median_s"]) == [1.0]
+    assert list(read(TIMES, results)["least_s"]) == [1.0]
     assert [run["run"] for run in runs(results)] == ["killed"]
     assert set(cells.done()) == {("bench.py", "a"), ("bench.py", "b")}
     assert not list(results.glob(f"{FOLDER}/*/*.new"))
@@ -153,7 +168,7 @@ def wait_for(condition, seconds=120):
 
 
 @pytest.mark.parametrize("bench", [bench, own_processes], ids=["pytest", "contactbench bench"])
-@pytest.mark.parametrize("moment", [0, 1, 4, CELLS - 1], ids="killed after {} cells".format)
+@pytest.mark.parametrize("moment", range(CELLS), ids="killed after {} cells".format)
 @pytest.mark.quick(moment=1, bench=bench)
 def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment, bench):
     process = bench(tmp_path, SMALL)
@@ -170,11 +185,11 @@ def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment, be
         frame = read(TABLES[name], tmp_path)
         key = [column for column in TABLES[name].key if column in one]
         (mine,) = frame[(frame[key] == [one[column] for column in key]).all(axis=1)].to_dict("records")
-        for column in {"solution_error", "evaluations", "steps"} & one.keys():
+        for column in {"error", "evaluations", "steps"} & one.keys():
             if one[column] is not None:
                 assert mine[column] == pytest.approx(one[column], rel=1e-5, nan_ok=True), column
-    assert len(read(WORK_PRECISION, tmp_path)) == TIMED
-    assert set(methods(tmp_path, LAWS_TABLE)) == {"contact-strang", "cvode-adams"}
+    assert len(read(TIMES, tmp_path)) == TIMED
+    assert set(methods(tmp_path)) == {"contact-strang", "cvode-adams"}
 
 
 @pytest.mark.slow
@@ -182,7 +197,7 @@ def test_two_runs_at_once_do_not_corrupt_each_other(tmp_path):
     first, second = bench(tmp_path, f"{SMALL} and cvode"), bench(tmp_path, f"{SMALL} and strang")
     for process in (first, second):
         finished(process)
-    assert set(methods(tmp_path, WORK_PRECISION)) == {"contact-strang", "cvode-adams"}
+    assert set(methods(tmp_path, TIMES)) == {"contact-strang", "cvode-adams"}
 
 
 def test_a_whole_run_removes_rows_whose_benchmark_no_longer_exists(tmp_path):
@@ -195,4 +210,4 @@ def test_a_whole_run_removes_rows_whose_benchmark_no_longer_exists(tmp_path):
     assert methods(tmp_path) == ["a", "b", "gone"]
     finish(tmp_path, "a", run="four", merged=["a", "b"])  # resumed: now all are done
     assert methods(tmp_path) == ["a", "b"]
-    assert runs(tmp_path)[-1]["tables"] == {"convergence": "whole"}
+    assert runs(tmp_path)[-1]["tables"] == {"runs": "whole"}

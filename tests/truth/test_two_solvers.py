@@ -1,7 +1,6 @@
 """Two solvers in double precision agree as far as they say, where high precision takes too long."""
 
 import importlib
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -24,11 +23,11 @@ LIVE = {
 }
 
 
-@pytest.mark.parametrize("name", few_slow(LIVE, "ring", "damped"))
+@pytest.mark.parametrize("name", few_slow(LIVE, "ring", "free", "damped"))
 def test_two_solvers_in_doubles_have_the_digits_that_they_say(name):
     """Against 30 digits by other engines, component by component."""
     scene, times = LIVE[name], np.array([0.3, 0.8, 1.5])
-    found, known = two_solvers.doubles(scene, times, ("s",), perf_counter() + 60)
+    found, known = two_solvers.doubles(scene, times, ("s",), np.inf)
     true = cb.reference(scene, times)
     assert true.digits >= 20
     assert digits(found, true.y) >= known >= 10
@@ -40,7 +39,7 @@ def test_what_leaves_has_no_reference():
     with pytest.raises(cb.BadInput):
         cb.reference(scene, [20.0])
     with pytest.raises(cb.BadInput, match="cannot be followed to t = 20"):
-        two_solvers.doubles(scene, np.array([20.0]), (), perf_counter() + 60)
+        two_solvers.doubles(scene, np.array([20.0]), (), np.inf)
 
 
 def test_a_reference_out_of_time_says_so():

@@ -166,7 +166,7 @@ def compare(arguments: argparse.Namespace) -> int:
         writable(f"--{option}", getattr(arguments, option), kinds)
     one_core()
     import contactbench as cb
-    from contactbench.report import race
+    from contactbench.study import race
 
     if errors := [word for word in arguments.method + arguments.more if is_number(word)]:
         given = f"--error {' '.join([arguments.error, *errors])}"
@@ -184,7 +184,7 @@ def compare(arguments: argparse.Namespace) -> int:
 
         write_picture(render(figure), arguments.plot)
     if arguments.json:
-        known = {name: value for name, value in frame.attrs.items() if name not in ("runs", "motion")}
+        known = {name: value for name, value in frame.attrs.items() if name != "runs"}
         rows = json.loads(frame.to_json(orient="records", double_precision=15))
         print_json({**known, "rows": rows}, arguments)
     else:

@@ -9,8 +9,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from contactbench.checks import positive
 from contactbench.cli.parsing import print_json, writable
 from contactbench.cli.printing import print_item
 from contactbench.errors import BadInput
@@ -20,7 +20,8 @@ def claim(arguments: argparse.Namespace) -> int:
     from contactbench.paper import CLAIMS
     from contactbench.tables.schema import SEPARATOR
 
-    row = CLAIMS[arguments.id.upper()].row()
+    own = CLAIMS[arguments.id.upper()]
+    row: dict[str, Any] = own.words | own.row()
     if arguments.json:
         print_json(row, arguments)
     else:
@@ -38,7 +39,7 @@ LABELS |= {"corrected_evidence": "measured"}
 
 def report(arguments: argparse.Namespace) -> int:
     import contactbench as cb
-    from contactbench.report import write
+    from contactbench.questions import write
 
     results, readme = arguments.results, arguments.readme
     registries = {"methods": cb.METHODS, "scenes": cb.SCENES}
@@ -61,10 +62,10 @@ def report(arguments: argparse.Namespace) -> int:
 def bench(arguments: argparse.Namespace) -> int:
     import contactbench as cb
     from contactbench.plugins import brought
-    from contactbench.report import write
-    from contactbench.study import runner
+    from contactbench.questions import write
+    from contactbench.runs import runner
+    from contactbench.runs.experiment import PROFILES
     from contactbench.study.ending import ending
-    from contactbench.study.experiment import PROFILES
 
     own = bool(brought()) and not arguments.all
     selection = " ".join([runner.OWN_ALONE] * own + [arguments.k] * bool(arguments.k))
@@ -79,8 +80,6 @@ def bench(arguments: argparse.Namespace) -> int:
 
 
 def gate(arguments: argparse.Namespace) -> int:
-    if arguments.budget is not None:
-        positive("--budget", arguments.budget)
     with ending_by_sigterm():
         return judge(arguments)
 
@@ -112,7 +111,7 @@ def judge(arguments: argparse.Namespace) -> int:
             return status
         parts = (arguments.only,) if arguments.only else trees.PARTS
         folders = Path.cwd(), arguments.results, arguments.fresh
-        found = trees.gate(*folders, arguments.base, parts, arguments.tables_changed, arguments.budget)
+        found = trees.gate(*folders, arguments.base, parts, arguments.tables_changed)
     print(found.as_json() if arguments.json else found.as_markdown(), file=arguments.stdout)
     return found.status
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +17,19 @@ from contactbench.errors import BadInput
 from contactbench.gate.removed import Removed
 from contactbench.measure.law import STRUCTURE
 from contactbench.methods import METHODS
+from contactbench.report.chapters import discovered
 from contactbench.report.markdown import escaped
 from contactbench.tables import provenance
-from contactbench.tables.schema import PROFILES, SPREAD, TABLES, Rule, Table, floor
-from contactbench.tables.store import read
+from contactbench.tables.schema import PROFILES, TABLES, Rule, Table, floor
+from contactbench.tables.store import read, set_types
 
 #: packages that solve nothing: runs may differ in them and be of one machine
 IDLE_PACKAGES = ("contactbench", "pandas", "matplotlib", "pytest-benchmark")
-#: what a row of the findings has where nothing else is given; rows : of how many values it is the worst
-#: between : which two were compared
+#: a finding; between : which two were compared; rows : of how many values it is the worst
 type Row = dict[str, object]
 TEXTS = ("between", "table", "scene", "method", "engine", "setting", "measure", "before", "after", "result")
 BLANK: Row = {**dict.fromkeys(TEXTS, ""), "red": True, "rows": 1}
 INCONCLUSIVE = "inconclusive"
-
-#: the record of a run, as `provenance` has it
-type Run = dict[str, Any]
 type Frames = Mapping[str, pd.DataFrame]
 
 
@@ -41,16 +39,15 @@ def rows_of(*rows: Mapping[str, object]) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Findings:
-    """A row for each measure that moved, what was compared, what to know beside, and why it cannot be decided."""
+    """A row for each measure that moved, what to know beside, and why something cannot be decided."""
 
     moved: pd.DataFrame = field(default_factory=rows_of)
-    compared: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
 
     def __add__(self, other: Findings) -> Findings:
         moved = [part for part in (self.moved, other.moved) if len(part)] or [self.moved]
-        texts = self.compared + other.compared, self.notes + other.notes, self.incomplete + other.incomplete
+        texts = self.notes + other.notes, self.incomplete + other.incomplete
         return Findings(pd.concat(moved, ignore_index=True), *texts)
 
     @property
@@ -63,7 +60,7 @@ class Findings:
 
     def as_json(self) -> str:
         found = {"status": self.status, "red": bool(self.red), "lines": self.moved.to_dict("records")}
-        found |= {"compared": self.compared, "notes": self.notes, "incomplete": self.incomplete}
+        found |= {"notes": self.notes, "incomplete": self.incomplete}
         return json.dumps(found, allow_nan=False, ensure_ascii=False)
 
     def as_markdown(self) -> str:
@@ -71,17 +68,17 @@ class Findings:
         rows = self.moved.sort_values("red", ascending=False, kind="stable")
         cells = rows.drop(columns="red").astype(str).map(escaped)
         cells["result"] = cells["result"].mask(rows["red"], "**" + cells["result"] + "**")
-        texts = "\n".join(f"- {escaped(text)}" for text in (*self.compared, *self.incomplete, *self.notes))
+        texts = "\n".join(f"- {escaped(text)}" for text in (*self.incomplete, *self.notes))
         lines = [cells.columns, ["---"] * cells.shape[1], *cells.to_numpy()] if len(cells) else []
         grid = "\n".join(f"| {' | '.join(line)} |" for line in lines) or "Nothing moved."
         return f"# Regression gate: {outcome}\n\n{texts}\n\n{grid}\n"
 
 
-# -- how far a column may move: it names its rule (`schema.Rule`), `LIMITS` has what that allows -------
+# -- how far a column may move, by its rule (`schema.Rule`) ------------------------------------------
 #: by what factor an error may move, above its floor
 FACTOR = 2.0
-#: how far a slope or an order may move, and a quantity that is no error, relatively
-SLOPE, VALUE = 0.05, 0.01
+#: how far an order may move, and a quantity that is no error, relatively
+ORDER, VALUE = 0.05, 0.01
 #: how far a count may move where a solver chooses its steps, or a run that did not end well, as a share; and where a
 #: method iterates until nothing changes, which rounding decides
 SHARE, ITERATIONS = 0.1, 0.05
@@ -92,61 +89,10 @@ OF_BOUND = 1e-3
 TIMES, ROWS, PAIRS = 2.0, 3, 8
 
 
-def factor(before: np.ndarray, after: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Return |log(after/before)| in parts of `FACTOR`, neither taken below the floor."""
-    with np.errstate(invalid="ignore"):
-        moved = np.abs(np.log(np.maximum(after, floor) / np.maximum(before, floor))) / math.log(FACTOR)
-    return np.where(before == after, 0.0, moved)
-
-
-def amount(before: np.ndarray, after: np.ndarray, allowed: np.ndarray | float) -> np.ndarray:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(before == after, 0.0, np.abs(after - before) / allowed)
-
-
-def count(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
-    """Return |after − before|, in parts of a share where a solver chooses its steps, or how often it iterates.
-
-    The share of chosen steps is at least twice their spread.
-    """
-    spread = rows[SPREAD].fillna(0.0).to_numpy(dtype=float) if SPREAD in rows else 0.0
-    share = np.maximum(SHARE, 2 * spread) * before
-    iterates = rows["method"].map(lambda name: name in METHODS and METHODS[name].iterates)
-    allowed = np.where(iterates, np.maximum(1.0, ITERATIONS * before), 0.0)
-    return amount(before, after, np.where(rows["control"] == "rtol", np.maximum(1.0, share), allowed))
-
-
-def point(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
-    """Return |after − before| in parts of a share of the largest coordinate along the curve of each point."""
-    curve = [rows[name] for name in ("figure", "panel", "curve")]
-    largest = pd.Series(np.abs(before), rows.index).groupby(curve).transform("max").fillna(0.0).to_numpy()
-    return amount(before, after, VALUE * largest + STRUCTURE)
-
-
-def claim(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
-    """Return how far what a claim measures moved: below an upper bound as an error, else as a value."""
-    bound = pd.to_numeric(rows["bound"]).to_numpy(dtype=float, na_value=0.0)
-    near = factor(before, after, np.maximum(STRUCTURE, OF_BOUND * np.abs(bound)))
-    return np.where(rows["relation"] == "≤", near, amount(before, after, VALUE * np.abs(before)))
-
-
-#: rule → how far a value moved, in parts of what is allowed, from the values before and after and the rows before
-LIMITS: dict[Rule, Callable[[np.ndarray, np.ndarray, pd.DataFrame], np.ndarray]] = {
-    Rule.error: lambda b, a, rows: factor(b, a, floor(Rule.error, rows)),
-    Rule.structure: lambda b, a, rows: factor(b, a, floor(Rule.structure, rows)),
-    Rule.count: count,
-    Rule.value: lambda b, a, rows: amount(b, a, VALUE * np.abs(b)),
-    Rule.order: lambda b, a, rows: amount(b, a, SLOPE),
-    Rule.slope: lambda b, a, rows: np.where(rows["in_fit"], amount(b, a, SLOPE), 0.0),
-    Rule.point: point,
-    Rule.end: lambda b, a, rows: amount(b, a, np.where(rows["status"] == "ok", 0.0, SHARE * np.abs(b))),
-    Rule.measured: claim,
-}
-
-
-def distance(rule: Rule, before: pd.Series, after: pd.Series, rows: pd.DataFrame, alike: bool) -> np.ndarray:
+def distance(name: str, rule: Rule, rows: pd.DataFrame, alike: bool) -> np.ndarray:
     """Return how far each value of a column moved, in parts of what its rule allows: red beyond 1."""
-    if rule is Rule.same or (rule is Rule.count and alike):
+    before, after = rows[name], rows[f"{name} after"]
+    if rule is Rule.same:
         moved = np.where((before == after).to_numpy(na_value=False), 0.0, math.inf)
     elif rule is Rule.profile:
         rank = {name: k for k, name in enumerate(PROFILES)}
@@ -154,41 +100,69 @@ def distance(rule: Rule, before: pd.Series, after: pd.Series, rows: pd.DataFrame
         moved = np.where((then <= first) & (then < math.inf), 0.0, math.inf)
     else:
         old, new = (pd.to_numeric(side).to_numpy(dtype=float, na_value=math.nan) for side in (before, after))
-        moved = LIMITS[rule](old, new, rows)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = np.abs(new - old) / allowed(rule, old, rows, alike)
+            least = floor(rule, rows)
+            if rule is Rule.measured:  # below an upper bound it is an error, else a value
+                own = name.removesuffix("measured")
+                bound = rows[f"{own}bound"].abs().fillna(0.0).to_numpy()
+                least = np.where(rows[f"{own}relation"] == "≤", np.maximum(STRUCTURE, OF_BOUND * bound), 0.0)
+            ratio = np.abs(np.log(np.maximum(new, least) / np.maximum(old, least))) / math.log(FACTOR)
+        moved = np.where(old == new, 0.0, np.where(least > 0, ratio, far))
     blank = before.isna().to_numpy(), after.isna().to_numpy()
     moved = np.where(blank[0] & blank[1], 0.0, np.where(blank[0] ^ blank[1], math.inf, moved))
     return np.nan_to_num(moved, nan=math.inf, posinf=math.inf)
 
 
-def compare(
-    table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False, only: Collection[Rule] = ()
-) -> pd.DataFrame:
-    """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene.
+def allowed(rule: Rule, old: np.ndarray, rows: pd.DataFrame, alike: bool) -> np.ndarray | float:
+    """Return by how much a value that is no error may differ."""
+    size = np.abs(old)
+    match rule:
+        case Rule.order:
+            return ORDER
+        case Rule.end:
+            return np.where(rows["status"] == "ok", 0.0, SHARE * size)
+        case Rule.point:
+            curve = [rows[name] for name in ("figure", "panel", "curve")]
+            largest = pd.Series(size, rows.index).groupby(curve).transform("max").fillna(0.0)
+            return np.asarray(VALUE * largest + STRUCTURE)
+        case Rule.count if alike:
+            return 0.0
+        case Rule.count:
+            known = [METHODS.get(name) for name in rows["method"]]
+            control = rows["control"] if "control" in rows else [getattr(m, "control", "") for m in known]
+            iterates = [method is not None and method.iterates for method in known]
+            share = np.select([np.array(control) == "rtol", iterates], [SHARE, ITERATIONS], 0.0)
+            return np.where(share > 0, np.maximum(1.0, share * size), 0.0)
+    return VALUE * size
 
-    only : the rules of the columns to compare, missing rows left out; all of both where none is given.
-    """
-    both = before.merge(after, how="left", on=list(table.key), suffixes=("", " after"), indicator="side")
-    gone, both = both[both["side"] == "left_only"], both[both["side"] == "both"]
-    if len(before) and after.empty and not only:
+
+def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False) -> pd.DataFrame:
+    """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene."""
+    if before.empty or before.equals(after):
+        return rows_of()
+    if after.empty:
         row = {"table": table.name, "measure": "table", "before": f"{len(before)} rows", "after": "none"}
         return rows_of(row | {"result": "missing"})
-    missing = locate(table, gone[:0] if only else gone)
-    missing = missing.assign(measure="row", before="present", after="none", result="missing")
+    both = before.merge(after, how="left", on=list(table.key), suffixes=("", " after"), indicator="side")
+    gone, both = both[both["side"] == "left_only"], both[both["side"] == "both"]
+    missing = locate(table, gone).assign(measure="row", before="present", after="none", result="missing")
     parts = [missing.assign(distance=math.inf)]
     same_end = (both["status"] == both["status after"]).to_numpy() if "status" in table.columns else True
     blank = both.isna() | (both == "")
     for name, rule in table.rules.items():
-        if rule is Rule.time or (only and rule not in only) or name in table.key or blank[name].all():
+        if rule is Rule.time or name in table.key or blank[name].all():
             continue  # a column that the baseline does not have is new
-        moved = distance(rule, both[name], both[f"{name} after"], both, alike)
+        moved = distance(name, rule, both, alike)
         if name not in ("status", "profile"):  # the numbers of a run that ended otherwise say nothing more
             moved = np.where(same_end, moved, 0.0)
+        if not (moved > 1).any():
+            continue
         rows, moved = both[moved > 1], moved[moved > 1]
         old, new = ([show(value) for value in rows[column]] for column in (name, f"{name} after"))
         part = locate(table, rows).assign(measure=name, before=old, after=new, result="moved", distance=moved)
         parts.append(part)
-    found = pd.concat([part for part in parts if len(part)] or parts[:1])
-    return worst(found)
+    return worst(pd.concat([part for part in parts if len(part)] or parts[:1]))
 
 
 def worst(found: pd.DataFrame) -> pd.DataFrame:
@@ -200,11 +174,11 @@ def worst(found: pd.DataFrame) -> pd.DataFrame:
 
 def compare_times(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> pd.DataFrame:
     """Return the methods whose times moved against those of the other methods of a table."""
-    both, found = before.merge(after, on=list(table.key), suffixes=("", " after")), []
+    found: list[Row] = []
     for name in [name for name, rule in table.rules.items() if rule is Rule.time]:
-        pairs = [both[column].to_numpy(dtype=float, na_value=math.nan) for column in (name, f"{name} after")]
-        old, new = (np.where(times > 0, times, math.nan) for times in pairs)
-        moved = pd.Series(np.log(new / old), both.index).dropna()
+        both = before.merge(after, on=list(table.key), suffixes=("", " after"))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            moved = np.log(both[f"{name} after"] / both[name]).replace([np.inf, -np.inf], np.nan).dropna()
         if len(moved) < PAIRS:
             continue
         where = [both.loc[moved.index, key] for key in ("method", "engine")]
@@ -242,57 +216,99 @@ def between(which: str, *parts: pd.DataFrame, listed: bool | None = None) -> Fin
     return Findings(moved)
 
 
+# -- two folders -------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Runs:
-    """What two folders of tables were made by: the profile of the second, and whether both are of one machine."""
+    """What two folders of tables were made by.
+
+    profile : the largest of the second; made : table → the largest profile of the first that made rows of it;
+    alike : whether both are of one machine.
+    """
 
     profile: str
+    made: Mapping[str, str]
     alike: bool
 
     @classmethod
     def of(cls, before: Path, fresh: Path) -> Runs:
-        made = [run for run in provenance.runs(fresh) if run["profile"] in PROFILES]
-        if not made:
+        runs, old = provenance.runs(fresh), provenance.runs(before)
+        if not largest(runs):
             missing = "missing; the folder holds no finished benchmark run"
             raise BadInput(f"{fresh / 'environment.json'}: {missing}")
-        machines = {machine(run) for run in (*provenance.runs(before), *made)}
-        profile = max((run["profile"] for run in made), key=PROFILES.index)
-        return cls(profile, len(machines) == 1 and "" not in machines)
+        machines = {machine(run) for run in (*old, *runs)}
+        made = {name: largest(run for run in old if name in run["tables"]) for name in TABLES}
+        return cls(largest(runs), made, len(machines) == 1 and "" not in machines)
 
     def expected(self, table: Table, rows: pd.DataFrame, now: pd.DataFrame) -> pd.DataFrame:
-        """Return the rows that a run has to make: those of its profile, or of none, and those it did make."""
+        """Return the rows that a run has to make, and those that it did make.
+
+        It has to make those of its profile, or of none; where rows do not say theirs, all, if its profile is none
+        smaller than that of the table; of times none, for it may have had no clock.
+        """
         larger = PROFILES[PROFILES.index(self.profile) + 1 :]
-        return rows[~rows["profile"].isin(larger) | keys(table, rows).isin(keys(table, now))]
+        made = keys(table, rows).isin(keys(table, now))
+        if "profile" in rows:
+            return rows[~rows["profile"].isin(larger) | made]
+        timed = {*table.columns} == {*table.key, *table.timed}
+        return rows[made] if timed or self.made[table.name] in larger else rows
 
 
-def compare_folders(baseline: Path, fresh: Path) -> Findings:
-    removed = Removed.read(fresh)
-    before = {name: removed.take_out(table, read(table, baseline)) for name, table in TABLES.items()}
-    now = {name: read(table, fresh) for name, table in TABLES.items()}
-    return compare_fresh(before, now, Runs.of(baseline, fresh), str(baseline))
+def largest(runs: Iterable[Mapping[str, Any]]) -> str:
+    return max((run["profile"] for run in runs if run["profile"] in PROFILES), key=PROFILES.index, default="")
 
 
-def compare_fresh(before: Frames, now: Frames, runs: Runs, name: str) -> Findings:
-    """Compare a fresh run with the rows of a baseline that it has to make."""
-    expected = {each: runs.expected(table, before[each], now[each]) for each, table in TABLES.items()}
-    count = sum(map(len, expected.values()))
-    if not count:
-        raise BadInput(f"{name}: no row that a run of profile {runs.profile!r} makes")
-    moved = (compare(table, expected[n], now[n], runs.alike) for n, table in TABLES.items())
-    new = sum(int((~keys(t, now[n]).isin(keys(t, before[n]))).sum()) for n, t in TABLES.items())
-    counts = (
-        "exactly" if runs.alike else "within a tenth, of iterations a twentieth: other processor or libraries"
-    )
-    texts = (
-        f"accuracy: {count} rows of a {runs.profile} run compared with {name}, {new} have no baseline yet",
-        f"counts of adaptive methods compared {counts}",
-    )
-    return between("base → fresh", *moved) + Findings(compared=texts)
-
-
-def machine(run: Run) -> str:
+def machine(run: Mapping[str, Any]) -> str:
     """Return what of a run's record can move counts, empty where its instructions are not known."""
     if not run.get("isa"):
         return ""
     packages = sorted((name, v) for name, v in run.get("packages", {}).items() if name not in IDLE_PACKAGES)
     return repr((run["isa"], run.get("cpu"), run.get("python"), packages))
+
+
+def is_older(path: Path) -> bool:
+    """Return whether a table is of an older layout: under another name, of a version, or without a key column."""
+    with path.open(encoding="utf-8") as file:
+        columns = {*file.readline().strip().split(",")}
+    table = TABLES.get(path.stem)
+    return table is None or "schema" in columns or not {*table.key} <= columns
+
+
+def read_older(folder: Path, removed: Removed) -> tuple[Frames, Findings]:
+    """Return the tables of an older revision, less what was removed since, and a note of what cannot be compared."""
+    discovered()  # questions may declare tables of their own
+    older = {path.stem for path in folder.glob("*.csv") if is_older(path)} - {*removed.tables}
+    frames = {name: empty(name) if name in older else load(name, folder) for name in TABLES}
+    notes = [f"{len(older)} tables of the base are of an older layout: not compared"] if older else []
+    return {n: removed.take_out(TABLES[n], rows) for n, rows in frames.items()}, Findings(notes=tuple(notes))
+
+
+def load(name: str, folder: Path) -> pd.DataFrame:
+    return read(TABLES[name], folder) if TABLES[name].path(folder).exists() else empty(name)
+
+
+@cache
+def empty(name: str) -> pd.DataFrame:
+    return set_types(pd.DataFrame(columns=[*TABLES[name].columns]), TABLES[name])
+
+
+def compare_folders(baseline: Path, fresh: Path) -> Findings:
+    before, older = read_older(baseline, Removed.read(fresh))
+    found = older + compare_runs(
+        before, {name: load(name, fresh) for name in TABLES}, Runs.of(baseline, fresh), "base → fresh"
+    )
+    if not found.notes:
+        raise BadInput(f"{baseline}: no row that a run of this profile makes")
+    return found
+
+
+def compare_runs(before: Frames, now: Frames, runs: Runs, which: str) -> Findings:
+    """Compare a fresh run with the rows of a folder that it has to make; without a note where there are none."""
+    expected = {name: runs.expected(table, before[name], now[name]) for name, table in TABLES.items()}
+    moved = [compare(table, expected[name], now[name], runs.alike) for name, table in TABLES.items()]
+    count = sum(map(len, expected.values()))
+    new = sum(int((~keys(t, now[n]).isin(keys(t, before[n]))).sum()) for n, t in TABLES.items())
+    how = (
+        "exactly" if runs.alike else "within a tenth, of iterations a twentieth: other processor or libraries"
+    )
+    text = f"{which}: {count} rows of a {runs.profile} run compared, {new} have no baseline yet; counts {how}"
+    return between(which, *moved) + Findings(notes=(text,) * (count > 0))

@@ -85,12 +85,7 @@ def base(root: Path, revision: str | None) -> str:
         if left != commit(root, "HEAD"):
             wanted, found = f"the commit at which HEAD left {main}", left
     if not found:
-        shallow = git(root, "rev-parse", "--is-shallow-repository") == "true"
-        if not shallow and commit(root, "HEAD") and wanted == "HEAD's parent":
-            raise BadInput(
-                "inconclusive: HEAD is the first commit, there is nothing before it to compare with"
-            )
-        way = "fetch it (git fetch --unshallow)" if shallow else "fetch it, or name a revision with --base"
+        way = "fetch more history (git fetch --unshallow), or name a revision with --base"
         raise BadInput(f"inconclusive: {wanted} is not in this clone; {way}")
     return found
 

@@ -18,7 +18,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 from subprocess import PIPE
-from time import perf_counter
 from typing import Any
 
 import pandas as pd
@@ -37,8 +36,6 @@ ROUNDS = 15
 MOST_ROUNDS = 60
 #: how much of a message that says why a cell is not timed
 WORDS = 80
-#: shares of the time: what compilation may take, and what is kept for the second look
-COMPILING, SECOND_LOOK = 0.6, 0.25
 
 #: the tree that is judged, and what it is compared with; a pair is one of the latter and the number of a cell
 HEAD, BASE, PINNED = "tree", "base", "pinned"
@@ -47,14 +44,11 @@ type Pair = tuple[str, int]
 type Send = Callable[[object], None]
 type Receive = Callable[[], Any]
 
-#: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
-MAIN = ("particle", "particle_long", "rigid_body")
-#: the methods that are timed on every other scene too
-EVERYWHERE = ("contact-rkn6", "rk4", "heyoka-taylor")
-#: the scene of the runs with many saved times, and how many those are
-MANY_ON, MANY = "particle", 1000
 #: of a method's settings the finest that takes at most so many seconds; a method that has none is not timed there
 LONGEST = 3e-3
+PREPARED = "prepared"
+#: saved times of the runs with many
+MANY = 1000
 
 
 @dataclass(frozen=True)
@@ -62,54 +56,55 @@ class Cell:
     """A call that is timed, of a prepared run or a public one; saves : equidistant saved times, the end among them."""
 
     scene: str
-    method: str = "contact-rkn6"
-    engine: str = "llvm"
-    control: str = "step"
-    value: float = 0.1
-    carry: tuple[str, ...] = ()
+    method: str
+    engine: str
+    control: str
+    value: float
     saves: int = 1
-    call: str = "prepared"
+    call: str = PREPARED
 
     @property
     def kind(self) -> str:
-        return self.method if self.call == "prepared" else self.call
+        return self.method if self.call == PREPARED else self.call
 
     @property
     def setting(self) -> str:
         many = f", {self.saves} saved times" if self.saves > 1 else ""
-        call = f", {self.call}" if self.call != "prepared" else ""
+        call = f", {self.call}" if self.call != PREPARED else ""
         return f"{setting_key(self.control, self.value)}{many}{call}"
 
 
-#: a short run, of so many steps: what a call takes beside them
-SHORT, STEPS = "particle", 12
-#: what a user calls, on standard scenes; references on those where they take little: in closed form, and live
-PUBLIC = [Cell(SHORT, value=SCENES[SHORT].t_end / STEPS, call=call) for call in ("run()", "run(q=…)", "bare")]
-PUBLIC += [Cell("particle", call=call) for call in ("solve", "new scene", "import")]
-PUBLIC += [Cell(scene, call="reference") for scene in ("oscillator", "saddle_edge")]
+def public() -> list[Cell]:
+    """Return what a user calls: on the second scene, whose reference is solved, and a reference in closed form."""
+    closed, scene = [*SCENES.values()][:2]
+    method = next(m for m in METHODS.values() if m.contact and m.control == "step")
+    cell = Cell(scene.name, method.name, method.engines[0], method.control, 0.1)
+    short = replace(cell, value=scene.t_end / 12)  # so few steps that a call shows what it takes beside them
+    cells = [replace(short, call=call) for call in ("run()", "run(q=…)", "bare")]
+    cells += [replace(cell, call=call) for call in ("solve", "new scene", "import", "reference")]
+    return [*cells, replace(cell, scene=closed.name, call="reference")]
 
 
-def workload(work: pd.DataFrame) -> list[Cell]:
-    """Return every method and engine on `MAIN`, a few elsewhere or with many saved times, and the public calls."""
-    cells = []
-    for cell in every(work):
-        if cell.scene in MAIN or cell.method in EVERYWHERE:
-            cells.append(cell)
-        known = METHODS.get(cell.method)
-        if cell.scene == MANY_ON and known is not None and cell.engine == known.engines[0]:
-            cells.append(replace(cell, saves=MANY))
-    return [*cells, *PUBLIC] if cells else []
+def workload(times: pd.DataFrame, everywhere: bool = False) -> list[Cell]:
+    """Return what is timed: of each method and engine on a scene the finest setting that is soon done.
 
-
-def every(work: pd.DataFrame) -> list[Cell]:
-    """Return every method and engine on every scene of a table, each at the finest setting that is soon done."""
-    timed = work[(work["variant"] == "") & (work["time_median_s"] <= LONGEST)]
-    slowest = timed.sort_values("time_median_s").groupby(["scene", "method", "engine"], sort=False).tail(1)
-    cells = []
-    for row in slowest.sort_index().itertuples():
-        carry = tuple(field for field in ("s", "R") if field in row.carried.split())
-        cells.append(Cell(row.scene, row.method, row.engine, row.control, float(row.value), carry))
-    return cells
+    All methods on the first scene, with many saved times too, and on the longest, where a fast loop outweighs its call;
+    one of each family on every other; and the public calls.  everywhere : all methods on all scenes, and no more.
+    """
+    known = times[times["scene"].isin([*SCENES]) & times["method"].isin([*METHODS])]
+    own = known["control"] == [METHODS[name].control for name in known["method"]]
+    timed = known[own & (known["saved"] == 1) & (known["least_s"] <= LONGEST)].sort_values("least_s")
+    slowest = timed.groupby(["scene", "method", "engine"], sort=False).tail(1).sort_index()
+    cells = [Cell(r.scene, r.method, r.engine, r.control, float(r.setting)) for r in slowest.itertuples()]
+    if everywhere or not cells:
+        return cells
+    scenes = list(dict.fromkeys(cell.scene for cell in cells))
+    longest = max(scenes, key=lambda name: SCENES[name].t_end)
+    first = {(cell.scene, METHODS[cell.method].family): cell for cell in reversed(cells)}.values()
+    chosen = [cell for cell in cells if cell.scene in (scenes[0], longest) or cell in first]
+    default = [cell for cell in cells if cell.engine == METHODS[cell.method].engines[0]]
+    many = [replace(cell, saves=MANY) for cell in default if cell.scene == scenes[0]]
+    return [*chosen, *many, *public()]
 
 
 def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
@@ -118,48 +113,39 @@ def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
     return (*few, *([f"no cell timed of {', '.join(left_out)}"] if left_out else []))
 
 
-def compare_speed(
-    root: Path, tree: Path, cells: Sequence[Cell], budget: float | None = None, pin: str = ""
-) -> Findings:
-    start = perf_counter()
-    ends = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
-    # time may end early: other cells first in every change; the calls in front, and one of each method
-    cells = random.Random(revisions.commit(root, "HEAD")).sample(cells, len(cells))
-    kinds = pd.Series([cell.kind for cell in cells])
-    turns = kinds.groupby(kinds).cumcount()
-    cells = [cells[i] for i in sorted(turns.index, key=lambda i: (cells[i] not in PUBLIC, turns[i]))]
-    pairs = {(BASE, i) for i in range(len(cells))}
+def compare_speed(root: Path, tree: Path, cells: Sequence[Cell], pin: str = "") -> Findings:
+    pairs, incomplete = {(BASE, i) for i in range(len(cells))}, list[str]()
     with ExitStack() as stack:
-        trees, incomplete = {HEAD: root, BASE: tree}, []
+        trees = {HEAD: root, BASE: tree}
         if pin and (commit := revisions.commit(root, pin)):
             trees[PINNED] = stack.enter_context(revisions.checkout(root, commit))
-            pairs |= {(PINNED, i) for i, cell in enumerate(cells) if cell in PUBLIC}
+            pairs |= {(PINNED, i) for i, cell in enumerate(cells) if cell.call != PREPARED}
         elif pin:
             incomplete = [f"the pinned revision {pin[:12]} is not in this clone; git fetch origin {pin}"]
-        first, refused = time_pairs(trees, cells, pairs, ends[0], root)
+        first, refused = time_pairs(trees, cells, pairs, root)
         suspects = {pair for pair, ratio in first.items() if ratio.low > LIMIT}
-        again = time_pairs(trees, cells, suspects, ends[1], root)[0] if suspects else {}
-    rows = []
-    for pair, ratio in sorted(first.items()):
-        result = decide(ratio, again.get(pair))
+        again = time_pairs(trees, cells, suspects, root)[0] if suspects else {}
+    rows, calls, ratios = [], list[str](), dict[int, PairedRatio]()
+    for (side, i), ratio in sorted(first.items()):
+        cell, result = cells[i], decide(ratio, again.get((side, i)))
         if result != "pass":
-            row = {name: getattr(cells[pair[1]], name) for name in ("scene", "method", "engine", "setting")}
             after = f"×{ratio.ratio:.2f} (×{ratio.low:.2f} … ×{ratio.high:.2f})"
-            row |= {"between": f"{pair[0]} → tree", "measure": "time", "before": "×1", "after": after}
+            row = {name: getattr(cell, name) for name in ("scene", "method", "engine", "setting")}
+            row |= {"between": f"{side} → tree", "measure": "time", "before": "×1", "after": after}
             rows.append(row | {"result": result, "red": result == "slower"})
-    timed = {side: {i: ratio for (one, i), ratio in first.items() if one == side} for side in (BASE, PINNED)}
-    middle = median(ratio.ratio for ratio in timed[BASE].values()) if timed[BASE] else 1.0
-    texts = [f"speed: {len(timed[BASE])} of {len(cells)} cells timed, median ratio {middle:.3f} to the base"]
-    if timed[PINNED]:
-        calls = (
-            f"{cells[i].call} on {cells[i].scene} ×{ratio.ratio:.2f}" for i, ratio in timed[PINNED].items()
-        )
-        texts.append(f"speed to the pinned {pin[:12]}: {', '.join(calls)}")
+        if side == BASE:
+            ratios[i] = ratio
+        else:
+            calls.append(f"{cell.call} on {cell.scene} ×{ratio.ratio:.2f}")
+    middle = median(ratio.ratio for ratio in ratios.values()) if ratios else 1.0
+    notes = [f"speed: {len(ratios)} of {len(cells)} cells timed, median ratio {middle:.3f} to the base"]
+    if calls:
+        notes.append(f"speed to the pinned {pin[:12]}: {', '.join(calls)}")
     elif PINNED in trees:
         incomplete.append(f"no call timed beside the pinned {pin[:12]}")
     reasons = Counter(f"not timed on the {side}: {why[:WORDS]}" for (side, _), why in refused.items())
-    notes = tuple(f"{count} cells {why}" for why, count in reasons.items())
-    return Findings(rows_of(*rows), tuple(texts), notes, (*too_few(cells, timed[BASE]), *incomplete))
+    notes += [f"{count} cells {why}" for why, count in reasons.items()]
+    return Findings(rows_of(*rows), tuple(notes), (*too_few(cells, ratios), *incomplete))
 
 
 def decide(first: PairedRatio, again: PairedRatio | None) -> str:
@@ -170,40 +156,29 @@ def decide(first: PairedRatio, again: PairedRatio | None) -> str:
 
 
 def time_pairs(
-    trees: Mapping[str, Path],
-    cells: Sequence[Cell],
-    pairs: Collection[Pair],
-    until: float | None = None,
-    root: Path | None = None,
+    trees: Mapping[str, Path], cells: Sequence[Cell], pairs: Collection[Pair], root: Path | None = None
 ) -> tuple[dict[Pair, PairedRatio], dict[Pair, str]]:
-    """Return for each pair of a revision and a cell the ratio of the head to it, or why there is none.
-
-    until : when to stop.
-    """
+    """Return for each pair of a revision and a cell the ratio of the head to it, or why there is none."""
     from tqdm import tqdm
 
     draw = random.Random(0)
-    left = None if until is None else max(1.0, COMPILING * (until - perf_counter()))
     # the head has every cell that one of the others has
-    asked = {side: {i for one, i in pairs if side in (one, HEAD)} for side in trees}
+    asked = {side: sorted({i for one, i in pairs if side in (one, HEAD)}) for side in trees}
     refused: dict[Pair, str] = {}
     with ExitStack() as stack:
-        used = (side for side in asked if asked[side])
+        used = [side for side in asked if asked[side]]
         sides = {side: stack.enter_context(timing_process(trees[side], root)) for side in used}
         for side, (send, _) in sides.items():  # all compile at once
-            send({"cells": {i: asdict(cells[i]) for i in sorted(asked[side])}, "seconds": left})
+            send({i: asdict(cells[i]) for i in asked[side]})
         for side, (_, receive) in sides.items():
             answer = receive()
             if revisions.ours(trees[side]) and not Path(answer["code"]).is_relative_to(trees[side]):
                 raise BadInput(f"{trees[side]}: the timing process imports {answer['code']} instead")
             refused |= {(side, int(i)): why for i, why in answer["refused"].items()}
-        times: dict[Pair, tuple[list[float], list[float]]]
-        times = {pair: ([], []) for pair in sorted(pairs) if not {pair, (HEAD, pair[1])} & refused.keys()}
+        ask = [pair for pair in sorted(pairs) if not {pair, (HEAD, pair[1])} & refused.keys()]
+        times: dict[Pair, tuple[list[float], list[float]]] = {pair: ([], []) for pair in ask}
         ratios: dict[Pair, PairedRatio] = {}
-        ask = list(times)
         for done in tqdm(range(1, MOST_ROUNDS + 1), "timing", unit="round", disable=None):
-            if not ask or (until is not None and perf_counter() > until):
-                break
             numbers = sorted({i for _, i in ask})
             for i in draw.sample(numbers, len(numbers)):
                 now = [HEAD, *(side for side, j in ask if j == i)]
@@ -218,7 +193,7 @@ def time_pairs(
             if done % ROUNDS == 0:
                 ratios |= {pair: paired_ratio(*times[pair]) for pair in ask}
                 ask = [pair for pair in ask if ratios[pair].low <= LIMIT < ratios[pair].high]
-    return ratios | {pair: paired_ratio(*times[pair]) for pair in ask if times[pair][0]}, refused
+    return ratios, refused
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """A process that times cells on request, for speed.py: run by path, with the revision to be timed on PYTHONPATH.
 
 It asks nothing of the revision but the public calls; the clock is that of the tree that judges.  In come lines of
-JSON: first ``{"cells": {...}, "seconds": s}``, then the number of a cell at a time; out go the file of the code that
+JSON: first the cells by number, then the number of a cell at a time; out go the file of the code that
 is timed with the cells it refused, then lists of seconds per call.
 """
 
@@ -16,7 +16,6 @@ import sys
 from collections.abc import Callable, Mapping
 from itertools import count
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import contactbench as cb
@@ -34,29 +33,27 @@ FILL = 1e-3
 
 def call(cell: Mapping[str, Any]) -> Callable[[], object]:
     name, method, value = cell["scene"], cell["method"], cell["value"]
-    scene = cb.SCENES[name]
-    engines = cb.METHODS[method].engines
+    scene, engines = cb.SCENES[name], cb.METHODS[method].engines
     engine = (
         cell["engine"] if cell["engine"] in engines else engines[0]
     )  # an older revision names it otherwise
-    given = {"step": value, "engine": engine}
     match cell["call"]:
         case "solve":
-            return lambda: cb.solve(name, method, **given)
+            return lambda: cb.solve(name, method, step=value, engine=engine)
         case "new scene":  # of another force with every call: what recording and compiling take
             factors = (1 + 2.0**-20 * k for k in count(1))
-            return lambda: cb.solve(quartic(next(factors)), method, **given)
+            return lambda: cb.solve(quartic(next(factors)), method, step=value, engine=engine)
         case "reference":  # neither frozen nor kept: of other numbers with every call
             rates = (scene.gamma * (1 + 1e-6 * k) for k in count(1))
             return lambda: cb.reference(scene.with_(gamma=next(rates)), [0.01])
         case "import":
             return lambda: subprocess.run([sys.executable, "-P", "-c", "import contactbench"], check=True)
+    # revisions without `begins` take times since the start
     times = [scene.t_end * k / cell["saves"] for k in range(1, cell["saves"] + 1)]
+    times = [getattr(scene, "begins", 0.0) + time for time in times]
     setting = {cell["control"]: value} if cell["control"] in ("step", "rtol") else {}
-    times = [
-        getattr(scene, "begins", 0.0) + time for time in times
-    ]  # revisions without take those since the start
-    run = cb.prepare(scene, method, engine=engine, save_at=times, carry=cell["carry"], **setting)
+    carry = tuple(field for field in ("R",) if field in scene.optional)
+    run = cb.prepare(scene, method, engine=engine, save_at=times, carry=carry, **setting)
     if cell["call"] == "bare":
         packed = run.start
         return lambda: run.bare(packed)
@@ -81,11 +78,8 @@ def ready(cell: Mapping[str, Any]) -> clock.Call:
 
 def main() -> None:
     request = json.loads(sys.stdin.readline())
-    calls, refused, begun = {}, {}, perf_counter()
-    for i, cell in request["cells"].items():
-        if request["seconds"] is not None and perf_counter() - begun > request["seconds"]:
-            refused[i] = "no time left"
-            continue
+    calls, refused = {}, {}
+    for i, cell in request.items():
         try:
             calls[int(i)] = ready(cell)
         except Exception as error:  # one cell that fails stops no other

@@ -8,8 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import TextIO
 
@@ -24,19 +23,22 @@ from contactbench.gate.compare import (
     Runs,
     between,
     compare,
-    compare_fresh,
+    compare_runs,
     compare_times,
+    empty,
     keys,
+    load,
     locate,
+    read_older,
     rows_of,
     worst,
 )
 from contactbench.gate.removed import Removed
 from contactbench.plugins import brought
-from contactbench.report.write import computed_part
 from contactbench.tables import provenance
-from contactbench.tables.schema import TABLES, Rule, Table
-from contactbench.tables.store import OldTable, read
+from contactbench.tables.declared import TIMES
+from contactbench.tables.schema import TABLES, Table
+from contactbench.tables.store import OldTable
 
 PARTS = ("accuracy", "speed")
 #: in the messages of commits: tables that are meant to change, or all, and tests that are meant to go
@@ -44,22 +46,24 @@ TRAILER = re.compile(r"^Tables-changed:(.*)$", re.MULTILINE | re.IGNORECASE)
 REMOVED = re.compile(r"^Tests-removed:(.*)$", re.MULTILINE | re.IGNORECASE)
 DEFINED = re.compile(r"^ *(?:async )?def (test_\w+)", re.MULTILINE)
 ALL = "all"
+#: where a revision declares its tables, and what stands there since they are these: an older gate knows none of them
+LAYOUT, SINCE = Path("src/contactbench/tables/tables.toml"), "[tables.runs]"
 
 
 def by_base(folder: Path, base: str | None, line: Sequence[str], stdout: TextIO) -> int | None:
-    """Have the base's own gate judge a tree by the same command line; return its status, None where we are it."""
-    if revisions.JUDGED in os.environ:
-        return None
+    """Have the base's own gate judge a tree by the same command line; return its status, None where we are to judge."""
     root = revisions.project(folder)
-    if not revisions.ours(root):  # the code that judges is no part of it
+    if revisions.JUDGED in os.environ or not revisions.ours(root):  # the code that judges is no part of it
         return None
     base = revisions.base(root, base)
     with revisions.checkout(root, base) as tree:
         if not (tree / "src/contactbench/gate").is_dir():
             why = f"the base {base[:12]} has no gate that could judge; give a later --base"
             raise BadInput(f"inconclusive: {why}")
+        if not ((tree / LAYOUT).exists() and SINCE in (tree / LAYOUT).read_text(encoding="utf-8")):
+            return None
         command = [sys.executable, "-P", "-m", "contactbench", *line, "--base", base]
-        variables = revisions.environment(tree) | {revisions.JUDGED: sys.executable}
+        variables = revisions.environment(tree) | {revisions.JUDGED: "1"}
         with subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True) as run:
             try:
                 findings = run.communicate()[0]
@@ -77,7 +81,6 @@ def gate(
     base: str | None = None,
     parts: Sequence[str] = PARTS,
     changed: Sequence[str] = (),
-    budget: float | None = None,
 ) -> Findings:
     root, where, results = revisions.project(folder), results, (folder / results).resolve()
     if not revisions.ours(root) and not brought():
@@ -85,7 +88,6 @@ def gate(
     if not results.is_relative_to(revisions.repository(root).resolve()):
         raise BadInput(f"--results {where}: must be in the repository, whose older tables are compared")
     base = revisions.base(root, base)
-    found = Findings()
     with (
         tempfile.TemporaryDirectory(prefix="contactbench-gate-") as scratch,
         revisions.checkout(root, base) as tree,
@@ -93,21 +95,25 @@ def gate(
         old = revisions.inside(tree, root, results)
         if not any(old.glob("*.csv")):
             raise BadInput(f"--base {base[:12]}: no tables in {where}/ at that revision")
+        before, found = read_older(old, Removed.read(results))
+        older = bool(found.notes)
         if "accuracy" in parts:
             if fresh is None:
                 fresh = Path(scratch)
                 found += run_benchmark(root, fresh)
             messages = revisions.git(root, "log", "--format=%B", f"{base}..HEAD")
-            named = changed_tables(messages, changed, results)
-            found += compare_tables(root, results, old, fresh, named, base)
-            found += Findings(rows_of(*check_tests(tree, root, messages), *check_report(root, results)))
+            named = changed_tables(messages, changed, {path.stem for path in old.glob("*.csv")})
+            found += compare_tables(root, results, before, fresh, {*TABLES} if older else named)
+            rows = check_tests(tree, root, messages)
+            if revisions.ours(root) and any((side / "README.md").exists() for side in (old, results)):
+                rows += check_report(root, results)
+            found += Findings(rows_of(*rows))
         if "speed" in parts:
-            work = TABLES["work_precision"]
-            timed = Removed.read(results).take_out(work, read(work, old))
-            cells = speed.workload(timed) if revisions.ours(root) else speed.every(timed)
+            times = before[TIMES.name] if len(before[TIMES.name]) else load(TIMES.name, results)
+            cells = speed.workload(times, everywhere=not revisions.ours(root))
             if not cells:
                 raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {where}/")
-            found += speed.compare_speed(root, tree, cells, budget, revisions.pinned(root, base))
+            found += speed.compare_speed(root, tree, cells, revisions.pinned(root, base))
     return found
 
 
@@ -115,12 +121,12 @@ def names_in(trailer: re.Pattern[str], messages: str, option: Iterable[str] = ()
     return {name for part in (*trailer.findall(messages), *option) for name in re.findall(r"[^\s,]+", part)}
 
 
-def changed_tables(messages: str, option: Iterable[str], results: Path) -> set[str]:
+def changed_tables(messages: str, option: Iterable[str], old: set[str]) -> set[str]:
+    """Return the tables that are meant to change; old : what the base has, under names that may be gone."""
     named = names_in(TRAILER, messages, option)
-    unknown = sorted(named - {ALL, *TABLES} - {path.stem for path in results.glob("*.csv")})
-    if unknown:
+    if unknown := sorted(named - {ALL, *TABLES} - old):
         raise BadInput(f"tables changed: {', '.join(unknown)}: no such table; {', '.join(TABLES)} or {ALL}")
-    return set(TABLES) if ALL in named else named
+    return {*TABLES} if ALL in named else named
 
 
 def run_benchmark(root: Path, results: Path) -> Findings:
@@ -138,39 +144,25 @@ def row(measure: str, before: str, after: str, result: str, **where: object) -> 
     return {"measure": measure, "before": before, "after": after, "result": result, **where}
 
 
-def compare_tables(
-    root: Path, results: Path, old: Path, fresh: Path, changed: set[str], base: str
-) -> Findings:
-    (before, rows), (head, more), (now, _) = (readable(side, changed) for side in (old, results, fresh))
-    rows += more + check_record(results, head) + check_record(fresh, now) + check_commit(root, fresh)
-    found, reference, runs, removed = Findings(), {}, Runs.of(results, fresh), Removed.read(results)
+def compare_tables(root: Path, results: Path, before: Frames, fresh: Path, changed: set[str]) -> Findings:
+    """Compare the tables of the tree with those of the base, and a fresh run with those of the tree."""
+    (head, rows), (now, more) = (readable(side, changed) for side in (results, fresh))
+    rows += more + check_records(root, {results: head, fresh: now}, fresh)
+    runs, removed, found = Runs.of(results, fresh), Removed.read(results), Findings()
     for name, table in TABLES.items():
-        one, tree, made = removed.take_out(table, before[name]), head[name], now[name]
-        listed = name in changed
-        edited = ~compared(table, tree).isin(compared(table, one))
-        reference[name] = tree[~edited] if listed else one
-        moved = (
-            compare(table, one, tree),
-            *([compare_times(table, one, tree)] if runs.alike else []),  # of another machine they say nothing
-            unmade(table, runs, one, tree, made),
-        )
+        one, tree, made, listed = before[name], head[name], now[name], name in changed
+        moved = [compare(table, one, tree)]
+        if runs.alike:
+            moved.append(compare_times(table, one, tree))
+            found += between("tree → fresh", compare_times(table, tree, made))
+        if len(one) or not listed:  # all of a new table that is listed is new
+            moved.append(unmade(table, runs, one, tree, made))
         found += between("base → tree", *moved, listed=listed)
-        again = compare(table, runs.expected(table, tree[edited], made), made, runs.alike)
-        found += between("tree → fresh", again, *([compare_times(table, tree, made)] if runs.alike else []))
         if removed.remains(table, tree) or removed.remains(table, made):
             rows.append(row("removed.toml", "removed", "present", "named, but still there", table=name))
         if len(tree) or revisions.ours(root):  # of another project's tables some may not be wanted
             rows += check_rows(table, one, tree, made)
-    found += Findings(rows_of(*rows)) + compare_oldest(root, results, base, changed, removed, head, now)
-    return found + compare_fresh(reference, now, Runs.of(old, fresh), "the base")
-
-
-def compared(table: Table, rows: pd.DataFrame) -> pd.Series:
-    """Return a number for each row that changes with whatever of it is compared, its times apart."""
-    names = [name for name in table.every_column if name in (*table.key, *table.rules)]
-    return pd.util.hash_pandas_object(
-        rows[names].drop(columns=table.timed, errors="ignore").astype(str), index=False
-    )
+    return found + compare_runs(head, now, runs, "tree → fresh") + Findings(rows_of(*rows))
 
 
 def unmade(
@@ -183,77 +175,41 @@ def unmade(
     return worst(found.assign(result="new, made by no fresh run"))
 
 
-#: how many revisions of the tables errors are held to; those of a table that was listed since are left out
-REVISIONS = 10
-ERRORS = (Rule.error, Rule.structure)
-
-
-def compare_oldest(
-    root: Path, results: Path, base: str, changed: set[str], removed: Removed, head: Frames, now: Frames
-) -> Findings:
-    """Compare errors with those of the oldest of the last revisions of a table: small moves do not add up."""
-    walk = (
-        "rev-list",
-        "--first-parent",
-        f"--max-count={REVISIONS}",
-        base,
-        "--",
-        os.path.relpath(results, root),
-    )
-    wanted, found = TABLES.keys() - changed, Findings()
-    for revision in reversed(
-        revisions.git(root, "--literal-pathspecs", *walk).split()[1:]
-    ):  # the last has the tables of the base
-        listed = names_in(TRAILER, revisions.git(root, "log", "--format=%B", f"{revision}..{base}"))
-        held = {} if ALL in listed else {n: t for n, t in TABLES.items() if n in wanted - listed}
-        with revisions.checkout(root, revision, results) as tree:
-            old = revisions.inside(tree, root, results)
-            for name, table in held.items():
-                with suppress(OldTable):
-                    oldest = removed.take_out(table, read(table, old))
-                    for side, frames in {"tree": head, "fresh": now}.items():
-                        moved = compare(table, oldest, frames[name], only=ERRORS)
-                        found += between(f"{revision[:12]} → {side}", moved)
-        wanted -= held.keys()
-    return found
-
-
 def readable(folder: Path, changed: set[str]) -> tuple[Frames, list[Row]]:
-    """Return the tables of a folder, and a red row for each of another version that is not meant to change."""
+    """Return the tables of a folder, and a red row for each of another layout that is not meant to change."""
     frames, rows = {}, []
-    for name, table in TABLES.items():
+    for name in TABLES:
         try:
-            frames[name] = read(table, folder)
+            frames[name] = load(name, folder)
         except OldTable:
-            frames[name] = read(table, folder / "none")
-            version = row(f"version of {name}", "another", str(table.version), "not listed", table=name)
-            rows += [version] * (name not in changed)
+            frames[name] = empty(name)
+            rows += [row("layout", "ours", "another", "not listed", table=name)] * (name not in changed)
     return frames, rows
 
 
 def check_rows(table: Table, before: pd.DataFrame, head: pd.DataFrame, fresh: pd.DataFrame) -> list[Row]:
-    if len(fresh) and before.empty and head.empty:
-        return [row("table", "none", f"{len(fresh)} rows", "not committed", table=table.name)]
+    """Return whether the tree lacks rows of the base, or a whole new table, that the code makes."""
     base, tree, made = (keys(table, rows) for rows in (before, head, fresh))
-    out = int((base.isin(made) & ~base.isin(tree)).sum())
-    return [row("rows", f"{out} rows", "none", "taken out, but still made", table=table.name)] if out else []
+    lacks = made[~made.isin(tree)]
+    count = len(lacks) if before.empty and head.empty else int(lacks.isin(base).sum())
+    made_alone = row("rows", f"{count} made", "none", "made, but not committed", table=table.name)
+    return [made_alone] if count else []
 
 
-def check_record(results: Path, frames: Frames) -> list[Row]:
-    made = {name for run in provenance.runs(results) for name in run["tables"]}
-    found = [f"no run made {name}" for name, frame in frames.items() if len(frame) and name not in made]
-    return [row("record of the runs", "complete", each, "damaged") for each in found[:1]]
-
-
-def check_commit(root: Path, fresh: Path) -> list[Row]:
+def check_records(root: Path, results: Mapping[Path, Frames], fresh: Path) -> list[Row]:
+    """Return whether a run is recorded of every table of these folders, and the fresh ones are of this commit."""
+    rows = []
+    for folder, frames in results.items():
+        made = {name for run in provenance.runs(folder) for name in run["tables"]}
+        if alone := [name for name, frame in frames.items() if len(frame) and name not in made]:
+            rows.append(row("record of the runs", "complete", f"no run made {alone[0]}", "damaged"))
     head, measure = revisions.commit(root, "HEAD"), "commit of the fresh run"
     for run in provenance.runs(fresh):
-        commit = str(run.get("commit", ""))
-        if commit != head:
-            return [row(measure, head[:12], commit[:12], "another commit")]
+        if (commit := str(run.get("commit", ""))) != head:
+            return [*rows, row(measure, head[:12], commit[:12], "another commit")]
         if run.get("dirty") and not revisions.dirty(root):
-            return [row(measure, head[:12], "with local changes", "another tree")]
-    return []
+            return [*rows, row(measure, head[:12], "with local changes", "another tree")]
+    return rows
 
 
 def check_tests(old: Path, root: Path, messages: str) -> list[Row]:
@@ -281,8 +237,6 @@ def test_names(tree: Path) -> dict[str, Counter[str]]:
 
 def check_report(root: Path, results: Path) -> list[Row]:
     """Return what the tables of the tree do not say of its documents, figures and README, by its own report."""
-    if not revisions.ours(root) or computed_part(root / "README.md") is None:
-        return []
     command = [sys.executable, "-P", "-m", "contactbench", "report", "--check", "--results", str(results)]
     variables = revisions.environment(root)
     run = subprocess.run(command, capture_output=True, cwd=root, env=variables, text=True)

@@ -32,15 +32,15 @@ from jaxtyping import PyTree  # noqa: E402
 
 __all__ = ["Contact", "terms_of"]
 
-#: relative differences of steps that are round-off of the times: the run goes on as it is
+#: steps are equal up to this relative difference, the round-off of times
 EQUAL = 1e-9
 #: relative differences up to which terms are linear: more than single precision has
 LINEAR = 1e-6
-#: kicks and drifts in turn are a loop of so many flows: written out, a long step takes half a minute to compile
+#: flows of a turn of the loop over alternating stages: a long step written out takes half a minute to compile
 PAIR = 2
 XP = XlaNumbers()
 
-#: what diffrax takes for a real number
+#: real numbers of diffrax
 Real = int | float | jax.Array | np.ndarray
 Term = diffrax.AbstractTerm[Any, Any]
 #: the velocity, and the force and the damping together
@@ -73,7 +73,7 @@ class Flows:
         self.sign = self.velocity.contr(t, t + 1.0)
 
         def rates(t: Real) -> PyTree:
-            """Return the rate of damping of each momentum: what it does to a momentum of ones."""
+            """Return the rate of damping of each momentum, from momenta of ones."""
             return jax.tree.map(lambda slope: -self.sign * slope, self.damping.vf(t, ones, args))
 
         self.rates, self.changes = rates, depends_on_time(rates, jnp.asarray(t, dtype=float))
@@ -153,7 +153,7 @@ CLOCKS = ("damp", "drift_damp")
 
 
 def time_of(stages: Sequence[Stage]) -> float:
-    """Return the time that passes in stages, in steps: counted anew in each step, it gathers no round-off."""
+    """Return the time that passes in stages, in steps; every step counts anew, without round-off."""
     return float(sum(coefficient for flow, coefficient in stages if flow in CLOCKS))
 
 
@@ -176,7 +176,7 @@ class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
         return self.composition.order
 
     def init(self, terms: Terms, t0: Real, t1: Real, y0: PyTree, args: PyTree) -> PyTree:
-        """Return what a run goes on from: the kernel's state, and the size of a step."""
+        """Return the solver state: the kernel's state, and the size of a step."""
         t0, h = jnp.asarray(t0, dtype=float), jnp.asarray(t1 - t0, dtype=float)
         flows = Flows(terms, t0, y0, args)
         y0 = eqx.error_if(y0, flows.are_others(t0, y0[1]), OTHERS)
@@ -192,7 +192,7 @@ class ContactSolver(diffrax.AbstractSolver):  # type: ignore[type-arg]
         solver_state: PyTree,
         made_jump: bool | jax.Array | np.ndarray,
     ) -> tuple[PyTree, None, dict[str, PyTree], PyTree, Any]:
-        """Take a step; where its size is another than before, the run is opened anew."""
+        """Take a step; if its size has changed, open the run anew."""
         plan, (y, before), t0, h = self.plan, solver_state, jnp.asarray(t0, dtype=float), t1 - t0
         flows = Flows(terms, t0, y0, args)
         anew = made_jump | (jnp.abs(h - before) > EQUAL * jnp.abs(h))
@@ -287,7 +287,7 @@ def terms_of(scene: Scene | str) -> Terms:
         why = "its damping depends on s" if scene.separable else f"it is of kind {scene.kind!r}"
         raise BadInput(f"scene {scene.name!r} has no terms on (q, p) alone: {why}; cb.step_map takes it")
     names, own = scene.number_names(), scene.numbers()
-    known = {*names} - {"", "kappa"}  # that of a damping which is not linear
+    known = {*names} - {"", "kappa"}  # κ is 0 here
 
     def twin(args: PyTree) -> PyTree:
         given = {} if args is None else args

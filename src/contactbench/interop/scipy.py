@@ -31,9 +31,9 @@ from contactbench.trace.compiled import COMPILES
 
 #: by how much, in parts of the largest slope, `fun` may differ from the scene's right-hand side
 SAME = 1e-6
-#: components of a step that is compiled, at most: as in `Method.largest`, twice
+#: most components of a compiled step: twice `Method.largest`
 LARGEST = 512
-#: the pieces that a run repeats: compiled as a loop of n = 1 turns, LLVM rounds them as in a longer one
+#: pieces that a run repeats: compiled as a loop of one turn, so that LLVM rounds them as in a longer one
 LOOPED = (1, 2)
 
 __all__ = ["Contact"]
@@ -50,7 +50,7 @@ class Piece:
 
     @property
     def step(self) -> object:
-        """Return what decides whether the piece is one of this package, see `is_fixed`."""
+        """Return the object that decides whether the piece belongs to this package, see `is_fixed`."""
         return type(self.method) if not is_ours(type(self.method)) else self.method.step
 
     def advance(
@@ -82,7 +82,7 @@ def pieces(step: OneStep, h: float) -> list[Callable[[np.ndarray], np.ndarray]]:
 
 
 class Hermite(DenseOutput):
-    """The polynomial of y, y' and, where known at both ends of a step, y'': of degree five, or three."""
+    """The Hermite polynomial of y, y' and y'' of degree five, or of degree three without y''."""
 
     def __init__(self, *ends: tuple[float, Sequence[np.ndarray]]) -> None:
         super().__init__(ends[0][0], ends[1][0])
@@ -166,7 +166,7 @@ class ContactSolver(OdeSolver):
         return Hermite(*((t, self._derivatives(t, y)) for t, y in ends))
 
     def _derivatives(self, t: float, y: np.ndarray) -> list[np.ndarray]:
-        """Return y, y' and, where dual numbers pass through the scene, y''."""
+        """Return y, y' and, if the scene takes dual numbers, y''."""
         first = self.rhs(t, y)
         dual = list(map(Dual, y.tolist(), first.tolist()))
         try:
@@ -180,10 +180,10 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     """Return a solver for `solve_ivp(…, method=…)`: a fixed-step method on a scene.
 
     ``max_step`` is the longest step: as in `cb.solve` the span is divided into the fewest equal steps that are not
-    longer, so that none is cut off at its end.  The last state is that of ``cb.solve(scene, method, step=max_step,
-    save_at=[t])`` to the bit where it is compiled, but on bodies with isotropic damping and by Herglotz's recursion;
-    there, and before, states agree to round-off: the kernel of a processed method goes on, what is shown is
-    postprocessed.  ``t_span`` may run backwards.
+    longer, so that none is cut off at its end.  The last state equals that from ``cb.solve(scene, method,
+    step=max_step, save_at=[t])`` to the bit in compiled code, except for bodies with isotropic damping and Herglotz's
+    recursion; all other states agree to round-off.  The kernel of a processed method continues, and the states shown
+    are postprocessed.  ``t_span`` may run backwards.
 
     Events and dense output are SciPy's, by a Hermite interpolant of degree five, whose error falls as h⁶ (three and
     h⁴ where a force takes floats only).  It is no contact map: laws hold at the steps, not between them.

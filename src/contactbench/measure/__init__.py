@@ -1,1 +1,1 @@
-"""What is measured: laws along a trajectory, orders of convergence, linear stability."""
+"""Measurements: laws along a trajectory, orders of convergence, linear stability."""

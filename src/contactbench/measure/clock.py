@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import Protocol
 
-import numpy as np
-
 #: visits to every call, however long it takes, and as many as a race makes where there is time
 VISITS, MOST_VISITS = 8, 24
 #: rounds of a visit, and the seconds a round takes at least, so that the clock's resolution plays no part
@@ -27,70 +25,40 @@ SEED = 20
 
 @dataclass(frozen=True)
 class Visit:
-    """Seconds per call of each round (of so many iterations), and of the same run over a part of its length."""
+    """Seconds per call of each round."""
 
     whole: Sequence[float]
-    part: Sequence[float] = ()
-    iterations: int = 1
-
-
-@dataclass(frozen=True)
-class Part:
-    run: Callable[[], object]
-    share: float
-    span: float
-
-    def marginal(self, visits: Sequence[Visit]) -> float:
-        short = min(min(visit.part) for visit in visits)
-        return float((least(visits) - short) / ((1 - self.share) * self.span))
 
 
 class Call:
-    """A call, and the same over a part of its length, timed in turns; round_seconds : of a round at least."""
+    """A call to be timed; round_seconds : of a round at least."""
 
-    def __init__(
-        self, run: Callable[[], object], part: Part | None = None, round_seconds: float = ROUND_SECONDS
-    ) -> None:
-        self.part, self.round_seconds = part, round_seconds
-        self.runs = [run] if part is None else [run, part.run]
-        self.once: list[float] = []
+    def __init__(self, run: Callable[[], object], round_seconds: float = ROUND_SECONDS) -> None:
+        self.run, self.round_seconds = run, round_seconds
+        self.once = math.nan
 
     def warm_up(self) -> float:
-        """Call each run until it is warm: a long one once, a short one for a round more."""
-        if not self.once:
-            for run in self.runs:
-                once = seconds(run, 1)
-                self.once.append(once if once > LONG else min(once, seconds(run, self.calls_a_round(once))))
-        return sum(max(self.round_seconds, once) for once in self.once)
+        """Call it until it is warm: a long one once, a short one for a round more; return how long a round takes."""
+        if math.isnan(self.once):
+            self.once = seconds(self.run, 1)
+            if self.once <= LONG:
+                self.once = min(self.once, seconds(self.run, self.calls_a_round()))
+        return max(self.round_seconds, self.once)
 
-    def without_part(self) -> Call:
-        """Return the whole alone, as warm as it is."""
-        whole = Call(self.runs[0], round_seconds=self.round_seconds)
-        whole.once = self.once[:1]
-        return whole
-
-    def calls_a_round(self, once: float) -> int:
-        return math.ceil(self.round_seconds / once)
-
-    def rounds(self, most: int = ROUNDS) -> int:
-        return 1 if self.once[0] > LONG else most
+    def calls_a_round(self) -> int:
+        return math.ceil(self.round_seconds / self.once)
 
     def visit(self, rounds: int = ROUNDS) -> Visit:
         self.warm_up()
-        calls = [self.calls_a_round(once) for once in self.once]
-        collects = gc.isenabled()
+        calls, collects = self.calls_a_round(), gc.isenabled()
         gc.disable()
         try:
-            turns = [
-                [seconds(*each) for each in zip(self.runs, calls, strict=True)]
-                for _ in range(self.rounds(rounds))
-            ]
+            turns = [seconds(self.run, calls) for _ in range(1 if self.once > LONG else rounds)]
         finally:
             if collects:
                 gc.enable()
-        self.once = [min(times) for times in zip(self.once, *turns, strict=True)]
-        whole, *part = zip(*turns, strict=True)
-        return Visit(whole, part[0] if part else (), calls[0])
+        self.once = min(self.once, *turns)
+        return Visit(turns)
 
 
 def seconds(run: Callable[[], object], iterations: int) -> float:
@@ -142,29 +110,9 @@ class Race:
                     return
 
 
-def time_columns(visits: Sequence[Visit]) -> dict[str, object]:
-    """Return the time columns of one call: the estimate is the least round, the rest says how it came about."""
-    rounds = np.concatenate([visit.whole for visit in visits])
-    low, median, high = np.percentile(rounds, (25, 50, 75)).tolist()
-    columns = {"time_min_s": least(visits), "time_median_s": median, "time_iqr_s": high - low}
-    columns |= {"visits": len(visits), "rounds": len(rounds), "iterations": visits[-1].iterations}
-    return columns | ratio_column("time_halves_ratio", least, visits[::2], visits[1::2])
-
-
-def length_columns(visits: Sequence[Visit], part: Part) -> dict[str, float]:
-    """Return fixed and marginal cost: time = fixed + marginal · T; where steps shrink fixed_s may be negative."""
-    slope = part.marginal(visits)
-    columns = {"fixed_s": least(visits) - slope * part.span, "marginal_s": slope}
-    return columns | ratio_column("marginal_halves_ratio", part.marginal, visits[::2], visits[1::2])
-
-
-def process_columns(
-    visits: Sequence[Visit], again: Sequence[Visit], part: Part | None = None
-) -> dict[str, float]:
-    columns = ratio_column("time_process_ratio", least, visits, again)
-    if part is not None and all(visit.part for visit in again):
-        columns |= ratio_column("marginal_process_ratio", part.marginal, visits, again)
-    return columns
+def time_columns(visits: Sequence[Visit]) -> dict[str, float]:
+    """Return the estimate of a call, its least round, and by how much odd visits and even ones differ."""
+    return {"least_s": least(visits)} | ratio_column("halves", least, visits[::2], visits[1::2])
 
 
 def ratio_column(

@@ -1,4 +1,4 @@
-"""What a law is, and how far a decaying quantity is from where its law puts it, on the scale of what is left of it."""
+"""Laws, and the deviation of a decaying quantity from its law relative to its present size."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Solution
 
-#: below this a float64 has lost relative precision to gradual underflow
+#: smaller numbers lose relative precision by gradual underflow
 MEANINGFUL = np.finfo(float).tiny / np.finfo(float).eps
-#: H, J and Φ*η are differences of larger terms, which strong damping makes cancel below any round-off: a deviation is
-#: relative to the true size, but not to less than this part of the terms (clamped), so that round-off stays below 10⁻¹²
+#: H, J and Φ*η are differences of larger terms that cancel under strong damping: a deviation is relative to the true
+#: size, but at least to this part of the terms ("clamped"), so that round-off stays below 10⁻¹²
 ATTAINABLE = 1e-3
 
 
 class Deviation(NamedTuple):
     """Deviations from a law at the saved times, each of shape (k,).
 
-    uncertainty : error bars, None where the deviation is computed to round-off.  clamped : where it was taken against
-    a thousandth of the terms instead of the true size of the quantity, None where the law has no such limit.
+    uncertainty : error bars, None if the deviation is computed to round-off.  clamped : whether the deviation is
+    relative to a thousandth of the terms instead of the true size; None if the law has no such limit.
     """
 
     size: np.ndarray
@@ -36,11 +36,11 @@ class Deviation(NamedTuple):
 
 
 class Undefined(BadInput):
-    """A law has nothing to be relative to on a scene, such as H(0) = 0."""
+    """Report that a law has no reference size on a scene, such as H(0) = 0."""
 
 
 class Gate(Enum):
-    """How the regression gate compares a law (the rules of results/schema.py have the numbers)."""
+    """Rules by which the regression gate compares a law; see `tables.schema`."""
 
     error = "error"
     structure = "structure"  # an error; where it is round-off it must stay round-off
@@ -49,7 +49,7 @@ class Gate(Enum):
 
 @dataclass(frozen=True)
 class Measured:
-    """Hold a law's value, its error bar and at how many saved times it was clamped, the last two None where unknown."""
+    """Hold a law's value, its error bar and the number of clamped saved times; the last two may be None."""
 
     value: float
     uncertainty: float | None = None
@@ -63,7 +63,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Law:
-    """Define a measure of a solution, and what those who show or compare it must know.
+    """Define a measure of a solution and its properties.
 
     Parameters
     ----------
@@ -74,22 +74,20 @@ class Law:
     applies
         ``applies(scene)``: whether the scene has this law.
     differentiates
-        Whether it takes the derivative of the map, which may cost many runs.
+        Whether it needs the derivative of the map, which may cost many runs.
     claimed
-        ``claimed(solution)``: whether the method of the run promises, on its scene, to keep it at every setting.
+        ``claimed(solution)``: whether the method of the run claims to keep it on the scene at every setting.
     definition, label
-        Its meaning, a header or axis label, and a short name in mathtext.
+        Its meaning, and a short label for headers and axes.
     needs
-        The fields it reads.
+        The optional fields that it reads.
     gate
         How two runs are compared.
-    shown
-        The documents that list it.
 
     Raises
     ------
     BadInput
-        On a call, where the scene has no such law or the run did not carry what it needs.
+        On a call, if the scene has no such law or the run did not carry a field that it needs.
     """
 
     name: str
@@ -99,24 +97,23 @@ class Law:
     needs: tuple[str, ...] = ()
     applies: Callable[[Scene], bool] = lambda scene: True
     gate: Gate = Gate.error
-    shown: tuple[str, ...] = ("laws",)
     differentiates: bool = False
     claimed: Callable[[Solution], bool] = lambda solution: False
 
     @property
     def about(self) -> str:
-        """Return its definition, which registries list."""
+        """Return its definition, for lists of the registry."""
         return self.definition
 
     @property
     def structural(self) -> bool:
-        """Return whether it is a law of the map itself, kept or not whatever the error of the solution."""
+        """Return whether it is a law of the map, independent of the error of the solution."""
         return self.gate is Gate.structure
 
     def __call__(self, solution: Solution) -> float:
         """Return the measure, nan unless the run ended `ok` and the law is defined for its method.
 
-        Raises `BadInput` when the scene has no such law or the run did not carry what it needs.
+        Raises `BadInput` if the scene has no such law or the run did not carry a field that it needs.
         """
         return self.measured(solution).value
 
@@ -132,7 +129,7 @@ class Law:
         return Measured(value + (uncertainty or 0.0) if unknown else value, uncertainty, clamped)
 
     def along(self, solution: Solution) -> Deviation | float:
-        """Return the deviation at every saved time, where the law is a maximum over them; raises as the call does."""
+        """Return the deviation at every saved time if the law is a maximum over them; raises as the call does."""
         if not self.applies(solution.scene):
             raise BadInput(f"law {self.name!r} is not defined for scene {solution.scene.name!r}")
         missing = [f for f in self.needs_on(solution.scene) if f not in solution.carry]
@@ -161,17 +158,16 @@ def conformal(
 ) -> Deviation:
     """Return ‖values − e^{−γt} start‖ / max(e^{−γt} ‖start‖, ATTAINABLE · terms) at each time, γ the rate.
 
-    values : (k, m), start : (m,), terms : (k,), the size of the terms whose differences the values are, error : (k,),
-    the error bar of the values.  Where the denominator is below the meaningful range, the deviation is how far the
-    value exceeds that range (0 when it has underflowed as it should).
+    values : (k, m).  start : (m,).  terms : (k,), the size of the terms that cancel in the values.  error : (k,), the
+    error bar of the values.  If the denominator is below the meaningful range, the deviation is the excess of the value
+    over that range (0 if the value has underflowed too).
     """
     norm = np.linalg.norm(start, axis=-1) or 1.0
     true_log, bar = np.log(norm) - rate * t, None
     attainable = ATTAINABLE * (terms + np.zeros(len(values)))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         clamped = np.log(attainable) > true_log
-        # where the true size rules, values are scaled up rather than the start down, which may underflow; in two
-        # halves, so that neither factor overflows before the product would
+        # values are scaled up, since scaling the start down may underflow; in two halves, so that no factor overflows
         half = np.exp(np.minimum(rate * t / 2, 700.0))[:, None]
         against_true = np.linalg.norm(values * half * half - start, axis=1) / norm
         against_terms = np.linalg.norm(values - np.exp(-rate * t)[:, None] * start, axis=1) / attainable
@@ -184,36 +180,34 @@ def conformal(
 
 
 def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Return |numerical/exact − 1| where the exact value is meaningful, the excess over that range where not."""
+    """Return |numerical/exact − 1| where the exact value is meaningful, else the excess over that range."""
     meaningful = np.abs(exact) > MEANINGFUL
     ratio = np.divide(numerical, exact, out=np.ones_like(exact), where=meaningful)
     return np.where(meaningful, np.abs(ratio - 1), np.maximum(np.abs(numerical) / MEANINGFUL - 1, 0.0))
 
 
 # -- round-off -------------------------------------------------------------------------------------
-# A law is kept when its deviation is round-off: 10⁻¹², or what rounding every evaluation comes to; the round-off
-# of a law of the derivative grows with the numerical map, how far stands in the table (`map_growth`), and where it
-# does not, with the motion (`condition_number`).
+# A law is kept if its deviation is round-off: at most 10⁻¹², or the accumulated rounding of all evaluations.  The
+# round-off of a law of the map grows with the derivative of the numerical map; if that was not taken, with the
+# condition number of the motion.
 #
-# Where that bound is above 10⁻⁶ it says nothing in favour of a method, because any would pass: a deviation below it
-# is undecided, neither kept nor broken.  So is one that differences of the solver do not resolve, and one that is
-# clamped at every saved time.  A run that does not follow the motion is not judged.
+# A bound above 10⁻⁶ decides nothing, because every method would pass: a deviation below it is undecided, neither kept
+# nor broken.  A deviation that differences of the solver do not resolve, or that is clamped at every saved time, is
+# undecided too.  A run that does not follow the motion is not judged.
 EPSILON = float(np.finfo(float).eps)
-#: a larger bound decides nothing: a method that breaks a law by so little as that would pass for one that keeps it
+#: a larger bound decides nothing
 DECIDABLE = 1e-6
-#: a structural error is round-off up to here
+#: a structural deviation up to this is round-off
 STRUCTURE = 1e-12
-#: up to so many error bars a deviation by differences is no more than an upper bound
+#: a deviation of at most this many error bars is only an upper bound
 UNSURE = 2.0
-#: laws of the state alone: the sensitivity of the motion does not magnify their round-off
+#: laws of the state alone, whose round-off the map does not magnify
 OF_THE_STATE = ("momentum_law", "attitude_drift", "sphere_drift")
-#: what a row has of each structural law beside its value, with its meaning
+#: columns of a structural law beside its value → their meanings
 JUDGEMENT = {
     "claimed": "whether the method promises on this scene to keep it at every setting",
     "kept": "whether the run keeps it to round-off; blank where that is undecided, or the run is not judged because "
     "its solution is off by more than a tenth",
-    "undecided": "whether the run cannot tell; blank where it is not judged",
-    "bound": "up to what its deviation is round-off; blank where it is not judged",
 }
 #: a run whose solution error is larger does not follow the motion
 WRECKED = 0.1
@@ -225,7 +219,7 @@ def round_off_bound(growth: float, evaluations: int) -> float:
 
 
 def is_kept(value: float, bound: float, unsure: bool = False, faded: bool = False) -> bool | None:
-    """Return whether a deviation shows that a law is kept, None where it cannot tell.
+    """Return whether a deviation shows that a law is kept; None if it is undecided.
 
     unsure : it is an upper bound.  faded : it is clamped at every saved time.
     """

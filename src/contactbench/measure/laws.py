@@ -1,4 +1,4 @@
-"""What is measured along a trajectory: solution error, decay laws, drifts; `law` registers another."""
+"""Measures along a trajectory: solution error, decay laws, drifts; `law` registers another one."""
 
 from __future__ import annotations
 
@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LAWS = Registry("law", Law)
-#: the documents that show the laws read most
-BOTH = ("laws", "stability")
 
 
 def law(
@@ -70,10 +68,15 @@ def has_linear_damping(scene: Scene) -> bool:
 
 # -- comparisons with the truth --------------------------------------------------------------------
 def truth(solution: Solution) -> Reference:
-    """Return the true states at the saved times of a run, which keeps them, or why there are none."""
+    """Return the true states at the saved times of a run; cache them, or the error, in the run."""
     if solution.truth is None:
+        scene = solution.scene
+        own = scene.pack(scene.initial(solution.carry))
+        if solution.y0 is not None and not np.array_equal(own, solution.y0):
+            scene = scene.with_(**scene.data(solution.start()))
+        limit = {} if solution.patience is None else {"seconds": solution.patience.left}
         try:
-            solution.truth = sought(solution)
+            solution.truth = reference(scene, Elapsed(solution.elapsed), solution.carry, **limit)
         except BadInput as why:
             solution.truth = why
     if isinstance(solution.truth, BadInput):
@@ -82,17 +85,8 @@ def truth(solution: Solution) -> Reference:
     return known
 
 
-def sought(solution: Solution) -> Reference:
-    scene = solution.scene
-    own = scene.pack(scene.initial(solution.carry))
-    if solution.y0 is not None and not np.array_equal(own, solution.y0):
-        scene = scene.with_(**scene.data(solution.start()))
-    limit = {} if solution.patience is None else {"seconds": solution.patience.left}
-    return reference(scene, Elapsed(solution.elapsed), solution.carry, **limit)
-
-
 def errors_of(runs: Sequence[Solution]) -> np.ndarray:
-    """Return the errors of runs from one start at all their saved times, on the scales of all of them: see `errors`."""
+    """Return the errors of runs from one start at all their saved times, on common scales: see `errors`."""
     one = runs[0]
     start = one.scene.pack(one.scene.initial(one.carry)) if one.y0 is None else one.y0
     y, true = (np.vstack(rows) for rows in ([run.y for run in runs], [truth(run).y for run in runs]))
@@ -103,7 +97,6 @@ def errors_of(runs: Sequence[Solution]) -> np.ndarray:
     "max ‖y − y*‖ / max ‖y*‖, the start included: each vector in one unit by itself (q, p, M, R, a component with a "
     "unit of its own), the largest",
     "solution error",
-    shown=BOTH,
 )
 def solution_error(solution: Solution) -> float:
     return float(errors_of([solution]).max())
@@ -114,17 +107,17 @@ def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     return scene.energy(solution.states()), scene.energy(truth(solution).states())
 
 
-@law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", shown=BOTH, applies=lambda scene: scene.has_energy)
+@law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", applies=lambda scene: scene.has_energy)
 def energy_law(solution: Solution) -> float:
     numerical, exact = energies(solution)
     first = abs(float(solution.scene.energy(solution.start())))
     return float(np.abs(numerical - exact).max()) / first if first else math.nan
 
 
-#: what ∫Γ' means in the definitions of the laws
+#: the meaning of ∫Γ' in the definitions of the laws
 RATE = (
-    "∫Γ' = γt, of a γ(t) its integral, where Γ' follows s that of the truth: e^{−∫Γ'} = H*(t)/H(y₀); relative to no "
-    "less than a thousandth of the terms that cancel"
+    "∫Γ' = γt, or the integral of γ(t); where Γ' depends on s the truth gives e^{−∫Γ'} = H*(t)/H(y₀); relative to at "
+    "least a thousandth of the terms that cancel"
 )
 
 
@@ -132,8 +125,8 @@ RATE = (
 def decay_rate(solution: Solution) -> float | np.ndarray:
     """Return γ with which e^{−γt} is the conformal factor of the exact flow at the saved times.
 
-    Where Γ'(s) changes it is the mean rate up to each saved time, shape (k,), from the truth:
-    H' = −Γ'(s) H, hence e^{−∫Γ'(s)dt} = H*(t)/H(0).  Raises `Undefined` if H(0) = 0.
+    If Γ'(s) changes, return the mean rate up to each saved time, (k,), from the truth: H' = −Γ'(s) H, hence
+    e^{−∫Γ'(s)dt} = H*(t)/H(0).  Raises `Undefined` if H(0) = 0.
     """
     scene = solution.scene
     if (rate := scene.conformal_rate) is not None:
@@ -155,7 +148,6 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
     "H law",
     needs=("s",),
     applies=lambda scene: scene.has_hamiltonian_law,
-    shown=BOTH,
 )
 def hamiltonian_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
@@ -165,8 +157,8 @@ def hamiltonian_law(solution: Solution) -> Deviation:
 
 
 @law(
-    "max |H̃ e^{γt} − H̃(y₀)| / |H̃(y₀)|, H̃ = H + O(h^p) the modified Hamiltonian up to h⁴, of which the numerical "
-    "flow is the exact one up to h⁶; blank for a method that is not known to have one",
+    "max |H̃ e^{γt} − H̃(y₀)| / |H̃(y₀)|, H̃ = H + O(h^p) the modified Hamiltonian up to h⁴; blank for a method "
+    "without a known one",
     "modified H law",
     needs=("s",),
     applies=lambda scene: has_linear_damping(scene) and scene.has_hamiltonian_law,
@@ -174,7 +166,7 @@ def hamiltonian_law(solution: Solution) -> Deviation:
 def modified_hamiltonian(solution: Solution) -> Deviation | float:
     scene, states, run = solution.scene, solution.states(), solution.run
     value = None
-    with suppress(TypeError):  # a potential of one's own that takes no dual numbers
+    with suppress(TypeError):  # a user's potential that takes no dual numbers
         if run is not None:
             value, start = (run.modified_hamiltonian(x) for x in (states, solution.start()))
     if value is None:
@@ -184,24 +176,24 @@ def modified_hamiltonian(solution: Solution) -> Deviation | float:
 
 
 def is_of_contact_flows(solution: Solution) -> bool:
-    """Whether the method declares its runs to be composed of exact contact flows, by whatever steps."""
+    """Return whether the method composes its runs of exact contact flows."""
     method = METHODS.get(solution.method)
     return method is not None and method.family == "contact"
 
 
 def knows_factor(solution: Solution) -> bool:
-    """Whether ∫Γ' is known without the motion: where Γ' follows s, a run has the factor of its own s."""
+    """Return whether the method is a contact one and ∫Γ' does not depend on the motion."""
     known = solution.scene.damped_by(solution.start(), solution.elapsed, np) is not None
     return is_of_contact_flows(solution) and known
 
 
 def is_contact_map(solution: Solution) -> bool:
-    """Whether the method declares its runs to be contact maps with the factor of the exact flow, and it is known."""
+    """Return whether the method claims contact maps with the known factor of the exact flow."""
     return knows_factor(solution) and METHODS[solution.method].contact
 
 
 def is_composed(solution: Solution) -> bool:
-    """Whether the run is a composition of contact maps, of whatever factors."""
+    """Return whether the run is a composition of contact maps, with any factors."""
     return solution.run is not None and solution.run.composed
 
 
@@ -211,7 +203,6 @@ def is_composed(solution: Solution) -> bool:
     needs=("R",),
     applies=lambda scene: scene.is_contact and scene.has_momentum_law,
     gate=Gate.structure,
-    shown=BOTH,
     claimed=knows_factor,
 )
 def momentum_law(solution: Solution) -> Deviation:
@@ -222,7 +213,7 @@ def momentum_law(solution: Solution) -> Deviation:
 
 
 # -- contact structure -----------------------------------------------------------------------------
-#: what the laws of Φ*η have in common
+#: common properties of the laws of Φ*η
 CONTACT: dict[str, object] = {"needs": ("R", "s"), "gate": Gate.structure, "differentiates": True}
 CONTACT["applies"] = lambda scene: scene.is_contact
 
@@ -237,7 +228,6 @@ def pulled_deviation(solution: Solution, pulled: Pulled | None) -> Deviation | f
 @law(
     f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}",
     "contact drift",
-    shown=BOTH,
     claimed=is_contact_map,
     **CONTACT,
 )
@@ -314,9 +304,9 @@ def energy_increases(solution: Solution) -> float:
     return float(np.count_nonzero(grows))
 
 
-# -- all of them, of one run -----------------------------------------------------------------------
+# -- all laws of a run ----------------------------------------------------------------------------
 def measured_row(item: Law, solution: Solution) -> tuple[float, bool, str, str]:
-    """Return the deviation from a law, whether it is an upper bound, why there is none, and what the law is."""
+    """Return the deviation from a law, whether it is an upper bound, a note if it is missing, and the definition."""
     try:
         found, note = item.measured(solution), "" if solution.ok else str(solution.status)
         if solution.ok and item.differentiates and not solution.differential.taken:
@@ -327,26 +317,26 @@ def measured_row(item: Law, solution: Solution) -> tuple[float, bool, str, str]:
 
 
 def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
-    """Measure how far a run is from every law that its scene has and whose fields it carries.
+    """Measure the deviation of a run from every law of its scene whose fields it carries.
 
     Parameters
     ----------
     solution : Solution
         The run.
     seconds : float
-        How long it may take, most of it for the reference and, of a solver that chooses its steps, for the runs that
-        its map is differentiated by; ``math.inf`` for as long as it takes.
+        Limit of time, mostly for the reference and, for an adaptive solver, for the runs that give the derivative of
+        its map; ``math.inf`` for no limit.
 
     Returns
     -------
     DataFrame
-        Indexed by the law's name; deviation (the maximum over the saved times), upper_bound (it is no more than
-        that: a derivative by differences did not resolve it), note (why there is no number), definition.
+        Indexed by the law's name; deviation (the maximum over the saved times), upper_bound (whether it is only a
+        bound, because a derivative by differences does not resolve it), note (why there is no number), definition.
 
     Raises
     ------
     BadInput
-        For a scene whose gradient is not that of its potential along the motion, and seconds that are no number > 0.
+        If the gradient of the scene is not the derivative of its potential along the motion, and for seconds ≤ 0.
     """
     import pandas as pd
     from tqdm import tqdm
@@ -362,9 +352,9 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
         for item in bar:
             bar.set_postfix_str(item.label)
             if set(item.needs_on(solution.scene)) <= set(solution.carry):
-                with np.errstate(all="ignore"):  # what has left any scale is no fault of the user's settings
+                with np.errstate(all="ignore"):  # states may be huge
                     rows[item.name] = measured_row(item, solution)
-    finally:  # what there was no time for is tried again where there is more
+    finally:  # results that ran out of time are computed again by a later call
         solution.patience = None
         if patience.over:
             del solution.differential
@@ -375,51 +365,33 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
     ).rename_axis("law")
 
 
-# -- all of them, as a row -------------------------------------------------------------------------
-#: the laws of which a row has the error bar, and at how many saved times they were clamped
-WITH_ERROR_BAR = ("contact_drift", "distribution_drift", "pairing_drift")
-CLAMPED = ("contact_drift", "pairing_drift", "hamiltonian_law", "momentum_law")
-
-
+# -- all laws as a row ----------------------------------------------------------------------------
 def row(
     solution: Solution, without: str = "", leave_out: Callable[[str], bool] = lambda name: False
 ) -> dict[str, object]:
-    """Return every law the scene has, and whether it is kept, as columns; without : why no derivative is taken.
+    """Return the laws of a run as columns: NAME, of a structural law NAME_claimed and NAME_kept, and `bound`.
 
-    leave_out : whether a law, by its name, is not measured; "solution_error" always is: a wreck keeps nothing.
+    without : why no derivative is taken.  leave_out : whether a law, by its name, is not measured; "solution_error"
+    always is, since a run that does not follow the motion is not judged.
     """
     if not solution.ok:
         return {}
-    scene = solution.scene
-    found = {}
+    scene, found = solution.scene, dict[str, Measured]()
     for item in laws_of(scene):
         wanted = item.name == "solution_error" or not leave_out(item.name)
         if wanted and not (without and item.differentiates):
             with suppress(Undefined):
                 found[item.name] = item.measured(solution)
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}
-    for name, measured in found.items():
-        if name in WITH_ERROR_BAR and measured.uncertainty is not None:
-            columns[f"{name}_uncertainty"] = measured.uncertainty
-        if name in CLAMPED and measured.clamped is not None:
-            columns[f"{name}_clamped"] = measured.clamped
-    if scene.is_contact and without:
-        columns["derivative"] = f"not taken: {without}"
-    elif scene.is_contact:
-        if solution.differential.taken:
-            columns["map_growth"] = growth(in_units(solution))
-        columns["derivative"] = solution.differential.source
-    of_map = columns.get("map_growth") or condition_number(scene) or 1.0
+    known = scene.is_contact and not without and solution.differential.taken
+    magnified = (growth(in_units(solution)) if known else 0.0) or condition_number(scene) or 1.0
+    evaluations = solution.counts.evaluations or 0
+    of_state, of_map = (max(STRUCTURE, round_off_bound(each, evaluations)) for each in (1.0, magnified))
+    follows = not columns["solution_error"] > WRECKED
     for name, measured in found.items():
         if LAWS[name].structural and not math.isnan(measured.value):
+            bound, faded = of_state if name in OF_THE_STATE else of_map, measured.clamped == len(solution.t)
             columns[f"{name}_claimed"] = LAWS[name].claimed(solution)
-            kept = undecided = None
-            bound = math.nan
-            if not columns["solution_error"] > WRECKED:
-                magnified = 1.0 if name in OF_THE_STATE else of_map
-                bound = max(STRUCTURE, round_off_bound(magnified, solution.counts.evaluations or 0))
-                faded = measured.clamped == len(solution.t)
-                kept = is_kept(measured.value, bound, measured.bound, faded)
-                undecided = kept is None
-            columns |= {f"{name}_kept": kept, f"{name}_undecided": undecided, f"{name}_bound": bound}
-    return columns
+            kept = is_kept(measured.value, bound, measured.bound, faded) if follows else None
+            columns[f"{name}_kept"] = kept
+    return columns | {"bound": of_map if follows else math.nan}

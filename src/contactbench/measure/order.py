@@ -1,4 +1,4 @@
-"""Orders of convergence: from errors at a ladder of step sizes, and from a few steps at 50 digits."""
+"""Orders of convergence from errors at several step sizes, or from a few steps at 50 digits."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from contactbench.truth import decimal_context, reference, with_decimals
 if TYPE_CHECKING:
     from mpmath import MPContext
 
-#: an order rests on so many neighbouring points: three slopes, two extrapolations of each power
+#: number of neighbouring points for an order: three slopes, two extrapolations of each power
 WINDOW = 4
-#: powers of h in which the slope may run towards the order
+#: powers of h in the leading correction of the slope
 POWERS = (1, 2)
-#: slopes further than this from the order they extrapolate to are not asymptotic
+#: slopes further than this from the extrapolated order are not asymptotic
 ASYMPTOTIC = 0.5
-#: an order of larger uncertainty is not reported
+#: an order with a larger uncertainty is not reported
 USELESS = 0.5
-#: round-off in an error, as a fraction of the floor, below which an error is round-off alone
+#: round-off in an error, as a fraction of the floor
 ROUND_OFF = 0.03
-#: factors on the last difference of extrapolations, an estimate of the error and no bound: where another difference
-#: checks it, and where none does
+#: factors on the last difference of extrapolations, which estimates the error: with and without another difference to
+#: check it
 SAFETY, UNCHECKED = 3.0, 9.0
 
 
@@ -40,9 +40,9 @@ SAFETY, UNCHECKED = 3.0, 9.0
 class OrderFit:
     """An extrapolated order of convergence.
 
-    order : the limit of the pairwise slopes as h → 0; nan where no window of points has one.  uncertainty : what the
-    spread of neighbouring extrapolations, and round-off, may be off.  last_slope : of the two finest points used.
-    used : mask of the points it rests on.  pairwise : slope between each point and the next larger step.
+    order : the limit of the pairwise slopes as h → 0; nan if no window of points has one.  uncertainty : from the
+    spread of neighbouring extrapolations and round-off.  last_slope : slope of the two finest points used.  used :
+    mask of the points used.  pairwise : slope between each point and the next larger step.
     """
 
     order: float
@@ -53,12 +53,11 @@ class OrderFit:
 
 
 def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.0) -> OrderFit:
-    """Fit an order: that of the four neighbours by which it is most certain; floor : below it errors are round-off.
+    """Fit an order to the four neighbouring points that give it the least uncertainty; errors < floor are round-off.
 
-    e(h) = C h^p (1 + a h^k + …), k = 1 in general and 2 for a symmetric method.  The slope of log e against log h
-    between neighbours then is p + a k m + … with m = (h₁^k − h₀^k) / (k log(h₁/h₀)), the logarithmic mean of the two
-    h^k.  Two neighbouring slopes are extrapolated to m = 0 (Richardson), for steps of any ratio; a line through all
-    points would average that error and call it scatter.
+    e(h) = C h^p (1 + a h^k + …), k = 1 in general and k = 2 for a symmetric method.  The slope of log e against log h
+    between neighbours is p + a k m + … with m = (h₁^k − h₀^k) / (k log(h₁/h₀)), the logarithmic mean of the two h^k.
+    Two neighbouring slopes are extrapolated to m = 0 (Richardson), for steps of any ratio.
     """
     h, e = np.asarray(steps, dtype=float), np.asarray(errors, dtype=float)
     order = np.argsort(h)
@@ -86,9 +85,9 @@ def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.
 def extrapolate(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[float, float]:
     """Return the limit of three or four slopes, finest first, and its uncertainty.
 
-    blur : the relative round-off in the errors.  The uncertainty is the difference of successive extrapolations, each
-    scaled to the finest step as if it fell like h², times a safety factor, and the effect of round-off.  The power of
-    h is the one of `POWERS` whose differences are least.
+    blur : the relative round-off in the errors.  The uncertainty is the difference of successive extrapolations, scaled
+    to the finest step like h², times a safety factor, plus the effect of round-off.  The power of h is the one among
+    `POWERS` with the least differences.
     """
     spans = np.log(h[1:] / h[:-1])
     noise = blur[1:3] + blur[:2]
@@ -111,12 +110,12 @@ def extrapolate(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[fl
 DIGITS = 50
 
 
-#: methods whose steps can be taken one by one, on any kind of number
+#: methods with steps on any kind of number
 type Stepping = FixedStep | Logarithmic | ExactMethod
 
 
 def fastest(context: MPContext) -> Any:
-    """Return the namespace of numbers of as many digits that computes fastest: gmpy2's, where it is installed."""
+    """Return the fastest namespace of numbers of as many digits: gmpy2's if it is installed."""
     try:
         from contactbench.numbers.decimals import of_precision
     except ImportError:
@@ -166,7 +165,7 @@ def order_at(method: Stepping, scene: Scene, t: float, n: int) -> float:
 
 
 def local_order(method: Stepping, scene: Scene, step: str = "1e-6", digits: int = 150) -> float:
-    """Return the order by ‖Φ_h − Φ_{h/2}∘Φ_{h/2}‖ = O(h^{p+1}) at a small h, towards the flow it is consistent with."""
+    """Return the order p from ‖Φ_h − Φ_{h/2}∘Φ_{h/2}‖ = O(h^{p+1}) at a small h."""
     context = decimal_context(digits)
 
     def defect(h: Arithmetic) -> Arithmetic:

@@ -1,4 +1,4 @@
-"""A contact integrator from one's own coefficients, its order measured before it is let in: `composition`."""
+"""Register a contact integrator from a user's coefficients after measuring its order: `composition`."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from contactbench.methods.fixed_step import MOST
 from contactbench.scenes import SCENES
 from contactbench.splitting.composition import Composition, Stage
 
-#: how far the coefficients of a part may be from adding up to one, for each of them: printed digits
+#: allowed rounding of each coefficient in the sum of a part, which must be one
 ROUNDED = Fraction(1, 10**14)
-#: the step whose halving shows the order, and the digits it is computed with: coefficients known to sixteen
-#: digits show an order up to eight there
+#: the step whose halving gives the order, and the digits of the computation: coefficients of sixteen digits show an
+#: order up to eight at this step
 STEP, DIGITS = "0.1", 50
-#: how far the order that is measured so may be from the one that is claimed
+#: allowed difference between the measured and the claimed order
 NEAR = 0.4
 
 
@@ -43,13 +43,13 @@ def composition(
     name
         A key in tables and a word on the command line.
     order
-        The order of convergence that is claimed.
+        The claimed order of convergence.
     kick, drift
         Coefficients in the order in which they act, numbers or strings of digits; the longer list begins and ends
-        (lists of the same length begin with a kick).  Each adds up to one; what the rounding of printed digits
-        leaves of that goes to the middle, so that the conformal factor of a step is e^{−γh}.
+        (lists of the same length begin with a kick).  Each list adds up to one; the rounding error of printed digits
+        is added to the middle, so that the conformal factor of a step is e^{−γh}.
     nystrom
-        Whether the order rests on the potential depending on q alone; rigid bodies are then refused.
+        Whether the order requires a potential that depends on q alone; then rigid bodies are refused.
     about
         One line with the source.
 
@@ -61,8 +61,7 @@ def composition(
     Raises
     ------
     BadInput
-        For lists whose lengths do not alternate, sums that are not one, a name that is taken, or an order that is
-        not there.
+        For lists whose lengths differ by more than one, sums that are not one, a name that is taken, or a wrong order.
 
     Examples
     --------
@@ -80,7 +79,7 @@ def composition(
 
 
 def exact(part: str, coefficients: Sequence[float | str | Fraction]) -> list[Fraction]:
-    """Return the decimals that they are printed as, their sum made one; a palindrome stays one."""
+    """Return the coefficients as exact decimals with sum one; a palindrome stays a palindrome."""
     found: list[Fraction] = []
     for i, coefficient in enumerate(items_of(part, coefficients, "a list of coefficients")):
         try:

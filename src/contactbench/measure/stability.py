@@ -1,7 +1,7 @@
 """Linear stability: the one-step map of a fixed-step method on q'' + γ q' + ω² q = 0, a 2×2 matrix.
 
-Of (q, p) alone: where s is carried, an iteration has to settle for it too, and a run may end as `failed` before.
-Of a processed method, π χⁿ π*, the kernel χ is repeated where only the end is saved, π χ π* where every step is.
+The map acts on (q, p) alone.  With s carried, an iteration must converge for s too, and a run may fail earlier.
+A processed method π χⁿ π* repeats its kernel χ if only the end is saved, and π χ π* if every step is saved.
 """
 
 from __future__ import annotations
@@ -27,19 +27,18 @@ from contactbench.scene import Mechanical, Scene, State
 from contactbench.scenes import SCENES
 from contactbench.splitting.composition import Stage
 
-#: |tr/(1 + det)| and |det| may pass one by this much, which is round-off: no orbit then grows by more than
-#: 1.4·10⁻⁶ a step
+#: |tr/(1 + det)| and |det| may exceed one by this round-off, which lets no orbit grow by more than 1.4·10⁻⁶ a step
 SLACK = 1e-12
-#: step sizes ωh between which borders of stability are looked for, a quarter of a per cent apart
+#: range of step sizes ωh, and the number of samples in it, a quarter of a per cent apart
 SHORTEST, LONGEST, SCANNED = 1e-3, 1e3, 5600
-#: intervals of bounded orbits shorter than this part of the step are of no use to anybody
+#: intervals of stability shorter than this part of the step are ignored
 ISLAND = 0.01
-#: brackets shrink to so many parts in one look; an extremum takes so many looks, a border more
+#: a bracket shrinks by the factor PARTS per iteration; number of iterations for an extremum and for a border
 PARTS, ZOOMS, CLOSE = 64, 5, 9
 
 
 class Elementwise(Numbers):
-    """NumPy's functions, without vectors of stages: the steps are the entries of arrays themselves."""
+    """NumPy's functions for an array of step sizes, without vectors of stages."""
 
     def __getattr__(self, name: str) -> object:
         return getattr(np, name)
@@ -74,17 +73,17 @@ def step_matrix(method: FixedStep, gamma: float, omega: float, h: float | np.nda
     """Return the map (q, p) → (q, p) of one step of size h: (2, 2), or (…, 2, 2) for an array of step sizes."""
     scene, steps = oscillator(gamma, omega), np.asarray(h, dtype=float)
     if method.iterates and steps.size > 1:
-        with suppress(CannotRecord):  # iterations on arrays go on until the last entry has converged
+        with suppress(CannotRecord):  # on arrays an iteration ends only when all entries have converged
             return by_compiled_steps(method, scene, steps)
     q, p = (np.multiply.outer(unit, np.ones_like(steps)) for unit in np.eye(2))  # both unit vectors at once
-    with np.errstate(all="ignore"):  # e^{γ|a|h} of a negative substep may overflow: unstable, then
+    with np.errstate(all="ignore"):  # e^{γ|a|h} of a negative substep may overflow: it is unstable then
         x = method.advance(scene, State((q,), (p,)), steps, 1, ELEMENTWISE)  # type: ignore[arg-type]
     entries = [np.broadcast_to(row, q.shape) for row in (*x.q, *x.p)]
     return np.moveaxis(np.array(entries), (0, 1), (-2, -1))
 
 
 def by_compiled_steps(method: FixedStep, scene: Scene, steps: np.ndarray) -> np.ndarray:
-    """Return the same, nan where a step finds no end, by the compiled loop: of so many intervals of one step."""
+    """Return the same by the compiled loop, one interval of one step each; nan where the iteration fails."""
     loop = loop_of(method, scene, ())
     spans = np.column_stack([steps.ravel(), np.ones(steps.size)])
     rows, shape = loop.table(np.array(scene.numbers()), spans), np.append(loop.program.shape, 0)
@@ -96,7 +95,7 @@ def by_compiled_steps(method: FixedStep, scene: Scene, steps: np.ndarray) -> np.
 
 
 def spectral_radius(method: FixedStep, gamma: float, omega: float, h: float | np.ndarray) -> np.ndarray:
-    """Return the spectral radius of a step: orbits are unbounded above 1, and beside e^{−γh/2} damped too little."""
+    """Return the spectral radius of a step; orbits are unbounded if it exceeds 1."""
     matrix = step_matrix(method, gamma, omega, h)
     with np.errstate(all="ignore"):
         half = np.abs(matrix[..., 0, 0] + matrix[..., 1, 1]) / 2
@@ -112,7 +111,7 @@ def true_radius(gamma: float, omega: float, h: float) -> float:
 
 
 def slow_rate(gamma: float, omega: float = 1.0) -> float:
-    """Return the rate at which motions die out: γ/2, less √(γ²/4 − ω²) where overdamped."""
+    """Return the decay rate of the slowest motion: γ/2, or γ/2 − √(γ²/4 − ω²) if overdamped."""
     if gamma <= 2 * omega:
         return gamma / 2
     return omega**2 / (gamma / 2 + math.sqrt(gamma**2 / 4 - omega**2))
@@ -121,7 +120,7 @@ def slow_rate(gamma: float, omega: float = 1.0) -> float:
 # -- where orbits stay bounded ----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Stability:
-    """Steps with bounded orbits: up to `limit`, and to `last` but for `windows`; inf: no border up to ωh = 10³."""
+    """Steps with bounded orbits: up to `limit`, and up to `last` outside `windows`; inf: no border up to ωh = 10³."""
 
     limit: float
     windows: tuple[tuple[float, float], ...]
@@ -137,12 +136,12 @@ def stability(method: FixedStep, gamma: float, omega: float) -> Stability:
 
 @cache
 def borders(method: FixedStep, gamma: float) -> Stability:
-    """Return the borders of stability of the map that is one step of `method`, from its trace and determinant; ω = 1.
+    """Return the borders of stability of one step of `method` from its trace and determinant, for ω = 1.
 
-    Both eigenvalues are in the unit disc where |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in which s passes ±1
-    and returns may be narrower than any grid, but s turns around inside.  So the extrema of s and of det are located,
-    and every border between neighbours of grid and extrema is bracketed.  What passes one by less than 10⁻¹² is no
-    window (a double root); an interval of stability of less than a per cent of the step does not end one.
+    Both eigenvalues are in the unit disc if |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in which s passes ±1
+    and returns may be narrower than the grid, but it contains an extremum of s.  So the extrema of s and det are
+    located, and every border between neighbours of grid and extrema is bracketed.  An excess below 10⁻¹² is no window
+    (a double root); an interval of stability of less than a per cent of the step does not end a window.
     """
 
     def invariants(h: np.ndarray) -> np.ndarray:
@@ -150,7 +149,7 @@ def borders(method: FixedStep, gamma: float) -> Stability:
         with np.errstate(all="ignore"):
             trace = matrix[..., 0, 0] + matrix[..., 1, 1]
             det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
-            # that of a conformal contact map is its factor, without cancellation
+            # the determinant of a conformal contact map is its factor, without cancellation
             factor = method.conformal_factor(oscillator(gamma), h, ELEMENTWISE)  # type: ignore[arg-type]
             det = det if factor is None else factor
             return np.array([trace / (1 + det), det])
@@ -181,9 +180,9 @@ def borders(method: FixedStep, gamma: float) -> Stability:
 
 
 def turning_points(f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the extrema of f that may pass ±1, one for a point of an increasing grid between higher or lower ones.
+    """Return the extrema of f that may pass ±1, one for each local extremum on an increasing grid.
 
-    An extremum is less than the larger of both differences beyond the point.
+    An extremum exceeds the value on the grid by less than the larger difference to the neighbours.
     """
     with np.errstate(invalid="ignore"):
         changes = np.diff(values)
@@ -203,7 +202,7 @@ def turning_points(f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, valu
 def bracket_changes(
     truth: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, at_low: np.ndarray
 ) -> np.ndarray:
-    """Return where a truth value first changes between low and high, to round-off."""
+    """Return the first points between low and high where a truth value changes, to round-off."""
     columns = np.arange(len(low))
     for _ in range(CLOSE if len(low) else 0):
         inside = np.linspace(low, high, PARTS + 1)
@@ -232,7 +231,7 @@ def printed_limit(gamma: float, omega: float) -> float:
 
 
 def rk4_limit(gamma: float, omega: float) -> float:
-    """Return where |1 + z + z²/2 + z³/6 + z⁴/24| = 1 for z = h λ, λ² + γλ + ω² = 0."""
+    """Return the h with |1 + z + z²/2 + z³/6 + z⁴/24| = 1 for z = h λ, λ² + γλ + ω² = 0."""
     rates = np.roots([1.0, gamma, omega**2])
 
     def growth(h: float) -> float:
@@ -243,7 +242,7 @@ def rk4_limit(gamma: float, omega: float) -> float:
 
 
 def root(f: Callable[[float], float], scale: float) -> float:
-    """Return the smallest root above 10⁻³·scale of a function negative there; inf: none below 10·scale."""
+    """Return the smallest root above 10⁻³·scale of a function that is negative there; inf if none is below 10·scale."""
     grid = np.geomspace(1e-3, 10, 4000) * scale
     k = next((k for k, h in enumerate(grid.tolist()) if f(h) > 1e-12), None)
     if k is None:
@@ -251,7 +250,7 @@ def root(f: Callable[[float], float], scale: float) -> float:
     return float(grid[0]) if k == 0 else float(scipy.optimize.brentq(f, grid[k - 1], grid[k], xtol=1e-13))
 
 
-#: the limit a method has by theory, by name; the kick-drift-kick palindrome has 2/ω whatever damps between
+#: name of a method → its theoretical limit; the kick-drift-kick palindrome has 2/ω for every damping
 THEORY: dict[str, Callable[[float, float], float]] = {
     "contact-printed": printed_limit,
     "contact-abc": lambda gamma, omega: 2 / omega,
@@ -264,7 +263,7 @@ THEORY: dict[str, Callable[[float, float], float]] = {
 
 # -- strong damping --------------------------------------------------------------------------------
 def propagation_error(method: FixedStep, gamma: float, h: float) -> float:
-    """Return ‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T, in which a motion falls by e; inf where M overflows."""
+    """Return ‖M − Φ_T‖₂/‖Φ_T‖₂ for n steps M over the time T in which a motion falls by e; inf if M overflows."""
     n = max(1, round(1 / slow_rate(gamma) / h))
     exact = scipy.linalg.expm(np.array([[0.0, 1.0], [-1.0, -gamma]]) * (n * h))
     with np.errstate(all="ignore"):
@@ -275,7 +274,7 @@ def propagation_error(method: FixedStep, gamma: float, h: float) -> float:
 
 
 def run_matrix(method: FixedStep, gamma: float, h: float, n: int) -> np.ndarray:
-    """Return the map (q, p) → (q, p) of n steps of size h, of which the end is saved; ω = 1."""
+    """Return the map (q, p) → (q, p) of n steps of size h with only the end saved; ω = 1."""
     steps = np.linalg.matrix_power(step_matrix(kernel(method), gamma, 1.0, h), n)
     if not is_processed(method):
         return steps

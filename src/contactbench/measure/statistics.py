@@ -101,15 +101,16 @@ def quantile_interval(values: Sequence[float], q: float) -> tuple[float, float, 
 
 
 # -- wins and ties ---------------------------------------------------------------------------------
-#: margins where no clock decides: of numbers of evaluations, which are interpolated between two settings; and of errors
-COUNTED, ALIKE = 1.15, 2.0
-#: no margin of two times is smaller, however quiet the machine
+#: errors within this factor are alike
+ALIKE = 2.0
+#: a verdict on time names all within this factor of the least: so much another processor moves.  A margin that is
+#: wider decides nothing
+WIDEST = 1.25
+#: cells whose halves agree within this are quiet
 FLOOR = 1.03
 #: by what factor a cell's least round differs from process to process, in 95 of 100 cells (the layout of code and data
 #: in memory): measured over five processes, for tables in which no second process timed anything
 PROCESSES = 1.04
-#: two costs within a wider margin than this are no tie: they cannot be told apart
-WIDEST = 1.2
 #: the share of cells that what two processes differ by covers
 COVERED = 0.95
 
@@ -137,10 +138,13 @@ def process_spread(ratios: Iterable[float], halves: Iterable[float]) -> float:
     return float(np.quantile(np.maximum(known, 1 / known), COVERED, method="higher"))
 
 
-def margin(halves: Iterable[float], processes: float) -> float:
-    """Return the ratio up to which two costs cannot be told apart: the halves of either's visits, and two processes."""
+def margin(halves: Iterable[float], processes: float, within: float = WIDEST) -> float:
+    """Return the factor by which one of two costs must be less to lead alone.
+
+    It is `within`, or what the clock leaves open: the halves of either's visits, and two processes.
+    """
     logs = [math.log(ratio) if ratio > 0 else math.inf for ratio in (*halves, processes)]
-    return max(FLOOR, math.exp(math.hypot(*logs)))
+    return max(within, math.exp(math.hypot(*logs)))
 
 
 def ties(value: Arithmetic, least: Arithmetic, margin: float) -> Condition:

@@ -1,4 +1,4 @@
-"""The contract of a method, and the way from a question to a prepared solver."""
+"""The contract of a method, and `prepare` and `solve`."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from contactbench.solution import EXACT, Solution
 from contactbench.trace.compiled import COMPILES
 from contactbench.trace.recording import reason_of
 
-#: what a method may be compared as: composed of exact contact flows, derived from a discrete action, or in use
-#: for differential equations at large
+#: families of methods: compositions of exact contact flows, methods from a discrete action, and general-purpose
+#: solvers of differential equations
 FAMILIES = ("contact", "variational", "established")
-#: the tightest rtol of a library without a limit of its own, and of CVODE, which refuses less than a rounding
+#: the tightest rtol of libraries without a limit of their own, and of CVODE, which refuses less than ε
 ROUNDING = 2.3e-16
-#: the tightest of SciPy and CyRK, which raise any below 100 ε to that
+#: the tightest rtol of SciPy and CyRK, which raise a smaller one to 100 ε
 CLAMPED = 2.3e-14
-#: a step this small against the span hardly moves the clock: a singularity is ahead
+#: a step below this part of the span means that a singularity is ahead
 SHORTEST = 1e-15
 
 #: engine → "compiled" (solver and right-hand side are machine code) or "callbacks" (the right-hand side,
@@ -39,7 +39,7 @@ SHORTEST = 1e-15
 ENGINES = dict.fromkeys(("llvm", "jax", "c", "c++"), "compiled")
 ENGINES |= dict.fromkeys(("python", "c+python"), "callbacks")
 CALLBACKS = tuple(engine for engine, kind in ENGINES.items() if kind == "callbacks")
-#: engine → a package that it needs and a plain installation does not have
+#: engine → the optional package that it needs
 PACKAGES = {"jax": "jax"}
 
 DEFAULT_MAX_STEPS = 10**8
@@ -58,32 +58,28 @@ class Method(ABC):
         source), `family` (one of `FAMILIES`), `engines` (keys of `ENGINES`, the default first), `order`.
      2. ``refuses(scene)`` is None or one sentence: why the scene is out of reach.  A run of a refused scene ends
         `unsupported` with that sentence, and never raises.
-     3. ``prepare(request)`` does all that depends on scene, setting and saved times alone (recording, compiling,
-        allocating); where that fails for one engine it raises `CannotRecord`, and the next one is tried.  The
-        result is called any number of times, with other initial data if wanted; no call leaves a trace: equal
-        data, equal bits.  Of steps that are given a `FixedStepRun` divides the time and a `StepLoop` takes them: from
-        a packed state, sizes h[k] and numbers n[k] to the states after n[k] steps of size h[k], (k, d), and the
-        evaluations made, None where `counts` knows them beforehand.
+     3. ``prepare(request)`` does everything that depends on scene, setting and saved times alone (recording,
+        compiling, allocating).  It raises `CannotRecord` where that fails for one engine, and the next engine is
+        tried.  Its result may be called any number of times, with other initial data too.  Calls are independent:
+        equal data give equal bits.
      4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.
-     5. ``bare(y0)`` is the solver's own call, by its fastest way: the last state of the run to within the
-        roundings of another way to the same time.  It is what is timed.
+     5. ``bare(y0)`` is the fastest call of the solver itself, and is timed.  It returns the last state of the run to
+        round-off.
      6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between saved times and no
-        longer than `step` (of a method that `follows` the motion, all of that size, not in time), and the error falls
-        as step^order.  `adaptive`: takes `rtol` within `rtol_range` and
-        `atol`, and says in `tolerance` what they bound; the error falls as they do.  `exact`: takes neither
-        and has no truncation error.
-     7. `max_steps` is never exceeded: a run that needs more ends as `budget`, and the states it did not reach
-        are NaN.  So are they after `diverged` (which comes with the time, to the step) and `failed`.
-     8. `Counts.evaluations` are all evaluations that a run made, of the kind the counts name, those for a
-        Jacobian, an interpolant or a pilot included; None where the solver does not say.
-     9. All engines compute the same: to round-off where the steps are given, else within the tolerance.
-    10. Claims hold on every scene that is not refused, and are not left out where they hold: `contact` (every
-        run is a composition of contact maps whose factors are those of the exact flow), `symmetric`
-        (Φ_{−h} ∘ Φ_h = id).
-    11. Where `Prepared.sensitivity_source` says how, `sensitivity` is the derivative of the saved states of the
-        map of the steps taken, along the scene's tangents.
-    12. ``step_cost(scene, engine)`` is about what a step costs where the right-hand side is called back from
-        Python, in right-hand sides; None where a step is so cheap that no experiment need limit their number.
+        longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the error
+        falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and `atol`, and `tolerance` says what they
+        bound; the error falls with them.  `exact`: takes neither and has no truncation error.
+     7. A run never exceeds `max_steps`: a run that needs more ends as `budget`, and the states it did not reach are
+        NaN, as after `failed` and `diverged`.  The time of divergence is known to the step.
+     8. `Counts.evaluations` counts all evaluations of a run, including those for a Jacobian, an interpolant or a
+        pilot, in the unit `Counts.kind`; None where the solver does not count.
+     9. All engines give the same result: to round-off for given steps, else within the tolerance.
+    10. Claims hold on every scene that is not refused, and are made wherever they hold: `contact` (every run is a
+        composition of contact maps with the factors of the exact flow), `symmetric` (Φ_{−h} ∘ Φ_h = id).
+    11. Unless `Prepared.sensitivity_source` is empty, `sensitivity` is the derivative of the saved states along the
+        scene's tangents, with the steps fixed.
+    12. ``step_cost(scene, engine)`` is about the number of right-hand sides of a step that Python computes; None
+        where steps are so cheap that no experiment limits their number.
     """
 
     name: str
@@ -92,15 +88,15 @@ class Method(ABC):
     engines: tuple[str, ...]
 
     def __init_subclass__(cls) -> None:
-        """Methods are told apart by identity, whatever `dataclass` would compare: a step need not be hashable."""
+        """Compare methods by identity, not by their fields: a step need not be hashable."""
         super().__init_subclass__()
         cls.__eq__, cls.__hash__ = object.__eq__, object.__hash__  # type: ignore[method-assign]
 
-    #: of convergence; None where it varies
+    #: order of convergence; None where it varies
     order: int | None
     #: whether it takes rtol and chooses its own steps
     adaptive: bool
-    #: whether there is no truncation error, and nothing to be set
+    #: whether it has no truncation error, and no setting
     exact: bool = False
     contact: bool = False
     symmetric: bool = False
@@ -109,26 +105,32 @@ class Method(ABC):
     takes_atol: bool = True
     #: what rtol and atol bound
     tolerance: str
-    #: components at most that it compiles one by one: that takes some ten seconds
+    #: most components that it compiles one by one, which takes some ten seconds
     largest: int = 256
-    #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
+    #: whether its solver keeps the time itself, so that it does not integrate the clock of a scene
     own_time: bool = False
     #: whether equal steps are powers of one map of the state, which has a stability limit and a `step_map`
     one_step: bool = True
-    #: whether steps are equal not in time but in a variable that follows the motion: as many as that takes lead to a
-    #: saved time, to which a part of the last one is taken
+    #: whether steps are equal in a variable that follows the motion instead of the time: the number of steps to a
+    #: saved time depends on the motion, and the last one is taken in part
     follows: bool = False
-    #: whether a step iterates until nothing changes: what it costs is counted as it runs (see contact_gauss.py), and
-    #: `counts` is what it typically costs
+    #: whether a step iterates to convergence: its evaluations are counted as it runs (see contact_gauss.py), and
+    #: `counts` is a typical number
     iterates: ClassVar[bool] = False
-    #: what a run says that fails where a step is the solution of equations which are not solved; else it has diverged
+    #: the message of a run that fails because the equations of an implicit step are not solved
     unsolved: ClassVar[str] = ""
-    #: what is imported for it; blank where this package runs it by itself
+    #: the package that runs it; blank for this one
     package: str = ""
+    #: whether it is one of those that the benchmark is about, which is run by all of its engines
+    mission: bool = False
+    #: whether it is meant for stiff problems
+    stiff: bool = False
+    #: the method of another maker whose formulas it has; blank for what is run for its own sake
+    like: str = ""
 
     @property
     def control(self) -> str:
-        """Return what is set: "step", "rtol" or nothing, "exact"."""
+        """Return its control: "step", "rtol" or "exact"."""
         return EXACT if self.exact else "rtol" if self.adaptive else "step"
 
     @property
@@ -141,7 +143,7 @@ class Method(ABC):
         return None
 
     def lacks(self, engine: str) -> str | None:
-        """Return that a package is not installed without which an engine does not run, or None."""
+        """Return a message if a package that an engine needs is not installed, else None."""
         package = self.package or PACKAGES.get(engine)
         return missing(package) if package else None
 
@@ -174,7 +176,7 @@ def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
     return scene.own_equations
 
 
-# -- from a question to a prepared solver -------------------------------------------------------------------
+# -- from arguments to a prepared solver --------------------------------------------------------------------
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
     """Return a scene and a method, each itself or by name."""
     if isinstance(method, str) or not isinstance(method, Method):
@@ -205,26 +207,26 @@ def prepare(
         Itself, or the name of a registered one.
     step
         Size of the steps of a fixed-step method.  Steps never straddle a saved time: each interval between saved
-        times, the last of which is the end, is divided into the fewest equal steps not longer than `step`.  The steps
-        taken may so be shorter, down to the distance of two saved times; the solution's `step` is the longest one.
+        times is divided into the fewest equal steps not longer than `step`, and the last saved time is the end.  The
+        steps taken may be shorter, down to the distance of two saved times; the solution's `step` is the longest one.
 
-        A sequence of steps is taken as it is, whatever the motion: every step of a contact method is the contact map
-        it would be among equal ones.  Saved times are ends of steps, by default all, or every k-th; steps after the
-        last are left out.  A method starts afresh where the step changes or a time is saved, so that one with a
-        processor (contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
+        A sequence of steps is used as given, so that every step of a contact method is a contact map.  Saved times must
+        be ends of steps; by default they are all ends, or every k-th.  Steps after the last saved time are left out.
+        A method starts anew where the step changes or a state is saved, so that a method with a processor
+        (contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
     rtol, atol
-        Tolerances of an adaptive method.  By default atol is rtol times the scale of the motion, of every component by
-        itself, as force and velocity at the start show it, or the scene's `scale` has it; where all share a unit a
-        scale from 0.01 to 1000 counts as 1.  They bound the error of a step; the error of the run may be larger.  A
-        fixed-step method given rtol instead of step chooses its step from pilots, which are part of every call and its
-        counts; the solution's `step_chosen` is that step.  Then rtol bounds the error of the run, at every saved time:
-        it ends as `ok` where pilots agree on it, else as `budget`, `failed` or `diverged`.  An exact method takes
-        neither.
+        Tolerances of an adaptive method.  They bound the error of a step; the error of the run may be larger.  By
+        default atol is rtol times the scale of the motion, for every component: the scene's `scale`, or the size that
+        follows from force and velocity at the start; a scale from 0.01 to 1000 counts as 1 if all components share a
+        unit.  A fixed-step method given rtol instead of step chooses its step by pilot runs, which are part of every
+        call and of its counts; the solution's `step_chosen` is that step.  Then rtol bounds the error of the run at
+        every saved time: the run ends as `ok` if the pilots agree, else as `budget`, `failed` or `diverged`.  An exact
+        method takes neither.
     save_at
         Increasing times from the scene's t on (from 0 on where nothing depends on the time), also beyond t + t_end;
         by default the start and every k-th step, at most 1001 of them, for fixed steps, and 201 equally spaced times
-        for others.  The counts of a fixed-step method depend on them,
-        since it starts afresh at each: with save_at=[t_end] it takes the fewest steps.
+        for others.  A fixed-step method starts anew at each saved time: with save_at=[t_end] it takes the fewest
+        steps.
     carry
         Which of s and R to integrate; by default all the scene has.
     engine
@@ -236,7 +238,7 @@ def prepare(
     Returns
     -------
     Prepared
-        What takes other initial data by name, ``run(q=…, p=…)``, and returns a `Solution`.
+        A function of other initial data by name, ``run(q=…, p=…)``, that returns a `Solution`.
 
     Raises
     ------
@@ -396,7 +398,7 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     Raises
     ------
     BadInput
-        As `prepare` does, and where a gradient is not that of the potential at a saved state.
+        As `prepare` does, and if a given gradient is not the derivative of the potential at a saved state.
 
     Examples
     --------
@@ -418,6 +420,6 @@ def instead(option: str, scene: Scene) -> str:
     if option in {"events", "dense_output", "t_eval"}:
         how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
         return f"it saves states at save_at; events and dense output are SciPy's, in {how}"
-    if option in {f.name for f in fields(scene)} | getattr(scene, "parameters", {}).keys():
+    if option in {f.name for f in fields(scene)} | scene.parameters.keys():
         return f"it is the scene's: scene.with_({option}=…)"
     return f"choose from {', '.join(sorted(OPTIONS))}"

@@ -1,10 +1,10 @@
-"""Runge–Kutta pairs by tolerance: the loop that chooses its steps, recorded and compiled as those of fixed steps are.
+"""Runge–Kutta pairs by tolerance: the loop with step control, recorded and compiled like the loops of fixed steps.
 
-An attempt is accepted where both formulas differ by e with Σ(e_i/(atol_i + rtol |y_i|))² ≤ 1. Steps grow by a PI
-controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), not where they would hardly
-change, and shrink after a rejection alone: equal steps are a loop of their own, in which what depends on the step, as
-exponentials of the damping do, is a constant. They end at saved times. The first one is that at which y' = λy or z'' =
-−λ²z would have the error aimed at, for the λ that a little step shows.
+An attempt is accepted if the two formulas of the pair differ by e with Σ(e_i/(atol_i + rtol |y_i|))² ≤ 1.  Steps grow
+by a PI controller (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations II, §IV.2), unless the change is
+small, and shrink only after a rejection.  Equal steps form an inner loop in which the numbers that depend on the step,
+such as exponentials of the damping, are constants.  Steps end at saved times.  The first step is the one at which
+y' = λy or z'' = −λ²z has the error aimed at, with λ estimated by a short step.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ from contactbench.methods.runge_kutta import (
     Tableau,
     Undamped,
     damped,
-    explicit_slope,
     explicit_step,
     factors_of,
     looped,
@@ -70,44 +69,38 @@ from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damped_time
 from contactbench.solution import DIVERGENCE, Counts, Status
 from contactbench.trace.form import Assign, Element, Statement, Update, execute
-from contactbench.trace.native_call import Native
 from contactbench.trace.program import Program, record
 
-#: a step is aimed at this part of the tolerance; the least and the most that it changes
+#: the part of the tolerance that a step aims at; the least and the largest factor by which it changes
 AIM, LEAST, MOST = 0.03, 0.2, 5.0
-#: the first step, in parts of what a linear equation takes
+#: the first step over the step of a linear equation
 START = 0.85
-#: steps that would be longer by less than this stay as they are; a last one may be longer by so much
+#: the step does not grow by less than STAY; the last step may be longer by STRETCH
 STAY, STRETCH = 1.1, 1.1
-#: the weight of the error before, as a part of that of the error
+#: the weight of the previous error over the weight of the error
 PROPORTIONAL = 0.5
-#: by how much a little step along the motion moves it, relative to its size
+#: relative change of the state over the short step that estimates λ
 NUDGE = 1e-5
-#: what follows the packed state: the step, log of the error before, attempts, those rejected, time not covered
+#: numbers after the packed state: step, log of the previous error, attempts, rejected attempts, time not covered
 BESIDE = 5
-#: where the attempts are in states with what follows them, of this and of every other such loop
+#: the place of the attempts, from the end, in the numbers of every such loop
 ATTEMPTS = -3
-#: below it a number is none
+#: numbers below this count as zero
 TINY = 1e-30
 
-#: of the motion at a state, where it is known
+#: slope of the motion at a state, where it is known
 Slope = Vector | None
-#: what the loop carries: state, slope, factors and their step, time left, step, error before, attempts, rejected ones
-Carried = tuple[
-    OwnState, Slope, Factors | None, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
-]
-#: and what the loop over equal steps does: state and slope before and after a step, sizes after it, time left at both,
-#: attempts, the square of the error, whether another one follows
-EqualSteps = tuple[
-    OwnState, Slope, OwnState, Slope, Vector, Arithmetic, Arithmetic, Arithmetic, Arithmetic, Arithmetic
-]
+#: variables of the loop: state, slope, factors and their step, time left, step, previous error, attempts, rejected
+Carried = tuple[Any, ...]
+#: variables of the loop over equal steps: state and slope before and after a step, sizes after it, time left before
+#: and after it, attempts, the square of the error, whether another step follows
+EqualSteps = tuple[Any, ...]
 
 
 def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNamespace, *given: object) -> X:
     """Return body(x, *given) where the condition holds, else x.
 
-    What the body computes of its arguments is computed there alone: recorded loops leave what they do not change to the
-    code around them.
+    Recorded loops move invariant expressions out; expressions in the arguments of the body stay inside.
     """
     once = choose(condition, 1.0, 0.0, xp), x, given
     return repeat_while(lambda c: c[0] > 0, lambda c: (0.0, body(*c[1:2], *c[2]), c[2]), once, xp)[1]
@@ -115,7 +108,7 @@ def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNa
 
 @dataclass(frozen=True)
 class Explicit[S: Scene]:
-    """What the loop asks of a pair for y' = f(y)."""
+    """The operations of a pair for y' = f(y) that the loop needs."""
 
     tableau: Tableau
 
@@ -125,7 +118,7 @@ class Explicit[S: Scene]:
     leave = enter
 
     def slope(self, scene: S, y: OwnState, xp: Namespace) -> Vector:
-        return tuple(explicit_slope(scene, y))
+        return tuple(leaves(scene.rhs(y)))
 
     def factors(self, scene: S, h: Arithmetic, xp: Namespace) -> Factors | None:
         return None
@@ -140,7 +133,7 @@ class Explicit[S: Scene]:
         factors: Factors | None,
         loop: Repeat | None = None,
     ) -> tuple[OwnState, Slope, Sequence[Arithmetic]]:
-        """Return the state after a step, the slope there where the pair evaluates it, and the error."""
+        """Return the state after a step, its slope if the pair evaluates it, and the error estimate."""
         tableau = self.tableau
         after, slopes = explicit_step(tableau, scene, y, h, xp, len(tableau.nodes), loop, first)
         error = rebuild(y, slopes(tableau.estimate[0]))
@@ -149,7 +142,7 @@ class Explicit[S: Scene]:
     def rate(
         self, scene: S, y: OwnState, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
     ) -> Arithmetic:
-        """Return how fast the slope changes along it: |λ| of y' = λy."""
+        """Return the relative rate of change of the slope along itself: |λ| of y' = λy."""
 
         def length(v: Vector) -> Arithmetic:
             return norm([a / unit for a, unit in zip(scene.without_clock(v), units, strict=True)], xp)
@@ -162,7 +155,7 @@ class Explicit[S: Scene]:
 
 @dataclass(frozen=True)
 class Nystrom(Explicit[Mechanical]):
-    """What the loop asks of a pair for z'' = f(t, z)."""
+    """The operations of a pair for z'' = f(t, z) that the loop needs."""
 
     def enter(self, scene: Mechanical, x: State | DrivenState) -> Undamped:
         return undamped(scene, x)
@@ -200,7 +193,7 @@ class Nystrom(Explicit[Mechanical]):
     def rate(
         self, scene: Mechanical, y: Undamped, slope: Vector, size: Arithmetic, units: Vector, xp: Namespace
     ) -> Arithmetic:
-        """Return ω of z'' = −ω²z, as the force shows it along itself and the velocity."""
+        """Return ω of z'' = −ω²z, from the change of the force along itself and the velocity."""
         force = slope[: len(y.q)]
         in_units = lambda v: [a / unit for a, unit in zip(v, units, strict=False)]  # noqa: E731
         ways = (in_units(way) for way in (force, y.u))
@@ -253,7 +246,7 @@ def march[S: Scene](
     xp: ChoosingNamespace,
     repeat: Repeat,
 ) -> tuple[OwnState, list[Any]]:
-    """Return the state after a span, and what is beside it (`BESIDE`), in at most so many attempts of the whole run."""
+    """Return the state after a span and the numbers of `BESIDE`; most : attempts of the whole run at most."""
     rtol, *atol = tolerances
     tableau, power = form.tableau, 1.0 / (form.tableau.lower_order + 1)
     reuses, loop = tableau.first_same_as_last, looped(repeat, len(tableau.nodes), scene, x)
@@ -269,7 +262,7 @@ def march[S: Scene](
     def first_step(y: OwnState) -> Arithmetic:
         sized = sizes(y)
         weighed = [a / b for a, b in zip(sized, scales(sized, sized), strict=True)]
-        #: momenta may be of another size than coordinates; without an atol they are taken as they are
+        #: momenta may have another size than coordinates; without an atol no units are known
         units = tuple(xp.where((a > 0) & (atol[0] > 0), a / atol[0], 1.0) for a in atol)
         moved = y.q if isinstance(form, Nystrom) else sized
         size = norm([a / unit for a, unit in zip(moved, units, strict=False)], xp) + atol[0] / rtol
@@ -290,7 +283,7 @@ def march[S: Scene](
     def turn(carried: Carried) -> Carried:
         y, first, factors, at, left, step, past, tried, rejected = carried
         h = when(left < 2 * step, last_steps, step, xp, left)
-        if scene.dated:  # a multiple of a rounding of the span: what is left of it is exact
+        if scene.dated:  # a multiple of a rounding of the span, so that the time left is exact
             h = (span + h) - span
         factors = factors and when(h != at, lambda _, h: form.factors(scene, h, xp), factors, xp, h)
 
@@ -331,7 +324,7 @@ def march[S: Scene](
     def changed(step_and_past: Vector, h: Arithmetic, square: Arithmetic, past: Arithmetic) -> Vector:
         step, _ = step_and_past
         log = xp.log(xp.maximum(square, TINY)) / 2 - math.log(AIM)
-        log = xp.where(square <= 1 / TINY, log, -math.log(TINY))  # of what is not finite, too
+        log = xp.where(square <= 1 / TINY, log, -math.log(TINY))  # covers nan
         change = xp.where(square <= 1, PROPORTIONAL * past - (1 + PROPORTIONAL) * log, -log)
         change = xp.maximum(xp.minimum(xp.exp(power * change), MOST), LEAST)
         longest = xp.where((square <= 1) & (step > h * change), step, h * change)
@@ -354,7 +347,7 @@ def march_by_the_clock(
     xp: ChoosingNamespace,
     repeat: Repeat,
 ) -> tuple[OwnState, list[Any]]:
-    """Do as `march` in the time that damping leaves of a clock; the step and what is left are of the span's own."""
+    """Do as `march` in the slowed time of a damped body; the step and the time left stay in the time of the span."""
     gamma, lag = scene.gamma, beside[-1]
     whole = damped_time(gamma, span, xp)
     x, (step, *counts, left) = march(
@@ -370,7 +363,7 @@ def march_by_the_clock(
 
 # -- the run -------------------------------------------------------------------------------------------
 def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: int) -> Program:
-    """Return the loop over intervals of a span each, and at most n attempts; may raise `CannotRecord`."""
+    """Return the loop over intervals of given spans, with at most n attempts; may raise `CannotRecord`."""
     d, given = len(scene.labels(carry)), len(scene.numbers())
 
     def advance(
@@ -387,7 +380,7 @@ def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: in
         return [*scene.pack(x), *beside]
 
     def started(statement: Statement) -> Statement:
-        """A packed state alone is given; zeros are beside it."""
+        """Let the numbers beside the packed state begin as zeros, which no caller gives."""
         match statement:
             case Assign(target, Element("start", (int(i),))) if i >= d:
                 return Update((target,), (0.0,))
@@ -401,7 +394,7 @@ def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: in
 def marched(
     method: Any, scene: Scene, x: OwnState, beside: Any, span: Arithmetic, clock: Any, most: Any, *given: Any
 ) -> tuple[OwnState, list[Any]]:
-    """Return what a method's `march` does; clock : an origin and a row of `dates`, of a scene with a time."""
+    """Call a method's `march`; clock : an origin and a row of `dates`, for a scene with a time."""
     origin, *since = clock or (0.0,)
     if since:
         scene, x = dates.begin(scene, x, given[1], origin, since)
@@ -414,15 +407,15 @@ _loops: Cache[Loop] = Cache(256)
 
 @dataclass
 class ToleranceRun(RunByTolerance):
-    """Run a method whose loop decides how many steps lead to a saved time, or to a break.
+    """Run a method whose loop decides on the number of steps to a saved time, or to a break.
 
-    ``march(scene, x, beside, span, most, settings, xp, repeat)`` returns the state after a span and what is
-    beside it, `beside(size)` numbers for a packed state of a size: the last are attempts, those rejected, time not
-    covered.  `settings`, `evaluations`, `kind` and `failure` say what it is given, what is counted and why the loop
-    gives up.
+    ``march(scene, x, beside, span, most, settings, xp, repeat)`` returns the state after a span and the numbers beside
+    it.  A packed state has `beside(size)` of them, and the last three are attempts, rejected attempts and the time not
+    covered.  The method also gives the `settings` of the loop, the number and `kind` of `evaluations`, and the message
+    of a `failure`.
     """
 
-    #: known before the run, of fixed steps
+    #: known before a run of fixed steps only
     needed, totals = None, Counts()
 
     def __post_init__(self) -> None:
@@ -432,110 +425,84 @@ class ToleranceRun(RunByTolerance):
         ends, self.saved = division(r.scene, self.later)
         self.spans, begins = np.diff(ends, prepend=0.0), np.append(0.0, ends[:-1])
         self.since = dates.dates(r.scene, begins, ends) if r.scene.keeps_dates else None
-        self.settings = self.method_.settings(r, r.step)
-        self.tables: Loop | None = None
-        if r.engine == "llvm":
-            self.tables = _loops.get(key(self.scene.identity, self.method_, r.carry), self.make)
-        self.run: Callable[..., object] = self.tables.run if self.tables else self.in_python()
-        self.divide(r.step)
-        if self.tables and r.engine == "llvm":
-            self.compile_s = self.tables.seconds
-
-    def divide(self, step: float | None) -> None:
-        """Make of the calls for a step, where there is one, closures of all they need."""
-        self.steps_taken = (step or math.nan,) * 2
-        self.settings = self.method_.settings(self.request, step)
-        d, beside = len(self.start), self.method_.beside(len(self.start))
-        size = len(self.spans) * (d + beside)
-        run, loop, most = self.run, self.tables, self.request.max_steps
-        native = loop is not None and isinstance(run, Native)
-        #: attempts of a run that is not interrupted
-        short = min(most, loop.short) if loop is not None and native else most
-
-        def rows(attempts: int) -> Any:
-            if loop is None:
-                return ()
-            numbers = np.array([*self.scene.numbers(), *self.settings])
-            return loop.rows(numbers, self.spans, np.full(len(self.spans), attempts), self.since)
-
-        def part(of: tuple[int, int], given: Any) -> Callable[[np.ndarray], np.ndarray]:
-            """Return the function of a start that gives a part of the start and the states after it."""
-            if loop is not None and native:
-                return loop.on(d, given, of)
-
-            def plain(y0: np.ndarray) -> np.ndarray:
-                y = np.append(y0, np.empty(size))
-                run(y0, given, y[d:])
-                return y[of[0] : of[1]]
-
-            return plain
-
-        briefly = part((d, d + size), rows(short))
-
-        def states(y0: np.ndarray) -> np.ndarray:
-            y = briefly(y0)
-            if loop is not None and short < most and y[ATTEMPTS] >= short:
-                loop.execute(y0, rows(most), y := np.empty(size), math.inf)
-            return y
-
-        direct: Callable[[np.ndarray], np.ndarray] | None = None
-
-        def bare(y0: np.ndarray) -> np.ndarray:
-            """Find out whether the run is short, and leave it alone from then on."""
-            nonlocal direct
-            if direct is not None:
-                return direct(y0)
-            y = states(y0)
-            if short == most or y[ATTEMPTS] < short:
-                direct = part((size - beside, size + d - beside), rows(most))
-                self.bare = dated(direct)  # type: ignore
-            return y[-d - beside : -beside]
-
-        def dated(bare: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
-            clock = self._clock
-
-            def call(y0: np.ndarray) -> np.ndarray:
-                y = bare(y0)
-                y[clock] = y0[clock] + self._end
-                return y
-
-            return bare if clock is None else call
-
-        self.states, self.bare = states, dated(bare)  # type: ignore
+        self.settings, self.steps_taken = self.method_.settings(r, r.step), (r.step or math.nan,) * 2
+        #: from a start to the states after all intervals, each with the numbers beside it, in one row
+        self.states: Callable[[np.ndarray], np.ndarray] = (
+            self.compiled() if r.engine == "llvm" else self.in_python()
+        )
 
     def make(self) -> Loop:
         elapsed = stopwatch()
         program = loop_program(self.method_, self.scene, self.request.carry, len(self.settings))
         return Loop(program, elapsed())
 
-    def in_python(self) -> Callable[..., object]:
-        """Return the same in floats: as it is written, where a function cannot be recorded or a float says "no"."""
-        r, scene, recorded = self.request, self.scene, None
+    def rows(self, loop: Loop, attempts: int) -> tuple[np.ndarray, ...]:
+        numbers = np.array([*self.scene.numbers(), *self.settings])
+        return loop.rows(numbers, self.spans, np.full(len(self.spans), attempts), self.since)
+
+    def compiled(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Return `states` by the compiled loop; replace `bare` by the loop alone as soon as a run is short."""
+        loop = _loops.get(key(self.scene.identity, self.method_, self.request.carry), self.make)
+        d, most, clock = len(self.start), self.request.max_steps, self._clock
+        beside, end = loop.program.size - d, len(self.spans) * loop.program.size
+        short = min(most, loop.short)  # a longer run goes on interruptibly
+        briefly: Callable[[np.ndarray], np.ndarray] = loop.on(d, self.rows(loop, short), (d, d + end))
+        self.compile_s = loop.seconds
+
+        def states(y0: np.ndarray) -> np.ndarray:
+            y = briefly(y0)
+            if short < most and y[ATTEMPTS] >= short:
+                loop.execute(y0, self.rows(loop, most), y := np.empty(end), math.inf)
+            return y
+
+        def first(y0: np.ndarray) -> np.ndarray:
+            y = states(y0)
+            if short == most or y[ATTEMPTS] < short:
+                direct = loop.on(d, self.rows(loop, most), (end - beside, end + d - beside))
+                self.bare = direct if clock is None else lambda y0: self.dated(y0, direct(y0))  # type: ignore
+            return self.dated(y0, y[-d - beside : -beside])
+
+        self.bare = first  # type: ignore
+        return states
+
+    def in_python(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Return `states` by the recorded loop in Python, or by the source if it cannot be recorded or overflows."""
+        r, scene, recorded, rows = self.request, self.scene, None, list[Any]()
         with suppress(CannotRecord):
             loop = self.make()
-            recorded, self.tables = execute(loop.program.run), loop
+            recorded = execute(loop.program.run)
+            rows = [part.tolist() for part in self.rows(loop, r.max_steps)]
 
-        def as_written(y0: list[float]) -> list[float]:
-            x, beside, rows = scene.unpack(y0, r.carry), [0.0] * self.method_.beside(len(y0)), list[float]()
-            given = r.max_steps, self.settings, PlainNumbers(), repeat
-            origin, times = scene.split_clock(np.array(y0))[0], [()] if self.since is None else self.since
+        def as_written(y0: np.ndarray) -> list[float]:
+            x, beside = scene.unpack(y0.tolist(), r.carry), [0.0] * self.method_.beside(len(y0))
+            given, after = (r.max_steps, self.settings, PlainNumbers(), repeat), list[float]()
+            origin, times = scene.split_clock(y0)[0], [()] if self.since is None else self.since
             for span, since in zip(self.spans.tolist(), itertools.cycle(times)):
                 x, beside = marched(self.method_, scene, x, beside, span, (origin, *since), *given)
-                rows += [*scene.pack(x), *beside]
-            return rows
+                after += [*scene.pack(x), *beside]
+            return after
 
-        def run(y0: np.ndarray, rows: Any, after: np.ndarray) -> None:
+        def states(y0: np.ndarray) -> np.ndarray:
             if recorded is not None:
                 with suppress(*NO_NUMBER):
-                    recorded(y0.tolist(), *(part.tolist() for part in rows), found := [0.0] * len(after))
-                    after[:] = found
-                    return
-            after[:] = as_written(y0.tolist())
+                    after = [0.0] * (len(self.spans) * (len(y0) + self.method_.beside(len(y0))))
+                    recorded(y0.tolist(), *rows, after)
+                    return np.array(after)
+            return np.array(as_written(y0))
 
-        return run
+        return states
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return self.dated(y0, self.states(y0).reshape(len(self.spans), -1)[-1, : len(y0)])
+
+    def dated(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the last state with the time of the end, which is no sum of steps."""
+        if self._clock is not None:
+            y[self._clock] = y0[self._clock] + self._end
+        return y
 
     def taken(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
-        """Return packed states after each interval with what is beside them, and the counts."""
+        """Return the packed states after each interval with the numbers beside them, and the counts."""
         y = self.states(y0).reshape(len(self.spans), -1)
         tried, rejected, _ = y[-1, -3:].tolist()
         entered = int(np.sum(y[:, -1] < self.spans))
@@ -543,13 +510,13 @@ class ToleranceRun(RunByTolerance):
         return y, Counts(int(tried - rejected), evaluations, 0, int(rejected), self.method_.kind)
 
     def pilot(self, y0: np.ndarray) -> Pilot:
-        """Take the steps as a pilot; saved states that are not reached are nan."""
+        """Run as a pilot; saved states that are not reached are nan."""
         y, counts = self.taken(y0)
         saved = np.where(y[:, -1:] == 0, y[:, : len(y0)], math.nan)[self.saved]
         return Pilot(self, saved, counts, spent=self.is_spent(y, counts))
 
     def into(self, start: np.ndarray, after: np.ndarray) -> None:
-        """Return None: the number of steps is known only afterwards."""
+        """Return None, since the number of steps is not known beforehand."""
 
     def outcome(self, y0: np.ndarray, y: np.ndarray, counts: Counts) -> Outcome:
         return self.finish(y0, self.from_start(y0, y), counts)
@@ -577,7 +544,7 @@ class ToleranceRun(RunByTolerance):
 
 @dataclass(frozen=True)
 class RungeKuttaPair(Adaptive):
-    """A tableau by tolerance."""
+    """A pair of Runge–Kutta formulas with step control."""
 
     name: str
     order: int

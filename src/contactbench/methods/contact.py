@@ -23,7 +23,7 @@ from contactbench.splitting.composition import (
 from contactbench.splitting.modified import modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS
 
-#: evaluations of a first step and of each one more, by method, kind of scene, and whether R is carried
+#: evaluations of a first and of a further step, by method, kind of scene, and whether R is carried
 _costs: dict[tuple[ContactMethod, str, bool], tuple[int, int]] = {}
 
 
@@ -91,6 +91,7 @@ def contact_method(composition: Composition) -> ContactMethod:
         about=composition.source,
         contact=True,
         symmetric=composition.palindromic,
+        mission=composition.mission,
         composition=composition,
     )
 

@@ -71,18 +71,18 @@ class ExactMethod(Method):
         return f"{self.name} solves free rigid bodies with isotropic damping; scene {scene.name!r} is none{scene.lacks}"
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:
-        """Saved times are as many as steps."""
+        """Return the cost of a saved time: it takes one step."""
         return FREE_COST if engine in CALLBACKS else None
 
     def advance(
         self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat | None = None
     ) -> OwnState:
-        """The state after the time nh, for engines that write loops of steps."""
+        """Return the state after the time n h."""
         flow = scene.flows["free_damp"]
         return flow.apply(scene, x, flow.constants(scene, n * h, xp), xp)
 
     def prepare(self, request: Request) -> Prepared:
-        # in Python its series end where nothing changes: they are not recorded
+        # in Python its series end at convergence, and are not recorded
         python = request.engine == "python"
         loop = Plain(self, request, recorded=False) if python else Recorded(self, request)
         return ExactRun(self.name, request, loop)

@@ -8,9 +8,9 @@ Collocation at Gauss's nodes preserves ω (Hairer, Lubich, Wanner, Geometric Num
 with the linear scaling (P, r) ↦ (λP, λr), hence preserves r ds − P·dq = r η: the map of (q, p, s) has Φ*η = (r₀/r₁) η
 (the symplectisation: Arnold, Mathematical Methods of Classical Mechanics, Appendix 4.E).  r is 1 where a step begins.
 
-Where ∂H/∂s does not follow the motion, r is known, e^{∫∂H/∂s}: K then depends on the time, and (q, P) with the action
-S = r s, S' = P·q' − r h, are integrated, H = h(q, p, t) + γ(t) s.  The factor is that of the exact flow, and however
-strong the damping, it does not slow down the iteration.
+If ∂H/∂s depends on the time alone, H = h(q, p, t) + γ(t) s, then r = e^{∫γ} is known.  In this case (q, P) and the
+action S = r s, S' = P·q' − r h, are integrated.  The conformal factor is then exact, and strong damping does not slow
+down the iteration.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from contactbench.scene import Scene
 from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damping
 
-#: the most equations that are eliminated for Newton's iteration: more take seconds to be compiled
+#: most equations of Newton's iteration: more take seconds to compile
 ELIMINATED = 24
 
 
 class Lifted(NamedTuple):
-    """q, P, s, or S where r is known, and r, where it is not, or their slopes; of what is not there None."""
+    """q, P, s (S if r is known) and r (None if it is known), or their slopes; s is None if it is not carried."""
 
     q: Vector
     P: Vector
@@ -56,7 +56,7 @@ class Lifted(NamedTuple):
 
 
 def components(z: Lifted) -> list[Arithmetic]:
-    """Return what is there, dual numbers whole."""
+    """Return all components as a list; dual numbers stay whole."""
     return [*z.q, *z.P, *(c for c in (z.s, z.r) if c is not None)]
 
 
@@ -67,7 +67,7 @@ def with_components(z: Lifted, values: Sequence[Arithmetic]) -> Lifted:
 
 
 def slope_at(scene: Any, x: OwnState, r: Arithmetic, known: bool) -> Lifted:
-    """Return the slope of the lifted equations at a state of the scene; known : r is a function of the time."""
+    """Return the slope of the lifted equations at a state; known : r is a function of the time alone."""
     rate, k = scene.damping_at(x), scene.rhs(x)
     P = tuple(r * (f + rate * p) for f, p in zip(k.p, x.p, strict=True))
     if known:
@@ -100,7 +100,7 @@ Step = Callable[..., tuple[OwnState, Arithmetic, tuple[Lifted, ...]]]
 
 
 def collocation(stages: int) -> Step:
-    """Return a step from x and the slopes to start with: x, evaluations, and slopes to start the next with."""
+    """Return a step of so many stages: from x and initial slopes to x, evaluations and slopes for the next step."""
 
     def step(
         scene: Any, x: OwnState, h: Arithmetic, xp: Namespace, slopes: tuple[Lifted, ...]
@@ -122,14 +122,14 @@ def collocation(stages: int) -> Step:
             return state(z, tuple(P / r for P in z.P), s, nodes[i]), r
 
         def update(slopes: tuple[Lifted, ...]) -> tuple[Lifted, ...]:
-            if scene.separable:  # with velocities of momenta that are known already it converges faster
+            if scene.separable:  # velocities of the new momenta: it converges faster
                 momenta = [stage(slopes, i)[0].p for i in range(stages)]
                 pairs = zip(slopes, momenta, strict=True)
                 slopes = tuple(k._replace(q=tuple(scene.velocity(p))) for k, p in pairs)
             return tuple(slope_at(scene, *stage(slopes, i), known) for i in range(stages))
 
         def newton() -> tuple[tuple[Lifted, ...], Condition, Arithmetic]:
-            """Solve by simplified Newton iteration, with the Jacobian where the step begins."""
+            """Solve by simplified Newton iteration with the Jacobian at the begin of the step."""
 
             def slope(values: Sequence[Arithmetic]) -> Sequence[Arithmetic]:
                 z = with_components(start, values)
@@ -174,7 +174,7 @@ def collocation(stages: int) -> Step:
 
         slopes, converged, spent = implicit(update, solve, slopes, xp)
         z = combined(start, b, slopes, h)
-        if known:  # little is lost: the rounding of the factor is that of the loss
+        if known:  # a small loss is subtracted, whose rounding is small too
             G = scene.damped_within(x, h, xp)
             r, (keep, lose) = xp.exp(G), damping(G, 1.0, xp)
             p, s = tuple(keep * P - lose * P for P in z.P), None if z.s is None else keep * z.s - lose * z.s
@@ -187,9 +187,9 @@ def collocation(stages: int) -> Step:
 
 @dataclass(frozen=True)
 class ContactGauss(FixedStep):
-    """Collocation on the symplectisation; a run starts from the slope at its beginning, one evaluation.
+    """Collocation on the symplectisation; the first iteration of a run starts from the slope there, one evaluation.
 
-    each : evaluations of an iteration.
+    each : evaluations per iteration.
     """
 
     each: int = field(kw_only=True)
@@ -217,7 +217,7 @@ class ContactGauss(FixedStep):
         def another(carried: tuple[OwnState, Arithmetic, Any]) -> tuple[OwnState, Arithmetic, Any]:
             x, spent, slopes = carried
             x, more, slopes = self.step(scene, x, h, xp, slopes)  # type: ignore[call-arg, misc]
-            # from a state that is no number nothing is evaluated
+            # a nan state costs no evaluations
             return x, spent + choose(more > 0, more, 0.0, xp), slopes
 
         start = x, 1.0 + 0 * h, self.first(scene, x, xp)
@@ -228,7 +228,7 @@ class ContactGauss(FixedStep):
         return scene.is_contact
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        """Return what n steps typically cost."""
+        """Return a typical number of evaluations of n steps."""
         return n * TYPICAL * self.each + 1
 
 

@@ -1,15 +1,15 @@
-"""Steps that follow the motion: compositions of the two flows of the logarithmic Hamiltonian, where V < 0.
+"""Steps that follow the motion: compositions of the two flows of the logarithmic Hamiltonian, for V < 0.
 
 With P = e^{γt} p and E = −K, K = e^{−γt} P²/2m + e^{γt} V, at the start,
 
     Λ = log(e^{−γt} P²/2m + E) − log(−e^{γt} V(q))
 
-is zero along the motion, whose time is a variable that moves: dt = dτ/A, A = e^{−γt} P²/2m + E.  Steps of equal τ are
+is zero along the motion, and the time is one of its variables: dt = dτ/A, A = e^{−γt} P²/2m + E.  Steps of equal τ are
 short where V is deep.  Both parts have exact flows.  A drift keeps A: t ↦ t + h/A, q ↦ q + P ∫e^{−γt} dt/m, E ↦ E +
-(e^{−γt₀} − e^{−γt₁}) P²/2m; a kick is P ↦ P + h ∇log(−V), E ↦ E + γh.  s e^{γt} has the flows of the contact form
-ds − P dq − E dt.  What is stored has e^{γt} taken out: p, E e^{−γt} and h e^{−γt}.  γ = 0: Mikkola, Tanikawa, Celest.
-Mech. Dyn. Astron. 74, 287 (1999), doi:10.1023/A:1008368322547; Preto, Tremaine, Astron. J. 118, 2532 (1999),
-doi:10.1086/301102.  A is no square of momenta: tables of general type keep their order, Nyström ones do not.
+(e^{−γt₀} − e^{−γt₁}) P²/2m; a kick is P ↦ P + h ∇log(−V), E ↦ E + γh.  s e^{γt} follows from the contact form
+ds − P dq − E dt.  The code stores p, E e^{−γt} and h e^{−γt}, without the factor e^{γt}.  For γ = 0 see Mikkola,
+Tanikawa, Celest. Mech. Dyn. Astron. 74, 287 (1999), doi:10.1023/A:1008368322547; Preto, Tremaine, Astron. J. 118, 2532
+(1999), doi:10.1086/301102.  A is not quadratic in the momenta: general tables keep their order, Nyström tables do not.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from contactbench.scene.flow import damped_time
 from contactbench.splitting.composition import Composition
 from contactbench.splitting.tables import O8
 
-#: what follows the packed state: another one, where the last whole step ends, and at it E e^{−γt} and what its sum has
-#: lost, the time left and what that has lost, h e^{−γt}; trials, those that found a time, time not covered
+#: numbers after the packed state, besides the state at the end of the last whole step: E e^{−γt} there, the time left,
+#: each with the rounding error of its sum, h e^{−γt}; trials, rejected trials, time not covered
 BESIDE = 8
-#: roundings of an interval within which a saved time is met
+#: a saved time is met to this many roundings of an interval
 ROUNDINGS = 4
-#: no time is so long, and no depth so large
+#: larger than any time and depth
 HUGE = 1e300
 
 
 class Trial(NamedTuple):
-    """A state on a part of a step, with what E e^{−γt} and t have changed by, h e^{−γt}, and the least of A and −V."""
+    """A state inside a step, the changes of E e^{−γt} and of t, h e^{−γt}, and the least value of A and −V so far."""
 
     x: State
     depth: Arithmetic
@@ -55,7 +55,7 @@ class Trial(NamedTuple):
 
 
 class Base(NamedTuple):
-    """Where the last whole step ends: see `BESIDE`."""
+    """The end of the last whole step, see `BESIDE`."""
 
     x: State
     depth: Arithmetic
@@ -65,13 +65,13 @@ class Base(NamedTuple):
     width: Arithmetic
 
 
-#: what the loop carries: base; of the step tried its part, and below and above which the saved time lies; the state
-#: reached; 1 to go on, 0 at the saved time, −1 where it is not reached; trials, those that found no whole step
+#: variables of the loop: base; the part of a step to try, and bounds of the part that meets the saved time; the state
+#: reached; 1 to go on, 0 at the saved time, −1 if it cannot be reached; trials, trials without a whole step
 Carried = tuple[Base, Arithmetic, Arithmetic, Arithmetic, State, Arithmetic, Arithmetic, Arithmetic]
 
 
 def add(sum_: Arithmetic, lost: Arithmetic, change: Arithmetic) -> tuple[Arithmetic, Arithmetic]:
-    """Return sum + lost + change, and what its rounding loses (Knuth's two-sum)."""
+    """Return sum + lost + change and its rounding error (Knuth's two-sum)."""
     change = change + lost
     new = sum_ + change
     back = new - sum_
@@ -80,7 +80,7 @@ def add(sum_: Arithmetic, lost: Arithmetic, change: Arithmetic) -> tuple[Arithme
 
 @dataclass(frozen=True)
 class Logarithmic(Method):
-    """A composition of general type of the flows of Λ, drifts first, which costs as many gradients as it has kicks."""
+    """A general composition of the flows of Λ that begins with a drift; it has a gradient per kick."""
 
     name: str
     order: int
@@ -124,7 +124,7 @@ class Logarithmic(Method):
         return len(self.composition.stages) // 2
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        """Return the evaluations of n whole steps: trials for saved times come on top."""
+        """Return the evaluations of n whole steps, without the trials for saved times."""
         return self.evaluations(n, 0)
 
     def kind_on(self, scene: Scene) -> str:
@@ -133,7 +133,7 @@ class Logarithmic(Method):
     def step_cost(self, scene: Scene, engine: str) -> float | None:
         return self.per_step(scene) if engine in CALLBACKS else None
 
-    # -- what a run asks ---------------------------------------------------------------------------
+    # -- used by `ToleranceRun` ----------------------------------------------------------------------
     def settings(self, request: Request, step: float | None) -> list[float]:
         assert step is not None
         return [step]
@@ -160,7 +160,7 @@ class Logarithmic(Method):
         xp: Any,
         repeat: Repeat = repeat,
     ) -> tuple[State, list[Any]]:
-        """Return the state after a span, and what is beside it (`BESIDE`), in at most so many trials of the run."""
+        """Return the state after a span and the numbers of `BESIDE`; most : trials of the whole run at most."""
         size = len(beside) - BESIDE
         carry = () if x.s is None else ("s",)
         depth, lost, left, late, width, tried, rejected, lag = beside[size:]
@@ -219,10 +219,10 @@ class Logarithmic(Method):
         return x, [*Scene.pack(end.x), *end[1:], tried, rejected, lag]
 
     def start(self, scene: Mechanical, x: State, step: Arithmetic, xp: Any) -> tuple[Arithmetic, Arithmetic]:
-        """Return E at the start and the step of τ, given in units of the action V²/√(2E ∇V·∇V/m).
+        """Return E at the start and the step of τ; steps are given in units of the action V²/√(2E ∇V·∇V/m).
 
-        Of Kepler's motion that is √(mka), by whatever point of it: 2π/step steps make a revolution.  Where the motion
-        is not bound −V is in the place of E.
+        For Kepler's motion the unit is √(mka) at every point, and 2π/step steps make a revolution.  For an unbound
+        motion −V replaces E.
         """
         V, gradient = scene.V(x.q), scene.dV(x.q)
         depth = -(scene.kinetic(x.p) + V)
@@ -232,7 +232,7 @@ class Logarithmic(Method):
     def step(
         self, scene: Mechanical, base: Base, part: Arithmetic, shares: Sequence[Any], xp: Any, repeat: Repeat
     ) -> tuple[Trial, Arithmetic]:
-        """Return where a part of a step leads, and how fast the time passes with the part there."""
+        """Return the trial after a part of a step, and the derivative of its time by the part."""
         gamma, (drifts, kicks) = scene.gamma, shares
 
         def drift(z: Trial, share: Arithmetic) -> Trial:

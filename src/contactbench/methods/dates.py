@@ -1,15 +1,15 @@
-"""The times of a run: which intervals of equal steps it has, and what its functions take for the time.
+"""The times of a run: its intervals of equal steps, and the times that functions are called with.
 
-The n-th step of an interval begins n h after it, which is no running sum, and functions are given the time of the
-scene's start and the time since then, added once.  Next to a break they are given no time beyond it: on which side of a
-jump a stage lies is decided here, not by the rounding of its time.
+The n-th step of an interval begins the time n h after the interval, which is no running sum.  Functions are called with
+the time of the scene's start plus the time since then, added once.  Next to a break they are never called with a time
+beyond it: the side of a jump on which a stage lies does not depend on the rounding of its time.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,28 +20,24 @@ from contactbench.scene import Scene
 from contactbench.scene.base import OwnState
 
 
-class Division(NamedTuple):
-    """Where intervals end, times since the start, and which of them end at the saved times, in turn."""
+def division(scene: Scene, later: np.ndarray) -> tuple[np.ndarray, slice | np.ndarray]:
+    """Return the ends of the fewest intervals between saved times > 0 and breaks, and the numbers of the saved ones.
 
-    ends: np.ndarray
-    saved: slice | np.ndarray
-
-
-def division(scene: Scene, later: np.ndarray) -> Division:
-    """Return the fewest intervals between saved times > 0 and breaks; what is a rounding from a break is at it."""
+    A time within roundings of a break is at the break.
+    """
     end, ends = float(later[-1]), list[float]()
     for time, exact in scene.breaks_until(end):
         if (ends[-1] if ends else 0.0) + exact < time < end - exact:
             ends.append(time)
             later = np.where(np.abs(later - time) <= exact, time, later)
     if not ends:
-        return Division(later, slice(None))
+        return later, slice(None)
     every = np.union1d(later, ends)
-    return Division(every, np.searchsorted(every, later))
+    return every, np.searchsorted(every, later)
 
 
 def dates(scene: Scene, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Return when intervals begin, and between which times their functions are called, (k, 3), since the start."""
+    """Return the begin of each interval and the bounds of its functions' times, since the start, (k, 3)."""
     breaks = np.array(scene.breaks_until(math.inf, -math.inf)).reshape(-1, 2)
     after = np.searchsorted(breaks[:, 0], (begins + ends) / 2)
     low = np.append(-math.inf, breaks.sum(axis=1))[after]
@@ -57,7 +53,7 @@ def begin(
     since: Sequence[Arithmetic],
     bounded: bool = True,
 ) -> tuple[Any, OwnState]:
-    """Return a scene and a state that counts its time from where an interval begins; since : a row of `dates`."""
+    """Return a scene and a state whose time counts from the begin of an interval; since : a row of `dates`."""
     begins, low, high = since
 
     def dated(t: Arithmetic) -> Arithmetic:
@@ -70,12 +66,12 @@ def begin(
 
 
 def end(x: OwnState, origin: Arithmetic, begins: Arithmetic) -> OwnState:
-    """Return a state with its absolute time, in place of the time since its interval began."""
+    """Return a state with its absolute time instead of the time since the begin of its interval."""
     return x._replace(t=origin + (begins + x.t))
 
 
 def from_origin[Y: (np.ndarray, list[float])](scene: Scene, y: Y, start: Y) -> Y:
-    """Return a packed state of a run with the time of its start, from which its dates count."""
+    """Return a packed state with the time of the start of the run, from which dates count."""
     if not scene.keeps_dates or scene.clock is None:
         return y
     y = y.copy()

@@ -1,4 +1,4 @@
-"""How far two runs of one problem are apart: the error of the coarser one, as pilots are compared by it."""
+"""The distance of two pilots of one problem, which is about the error of the coarser one."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from contactbench.trace.form import Assign, Element, Function, Loop, Operation, 
 
 
 def widen(most: str, name: str, load: tuple[Statement, ...]) -> tuple[Statement, ...]:
-    """Return statements that take the norm of a vector, its components loaded as `name`, and keep the largest.
+    """Return statements that compute the squared norm of a vector and keep the largest one in `most`.
 
-    The norm is squared; `lost` is nan from then on if it is not finite.
+    name : the variable that `load` puts a component into.  `lost` becomes nan if the norm is not finite.
     """
     square, total = f"{name}_square", f"{name}_sum"
     each = (
@@ -44,8 +44,8 @@ _apart = (
     Assign("fine_d", Element("fine", ("at",), "i")),
     Assign("apart", Operation("sub", ("coarse_c", "fine_d"))),
 )
-#: the squares of max ‖coarse − fine‖ and max ‖fine‖ of a vector over rows of states, the start included; `after` has
-#: them, and before them the number of rows, where the vector begins and its length
+#: computes the squares of max ‖coarse − fine‖ and max ‖fine‖ of a vector over all rows of states and the start;
+#: `after` holds the number of rows, the place and the length of the vector, and then the two results
 SQUARES = Function(
     "squares",
     ("start", "coarse", "fine", "after"),
@@ -76,9 +76,9 @@ SQUARES = Function(
 def distance(
     request: Request, start: np.ndarray, coarse: np.ndarray, fine: np.ndarray
 ) -> Callable[[], float]:
-    """Return the function that gives the error of coarse against fine of what these arrays hold when it is called.
+    """Return a function that computes the error of `coarse` against `fine` from the present content of the arrays.
 
-    They are packed states, (d,) and (k, d); the start is part of both runs.  Infinite unless all are finite.
+    The arrays are packed states, (d,) and (k, d); the start belongs to both runs.  Infinite unless all are finite.
     """
     scene, carry = request.scene, request.carry
     acting = "s" in scene.carry(())
@@ -97,7 +97,7 @@ def distance(
 def compiled(
     lengths: list[int], start: np.ndarray, coarse: np.ndarray, fine: np.ndarray
 ) -> Callable[[], float]:
-    """Return the same of vectors of these lengths, each in parts of its largest size, or of 1 where it never moves."""
+    """Return the same, compiled; each vector counts relative to its largest norm, or to 1 if it is always zero."""
     squares, calls = compile_function(SQUARES), []
     for begins, length in zip(accumulate(lengths, initial=0), lengths, strict=False):
         after = np.array([len(fine), begins, length, 0.0, 0.0])

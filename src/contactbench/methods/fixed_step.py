@@ -1,4 +1,4 @@
-"""A fixed-step method given by its step map, on every engine: an integrator is one function or one short class."""
+"""Fixed-step methods: an integrator is one function, or one short class, for all engines."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
+from contactbench.numbers.dual import leaves
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.registry import NAME
 from contactbench.scene import AnyState, Scene
@@ -25,7 +26,7 @@ Step = Callable[[Any, OwnState, Arithmetic, Namespace], OwnState]  # (scene, x, 
 Piece = Callable[[Scene, AnyState, Arithmetic, Namespace, Repeat], AnyState]  # (scene, x, h, xp, repeat) -> x
 Factor = Callable[[Any, Arithmetic, Namespace], Arithmetic]  # (scene, h, xp) -> conformal factor of one step
 
-#: who takes the steps; an engine gets its loop here
+#: engine → the loop that takes the steps
 LOOPS: dict[str, type[StepLoop[Any]]] = {"llvm": Recorded, "python": Plain}
 
 
@@ -36,15 +37,15 @@ class FixedStep(Method):
     The map is written on the scene's own components, so it runs on Python floats, NumPy arrays (many trajectories),
     mpmath numbers, traced and recorded numbers alike; xp is the number namespace that goes with them.
 
-    evaluations : of `kind` per step.  A method that can merge the end of one step with the start of the next
-    overrides `advance`, `pieces` and `counts` (see contact.py).
+    evaluations : number of evaluations of `kind` per step.  A method that merges the end of one step with the start of
+    the next overrides `advance`, `pieces` and `counts` (see contact.py).
     """
 
     name: str
     order: int
     step: Step
     evaluations: int = 1
-    #: what is counted: "rhs", "gradient" or "rotation"
+    #: kind of the evaluations: "rhs", "gradient" or "rotation"
     kind: str = "rhs"
     about: str = ""
     engines: tuple[str, ...] = tuple(LOOPS)
@@ -52,15 +53,16 @@ class FixedStep(Method):
     contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
     symmetric: bool = False
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
+    mission: bool = False
     adaptive = False
-    #: the step of the first pilot at most
+    #: longest step of the first pilot
     longest = math.inf
     tolerance = (
         "the error of the run at all saved times, relative to the largest state: pilots choose the step"
     )
 
     def prepare(self, request: Request) -> Prepared:
-        if not is_fixed(self):  # what this package brings has tests of its own
+        if not is_fixed(self):  # a user's step map
             self.try_step(request.scene, request.carry, request.step)
         loop = LOOPS[request.engine](self, request)
         kind = ChosenStep if request.step is None else FixedStepRun
@@ -72,20 +74,20 @@ class FixedStep(Method):
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> OwnState:
-        """n ≥ 1 steps of size h."""
+        """Return the state after n ≥ 1 steps of size h."""
         after: AnyState = repeat.steps(n, lambda x: self.step(scene, x, h, xp), x, h)
         return after
 
     def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
-        """Return what an uninterrupted run is made of, one step after the other; None for nothing.
+        """Return the four pieces of an uninterrupted run, None for an empty one.
 
-        What opens the run; what begins every step; and, of the state it gives, what leads on to the next step and
-        what makes the state reached of it.  whole : in the pieces in which `advance` is compiled.
+        The pieces are the opening of the run, the begin of each step, and, from the state after that, the way to the
+        next step and the way to the state at the end of the step.  whole : the pieces in which `advance` is compiled.
         """
         return None, lambda scene, x, h, xp, repeat: self.advance(scene, x, h, 1, xp, repeat), None, None
 
     def conformal_factor(self, scene: Scene, h: Arithmetic, xp: Namespace = math) -> Arithmetic | None:
-        """Return the constant c of Φ_h*η = c η, e^{−γh} for a `contact` method; None where none is claimed."""
+        """Return the constant c of Φ_h*η = c η, e^{−γh} for a `contact` method; None if the method claims none."""
         if self.refuses(scene) is not None or scene.conformal_rate is None:
             return None
         factor: Arithmetic | None = None
@@ -96,11 +98,11 @@ class FixedStep(Method):
         return factor
 
     def composed(self, scene: Scene) -> bool:
-        """Return whether steps on a scene that is not refused are contact maps, of whatever factors."""
+        """Return whether the steps on an accepted scene are contact maps, with any conformal factor."""
         return scene.conformal_rate is not None and (self.contact or self.factor is not None)
 
     def modified_hamiltonian(self, scene: Scene, x: AnyState, h: float) -> Arithmetic | None:
-        """H̃ at x of which steps of size h are the flow, up to a power of h; None where none is known."""
+        """Return the modified Hamiltonian H̃ at x of steps of size h; None if none is known."""
         return None
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
@@ -111,7 +113,7 @@ class FixedStep(Method):
         return self.counts(scene, 2, carry) - self.counts(scene, 1, carry)
 
     def kind_on(self, scene: Scene) -> str:
-        """Return what `counts` counts on this scene."""
+        """Return the kind of the evaluations on this scene."""
         return self.kind
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:
@@ -120,7 +122,7 @@ class FixedStep(Method):
     def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:
         """Raise `BadInput` unless a user's step map takes a state of the scene to a state of the same fields.
 
-        It must evaluate as often as it declares, too: else it would win every race by evaluations.
+        It must also evaluate as often as it declares: comparisons use that number.
         """
         x, h, what = scene.initial(carry), TRIED * scene.t_end, f"method {self.name!r}"
         twin, calls = with_counters(scene)
@@ -143,28 +145,28 @@ class FixedStep(Method):
             raise UserError(f"{what}: {miscounted(declared, kind, calls)}")
 
 
-#: what the evaluations of a kind are of
+#: kind of evaluation → its name in messages
 COUNTED = {"rhs": "right-hand side", "gradient": "gradient"}
 
 
-def with_counters(scene: Scene) -> tuple[Scene, dict[str, int]]:
-    """Return a scene that counts how often its right-hand side and its gradient are evaluated, by kind."""
-    calls, where = {"rhs": 0}, "gradient"
-    if getattr(scene, where, None) is not None:
-        calls["gradient"], force = 0, getattr(scene, where)
+def with_counters(scene: Scene, plain: bool = False) -> tuple[Scene, dict[str, int]]:
+    """Return a scene that counts the calls of its right-hand side and its gradient; plain : of floats alone."""
+    calls = {"rhs": 0}
 
-        def counted_force(*arguments: Any, **parameters: Any) -> Any:
-            calls["gradient"] += 1
-            return force(*arguments, **parameters)
+    def counted(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def count(*arguments: Any, **parameters: Any) -> Any:
+            calls[kind] += 1
+            if plain:
+                float(leaves(arguments)[0])
+            return function(*arguments, **parameters)
 
-        scene = scene._replaced(**{where: counted_force})
-    slope = scene.rhs
+        return count
 
-    def counted_slope(*arguments: Any) -> Any:
-        calls["rhs"] += 1
-        return slope(*arguments)
-
-    return scene._replaced(rhs=counted_slope), calls
+    for kind in ("gradient", "rhs"):
+        if (function := getattr(scene, kind, None)) is not None:
+            calls[kind] = 0
+            scene = scene._replaced(**{kind: counted(kind, function)})
+    return scene, calls
 
 
 def miscounted(declared: int, kind: str, calls: dict[str, int]) -> str:
@@ -174,7 +176,7 @@ def miscounted(declared: int, kind: str, calls: dict[str, int]) -> str:
 
 
 def expected(x: AnyState, error: BaseException | None) -> str:
-    """Return what stands behind an error inside a step map: what it is called with and what it may call."""
+    """Return a hint for an error inside a step map: its arguments, and the functions of a scene it may call."""
     if "positional argument" in str(error):
         calls = (
             "scene.rhs(x), scene.V(q), scene.dV(q) and scene.velocity(p), which know the scene's parameters"
@@ -194,7 +196,7 @@ def alike(old: object, new: object) -> bool:
     return is_number(new)
 
 
-#: no method has more stages, nor a higher order
+#: largest order and number of evaluations of a step
 MOST = 10**4
 
 
@@ -206,7 +208,7 @@ def _one_of(allowed: tuple[str, ...]) -> Callable[[str, object], None]:
     return check
 
 
-#: what a step map may declare, and the check of each
+#: properties that a step map may declare → their checks
 CLAIMS: dict[str, Callable[[str, object], object]] = {
     "kind": _one_of(("rhs", "gradient", "rotation")),
     "family": _one_of(FAMILIES),
@@ -232,7 +234,7 @@ def fixed_step(
     about
         One line with the source.
     evaluations
-        Of the right-hand side, or of what the claim `kind` says, in a step.
+        Number of evaluations in a step, of the right-hand side or of the `kind` among the claims.
     **claims
         The properties it declares: kind, family, contact, symmetric, factor.
 

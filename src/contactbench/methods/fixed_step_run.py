@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from contactbench.methods.fixed_step import FixedStep
 
 
-#: the part of what a motion has diverged beyond up to which its size is an ordinary one
+#: a state is ordinary if its size is below this part of the bound of divergence
 ORDINARY = 1e-4
 
 
 @dataclass
 class FixedStepRun(Prepared):
-    """Run a `FixedStep` in intervals of equal steps, which a loop takes.
+    """Run a `FixedStep` by a loop over intervals of equal steps.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class FixedStepRun(Prepared):
     method_
         The `FixedStep` itself.
     loop
-        What takes the steps.
+        The loop that takes the steps.
     """
 
     method_: FixedStep
@@ -47,7 +47,7 @@ class FixedStepRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        #: where intervals of equal steps end, at least, and which of them end at saved times
+        #: ends of the intervals of equal steps, and the numbers of the intervals that end at saved times
         self.ends = self.later
         self.saves: slice | np.ndarray = slice(None)
         if self.breaks:
@@ -58,17 +58,18 @@ class FixedStepRun(Prepared):
         self.each_step = self.method_.counts(r.scene, 2, r.carry) - self.first_step
         self.kind = self.method_.kind_on(r.scene)
         self.divide(r.step or math.nan)  # a fixed-step request always has one
+        #: whether the loop gives the saved states alone, within the budget of steps
+        self.simple = isinstance(self.saved, slice) and self.needed <= r.max_steps
         self.sensitivity_source, self.compile_s = self.loop.derivative, self.loop.seconds
-        if not is_fixed(self.method_):  # a user's map may be another when its derivative is asked for
+        if not is_fixed(self.method_):  # a user's map may change before its derivative is needed
             with suppress(CannotRecord):
                 self.loop.tangents  # noqa: B018, recorded now
-        self.shorten(self.loop)
+        self.shorten()
 
-    def shorten(self, loop: StepLoop[Any]) -> None:
-        """Make of the calls for these steps, where nothing else is to be done, closures of all they need."""
-        self.bare = loop.last(self.ready)  # type: ignore
-        simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
-        states = loop.watched(self.ready, self.needed, self.saves_start) if simple else None
+    def shorten(self) -> None:
+        """Precompute closures for the common case."""
+        self.bare = self.loop.last(self.ready)  # type: ignore
+        states = self.loop.watched(self.ready, self.needed, self.saves_start) if self.simple else None
         if states is None:
             return
         of, date, dated, first = Solution.of, self._dated, self._clock is not None, int(self.saves_start)
@@ -85,7 +86,7 @@ class FixedStepRun(Prepared):
 
     def divide(self, step: float) -> None:
         scene, ends = self.request.scene, self.ends
-        #: which intervals of equal steps end at saved times
+        #: numbers of the intervals that end at saved times
         self.saved = self.saves
         if self.request.steps is not None:
             self.h, self.n, reached = plateaus(self.request.steps, ends)
@@ -94,36 +95,34 @@ class FixedStepRun(Prepared):
         else:
             self.n = steps_in(self.marks, ends, step)
             self.h = self.marks / self.n
-        #: when intervals begin, and what their functions take for the time; None of a scene without one
+        #: the `dates` of the intervals; None for a scene without a time
         self.since = dates(scene, np.append(0.0, ends[:-1]), ends) if scene.keeps_dates else None
         self.steps_taken = step, float(np.maximum.reduce(self.h))
         self.totals, self.needed = self.cost(self.n), total(self.n)
         self.ready = self.loop.ready(self.h, self.n, self.since)
 
     def cost(self, n: np.ndarray) -> Counts:
-        """Counts of intervals of n[k] steps; every interval starts afresh; evaluations are None where steps iterate."""
+        """Return the counts of intervals of n[k] steps; every interval starts anew; no evaluations if steps iterate."""
         steps = total(n)
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, None if self.method_.iterates else evaluations, 0, 0, self.kind)
 
-    def intervals(
-        self, y0: np.ndarray, y: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None
-    ) -> np.ndarray:
-        """Return packed states after each interval of n[k] steps of size h[k], (k, d), from y on, in a run from y0."""
-        return self.loop.take(from_origin(self.request.scene, y, y0), self.loop.ready(h, n, since))[0]
+    def part(self, y0: np.ndarray, y: np.ndarray, h: Any, n: Any, since: np.ndarray | None) -> np.ndarray:
+        """Return packed states after each of some intervals, (k, d), from y on, in a run from y0."""
+        ready = self.loop.ready(np.array(h), np.array(n), since)
+        return self.loop.take(from_origin(self.request.scene, y, y0), ready)[0]
 
     def take(self, y0: np.ndarray) -> tuple[np.ndarray, Counts]:
-        """Take the steps of this division: packed states after each of its intervals, and the counts."""
+        """Return the packed states after each interval, and the counts."""
         y, made = self.loop.take(y0, self.ready)
         return y, self.totals._replace(evaluations=made) if self.method_.iterates else self.totals
 
     def into(self, start: np.ndarray, after: np.ndarray) -> Callable[[], int] | None:
-        """Return the run on memory for good, see `StepLoop.into`; None where there is more to do."""
-        simple = isinstance(self.saved, slice) and self.needed <= self.request.max_steps
-        return self.loop.into(self.ready, self.needed, start, after) if simple else None
+        """Return the run on fixed memory, see `StepLoop.into`; None if it needs more than the loop."""
+        return self.loop.into(self.ready, self.needed, start, after) if self.simple else None
 
     def pilot(self, y0: np.ndarray) -> Pilot:
-        """Take the steps as a pilot, unless they are more than allowed."""
+        """Run as a pilot, unless that takes too many steps."""
         if self.needed > self.request.max_steps:
             return Pilot(self, np.full((len(self.later), len(y0)), math.nan), Counts(), spent=True)
         y, counts = self.take(y0)
@@ -144,32 +143,30 @@ class FixedStepRun(Prepared):
         return out if out.status is not Status.diverged else self._locate(y0, out)
 
     def _locate(self, y0: np.ndarray, out: Outcome) -> Outcome:
-        """A divergence pinned down to the step, by bisecting the interval in which it happened."""
+        """Return the outcome with the step at which the run diverges, found by bisecting its interval."""
         r = self.request
         k = int(np.argmax(np.isnan(out.y).all(axis=1)))  # the first saved time not reached
         good, time = (out.y[k - 1], float(r.save_at[k - 1])) if k else (y0, 0.0)
         ends = np.append(0, np.arange(1, len(self.n) + 1)[self.saved])
         i, end = ends[k - int(self.saves_start) :][:2]
-        i, since = min(i, end - 1), self.since
+        i = min(i, end - 1)
         if i + 1 < end:  # several intervals lead there
-            rolled = None if since is None else np.roll(since, -i, axis=0)
-            y = self.intervals(y0, good, np.roll(self.h, -i), np.roll(self.n, -i), rolled)[: end - i]
+            rows = slice(i, end)
+            since = None if self.since is None else self.since[rows]
+            y = self.part(y0, good, self.h[rows], self.n[rows], since)
             reached = self.first_divergence(y0, y)
             assert reached is not None
             good = y[reached - 1] if reached else good
             time += float(self.h[i : i + reached] @ self.n[i : i + reached])
             i += reached
-        h, left = self.h[i], int(self.n[i])
-        taken = 0  # of the interval
+        h, left, taken = self.h[i], int(self.n[i]), 0
         while left > 1:
-            half = np.ones_like(self.n)  # the compiled loop has a fixed number of intervals
-            half[0] = left // 2
-            y = self.intervals(y0, good, np.full(len(half), h), half, self.dated(i, taken))[:1]
+            half = left // 2
+            y = self.part(y0, good, [h], [half], self.dated(i, taken))
             if self.first_divergence(y0, y) is None:
-                good, time = y[0], time + float(half[0] * h)
-                taken, left = taken + int(half[0]), left - int(half[0])
+                good, time, taken, left = y[0], time + float(half * h), taken + half, left - half
             else:
-                left = int(half[0])
+                left = half
         end = time + float(h)
         counts = self.cost(np.append(self.n[:i], taken + 1))
         if self.method_.unsolved and self.lacks_a_step(y0, good, float(h), self.dated(i, taken)):
@@ -181,15 +178,13 @@ class FixedStepRun(Prepared):
         return Outcome(out.y, counts, Status.diverged, message, end)
 
     def dated(self, i: int, taken: int) -> np.ndarray | None:
-        """Return the dates of intervals that all begin after so many steps of the i-th."""
-        if self.since is None:
-            return None
-        return np.tile(self.since[i] + [taken * self.h[i], 0.0, 0.0], (len(self.n), 1))
+        """Return the dates of one interval that begins after some steps of the i-th."""
+        return None if self.since is None else self.since[i : i + 1] + np.array([taken * self.h[i], 0.0, 0.0])
 
     def lacks_a_step(self, y0: np.ndarray, good: np.ndarray, h: float, since: np.ndarray | None) -> bool:
-        """Return whether a state of the size of the motion has no step of this size, where an iteration finds it."""
+        """Return whether the iteration of a step of this size fails at a state of ordinary size."""
         most = ORDINARY * self.bounds(y0)
-        after = self.intervals(y0, good, np.full(len(self.h), h), np.ones_like(self.n), since)[0]
+        after = self.part(y0, good, [h], [1], since)[0]
         return bool(np.isnan(after).any() and (np.abs(good[: len(most)]) <= most).all())
 
     # -- the map ---------------------------------------------------------------------------------------
@@ -204,7 +199,7 @@ class FixedStepRun(Prepared):
         return self.method_.composed(self.request.scene)
 
     def modified_hamiltonian(self, x: AnyState) -> Numeric:
-        """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
+        """Return H̃ as in `Prepared`, if all steps have one size: H̃ depends on it."""
         if np.ptp(self.h) > EQUAL * self.h[0]:
             return None
         return self.method_.modified_hamiltonian(self.request.scene, x, float(self.h[0]))

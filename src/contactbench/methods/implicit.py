@@ -1,7 +1,7 @@
-"""Solve implicit steps by fixed-point iteration to round-off, or by Newton's, every evaluation counted.
+"""Solve implicit steps to round-off by fixed-point or Newton iteration, and count every evaluation.
 
-It ends when the increments are zero or no longer decrease (Hairer, Lubich, Wanner, Geometric Numerical Integration,
-§VIII.6.2); a step that is too long for it to converge has no result.
+An iteration ends when increments are zero or no longer decrease (Hairer, Lubich, Wanner, Geometric Numerical
+Integration, §VIII.6.2); a step that is too long for convergence has no result.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from contactbench.numbers.protocol import Arithmetic, Condition, Namespace, abil
 from contactbench.scene import AnyState
 from contactbench.xla import jax, jnp, lax
 
-#: iterations that may differ by more than the one before
+#: number of first iterations whose increments may grow
 FIRST = 3
-#: iterations after which increments are less than half of what is iterated, or never are
+#: number of iterations after which the increment must be below half of the iterate
 TRIED = 12
-#: iterations after which a step has none, and the last increment that is none, relative to what is iterated
+#: largest number of iterations, and the largest final increment relative to the iterate
 MOST, CONVERGED = 200, 1e-10
-#: an increment beyond all numbers
+#: an increment larger than any that occurs
 LARGEST = 1e300
-#: increments of doubles that are rounding, on the same scale
+#: increments of doubles below this part of the iterate are rounding
 ROUNDING = 2.0**-46
-#: an increment that changes no state, relative to it: at rest slopes are rounding, which may go to and fro for ever
+#: increments below this part of the state change nothing: at rest, slopes are rounding and may oscillate for ever
 LOST = 4e-15
-#: iterations of a typical step
+#: number of iterations of a typical step
 TYPICAL = 8
 
 
@@ -40,10 +40,10 @@ def fixed_point[K](
     moves: Arithmetic = 1.0,
     lost: Arithmetic = 0.0,
 ) -> tuple[K, Condition, Arithmetic]:
-    """Return k with update(k) = k, whether it was found, and after how many updates.
+    """Return k with update(k) = k, whether the iteration converged, and the number of updates.
 
-    Increments may grow for a while that are not yet rounding, as those of errors that turn do, and the slopes of dual
-    numbers have to settle too.  moves, lost : what an increment is multiplied by, and what of that does nothing.
+    Increments above rounding may grow for a while, as for oscillating errors.  The slopes of dual numbers must settle
+    too.  moves : factor by which an increment of k moves the state.  lost : a move of this size has no effect.
     """
     rounding = 10.0 ** (6 - xp.dps) if has_digits(xp) else ROUNDING
     nothing: Arithmetic = 0 * leaves(k)[0]
@@ -79,9 +79,9 @@ def implicit[K](
     k: K,
     xp: Namespace,
 ) -> tuple[K, Condition, Arithmetic]:
-    """Return solve(k), as `fixed_point` does; under JAX with the derivative of k = update(k) by its Jacobian.
+    """Return solve(k); under JAX, differentiate k = update(k) by its Jacobian.
 
-    JAX cannot take gradients through the loops of an iteration.
+    JAX cannot differentiate backwards through the loop of an iteration.
     """
     if not abilities(xp).traced or any(isinstance(c, Dual) for c in leaves(k)):
         return solve(k)
@@ -113,9 +113,9 @@ def otherwise[K](
     again: Callable[[], tuple[K, Condition, Arithmetic]],
     xp: Namespace,
 ) -> tuple[K, Condition, Arithmetic]:
-    """Return what was found, whether, and its cost; where it was not, what another way finds, which is only then gone.
+    """Return the first result of an iteration; where it did not converge, run the second one and add the costs.
 
-    Both are as `fixed_point` returns them, the costs added.
+    Results have the form that `fixed_point` returns.
     """
     k, there, cost = first
     open_, settled, lost = 1.0, 0.0, -1.0
@@ -130,7 +130,7 @@ def otherwise[K](
 
 
 def bare(x: Arithmetic) -> Arithmetic:
-    """Return a number without what makes it a dual one."""
+    """Return the value of a number, without its dual parts."""
     while isinstance(x, Dual):
         x = x.a
     return x
@@ -139,13 +139,13 @@ def bare(x: Arithmetic) -> Arithmetic:
 def jacobian(
     function: Callable[[Sequence[Arithmetic]], Sequence[Arithmetic]], x: Sequence[Arithmetic]
 ) -> list[list[Arithmetic]]:
-    """Return the derivatives of a function of so many numbers, a row for each of its values."""
+    """Return the Jacobian of a function at x, a row for each of its values."""
 
     def along(direction: Sequence[float]) -> list[Arithmetic]:
         values = function([Dual(bare(c), d) for c, d in zip(x, direction, strict=True)])
         return [bare(slope_of(v)) for v in values]
 
-    # what the function has of dual numbers besides its arguments is not of x
+    # the function may contain other dual numbers: subtract their part
     still = along([0.0] * len(x))
     columns = [along([float(i == j) for i in range(len(x))]) for j in range(len(x))]
     return [[c[i] - still[i] for c in columns] for i in range(len(still))]
@@ -156,7 +156,7 @@ def absent(x: Arithmetic) -> bool:
 
 
 def eliminated(matrix: Sequence[Sequence[Arithmetic]]) -> list[list[Arithmetic]]:
-    """Return L − 1 and U of matrix = L U in one, without pivoting: for matrices 1 − h J."""
+    """Return L − 1 and U in one matrix, matrix = L U, without pivoting, for a matrix 1 − h J."""
     rows = [list(row) for row in matrix]
     for k, pivot in enumerate(rows):
         for row in rows[k + 1 :]:
@@ -185,7 +185,7 @@ def solved(factors: Sequence[Sequence[Arithmetic]], b: Sequence[Arithmetic]) -> 
 
 
 def found[X: AnyState](x: X, converged: object, xp: Namespace) -> X:
-    """Return x, without numbers where the iteration did not converge."""
+    """Return x, with nan in every component where the iteration did not converge."""
     after: X = rebuild(x, [choose(converged, part, math.nan, xp) for part in leaves(x)])
     return after
 

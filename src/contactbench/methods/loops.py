@@ -1,4 +1,4 @@
-"""Loops over steps: from a packed state to those after intervals of equal steps, by LLVM or by Python."""
+"""Loops over steps: packed states after intervals of equal steps, computed by LLVM or by Python."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ from contactbench.trace.form import Function, execute, lines
 from contactbench.trace.native_call import Native
 from contactbench.trace.program import Program, Watch, record
 
-#: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
+#: most numbers computed ahead of a run, for intervals with different steps
 AHEAD = 2**22
-#: as many numbers take Python milliseconds, and `setup` takes a tenth of a second to compile
+#: Python computes up to this many numbers in milliseconds; compiling `setup` takes a tenth of a second
 FEW = 2**13
-#: steps times statements that take more than about a hundredth of a second, and seconds between two looks at signals
+#: steps times statements of about a hundredth of a second; seconds between two checks for signals
 LONG, LOOK = 3e7, 0.1
-#: divisions into steps whose rows a loop keeps, where they are few
+#: number of divisions into steps whose rows a loop caches
 KEPT = 32
 
-#: all states of a run from the first one, and whether nothing can be wrong with them
+#: from a start to all states of a run, and whether they are sound
 Watched = Callable[[np.ndarray], tuple[np.ndarray, bool]]
-#: intervals of n steps of size h, with their dates: as they are; and as arrays, with the arguments of the loop unless
+#: intervals of n steps of size h with their dates, as a list; and as arrays, with the arguments of the loop unless
 #: they are too many
 Spans = list[tuple[float, int, list[float]]]
 Rows = tuple[np.ndarray, np.ndarray, np.ndarray | None, tuple[np.ndarray, ...] | None]
 
 
 def total(n: np.ndarray) -> int:
-    """Σ n[k], which may be more than an int64 holds: then about."""
+    """Return Σ n[k], approximately if it exceeds an int64."""
     return int(np.add.reduce(n, dtype=float))
 
 
 class Steps(Hashable, Protocol):
-    """What a loop asks of a method, which is usually a `FixedStep`."""
+    """The part of a method that a loop uses; usually a `FixedStep`."""
 
     iterates: ClassVar[bool]
 
@@ -63,27 +63,27 @@ class Steps(Hashable, Protocol):
 class StepLoop[Ready](ABC):
     """Take the steps of a method on a scene, by one engine.
 
-    1. ``ready(h, n, since)`` is all that depends on the steps alone, intervals of n[k] of size h[k]; since : their
-       `dates`, of a scene with a time, which by default follow each other.
-    2. ``take(y0, ready)`` returns the packed states after each interval, (k, d), and the evaluations made, None where
-       they are known beforehand.  No call leaves a trace.
-    3. ``last(ready)`` is the function that gives the last of these states alone, by the fastest way there is.
-    4. ``watched(ready, steps, starts)`` is the function that gives all states, after the first one if it `starts`, and
-       whether nothing can be wrong with them; None where the loop does not see that, or the steps take long.
-    5. ``into(ready, steps, start, after)`` is the same on memory that is given once.
-    6. ``tangent(y0, v, h, n, since)`` is the derivative of the states along v.
+    1. ``ready(h, n, since)`` returns everything that depends on the steps alone, for intervals of n[k] steps of size
+       h[k].  since : the `dates` of the intervals, for a scene with a time; by default they follow each other.
+    2. ``take(y0, ready)`` returns the packed states after each interval, (k, d), and the number of evaluations, None
+       where it is known beforehand.  Calls are independent.
+    3. ``last(ready)`` returns the fastest function from a start to the last state.
+    4. ``watched(ready, steps, starts)`` returns the function from a start to all states, the start included if
+       `starts`, and whether they are sound; None if the loop does not check that, or runs long.
+    5. ``into(ready, steps, start, after)`` returns the same on memory that is given once.
+    6. ``tangent(y0, v, h, n, since)`` returns the derivative of the states along v.
 
     Parameters
     ----------
     method
         A `FixedStep`.
     request
-        The scene, what is carried, the setting and the saved times.
+        The scene, the carried fields, the setting and the saved times.
     """
 
-    #: how `tangent` differentiates
+    #: the source of the derivative by `tangent`
     derivative = "forward-mode AD through the same steps, compiled"
-    #: spent on recording and compiling
+    #: seconds of recording and compiling
     seconds = 0.0
 
     def __init__(self, method: Steps, request: Request) -> None:
@@ -92,24 +92,24 @@ class StepLoop[Ready](ABC):
 
     @abstractmethod
     def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Ready:
-        """Return what depends on the steps alone."""
+        """Return everything that depends on the steps alone."""
 
     @abstractmethod
     def take(self, y0: np.ndarray, ready: Ready) -> tuple[np.ndarray, int | None]:
-        """Return the states after each interval and the evaluations made."""
+        """Return the states after each interval and the number of evaluations."""
 
     def last(self, ready: Ready) -> Callable[[np.ndarray], np.ndarray]:
         """Return the function from the first state to the last."""
         return lambda y0: self.take(y0, ready)[0][-1]
 
     def watched(self, ready: Ready, steps: int, starts: bool) -> Watched | None:
-        """Return the function that gives all states, and whether nothing can be wrong with them."""
+        """Return the function from a start to all states, and whether they are sound."""
         return None
 
     def into(
         self, ready: Ready, steps: int, start: np.ndarray, after: np.ndarray
     ) -> Callable[[], int] | None:
-        """Return `watched` on memory for good, the states after `start` one after the other; −1 where all is well."""
+        """Return `watched` on fixed memory, `after` for states after `start`; a call returns −1 if they are sound."""
         return None
 
     @cached_property
@@ -120,17 +120,17 @@ class StepLoop[Ready](ABC):
         self, y0: np.ndarray, v: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
     ) -> np.ndarray:
         if since is None and self.scene.keeps_dates:
-            since = self.since(h, n)
+            since = self.dates(h, n)
         return self.tangents.states(self.scene, np.concatenate([y0, v]), h, n, since)[:, len(y0) :]
 
-    def since(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Return the dates of intervals that follow each other."""
+    def dates(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Return the dates of intervals that follow each other from the start."""
         ends = np.cumsum(h * n)
         return dates.dates(self.scene, np.append(0.0, ends[:-1]), ends)
 
 
 def interruptible(work: Callable[[], object], stop: Callable[[], None], long: bool) -> None:
-    """Call `work`; where that takes long in a thread of its own, which ends by `stop` with what comes over this one."""
+    """Call `work`; if it is `long` in a thread, which an exception in this thread ends by `stop`."""
     if not long or threading.current_thread() is not threading.main_thread():
         work()
         return
@@ -149,9 +149,9 @@ def interruptible(work: Callable[[], object], stop: Callable[[], None], long: bo
 def program_of(
     method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
 ) -> Program:
-    """Return the recorded loop of a method on a scene; raises `CannotRecord` where one of them branches on values.
+    """Return the recorded loop of a method on a scene; raises `CannotRecord` if one of them branches on values.
 
-    tangent : a tangent vector follows the state and is carried along.  counted : by the evaluations spent so far.
+    tangent : the state is followed by a tangent vector.  counted : it is followed by the number of evaluations.
     """
     d = len(scene.labels(carry))
 
@@ -201,9 +201,9 @@ def advanced(
     counted: bool = False,
     bounded: bool = True,
 ) -> tuple[OwnState, Arithmetic]:
-    """Return the state after n steps, and what they spent if it is `counted`; clock : an origin, a row of `dates`.
+    """Return the state after n steps, and their evaluations if `counted`; clock : an origin and a row of `dates`.
 
-    bounded : by breaks.
+    bounded : whether times stay on one side of the breaks.
     """
     origin, *since = clock or (0.0,)
     if since:
@@ -218,12 +218,12 @@ def advanced(
 
 @cache
 def is_fixed(method: Hashable) -> bool:
-    """Return whether a step map is one of this package, which computes the same tomorrow."""
+    """Return whether a step map belongs to this package, so that it never changes."""
     return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
 
 
 def identity(method: Steps, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
-    """What a compiled loop depends on besides the numbers, by recording a user's map; None where nobody can tell."""
+    """Return a key for everything a compiled loop depends on but the numbers; None if that is not known."""
     if (own := scene.identity) is None:
         return None
     if is_fixed(method):
@@ -239,7 +239,7 @@ def identity(method: Steps, scene: Scene, carry: tuple[str, ...]) -> Hashable | 
 class Loop:
     def __init__(self, program: Program, seconds: float) -> None:
         self.program = program
-        #: spent on recording and compiling
+        #: seconds of recording and compiling
         self.seconds = seconds
         self._rows: Cache[tuple[np.ndarray, ...]] = Cache(KEPT)
         self._calls: Cache[Callable[[np.ndarray], Any]] = Cache(2 * KEPT)
@@ -276,7 +276,7 @@ class Loop:
         return int(LONG / self.size)
 
     def execute(self, y0: np.ndarray, rows: Sequence[np.ndarray], after: np.ndarray, steps: float) -> None:
-        """Call `run`, which ends early where another thread sets the first entry of the shape."""
+        """Call `run`, which another thread ends early by setting the first entry of the shape."""
         w, shape, *times = rows
         shape = shape.copy()
         stop = lambda: shape.__setitem__(0, 1)  # noqa: E731
@@ -285,7 +285,7 @@ class Loop:
     def rows(
         self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
     ) -> tuple[np.ndarray, ...]:
-        """Return what `run` takes of the steps: a row for each (h, n) among the intervals, a shape, and their dates."""
+        """Return the arguments of `run` for intervals: a row for each distinct (h, n), a shape, and the dates."""
         given = numbers.tobytes(), h.tobytes(), n.tobytes(), b"" if since is None else since.tobytes()
         if (known := self._rows.items.get(given)) is not None:
             return known
@@ -298,9 +298,9 @@ class Loop:
     def on(
         self, d: int, rows: tuple[np.ndarray, ...], part: tuple[int, int], flagged: bool = False
     ) -> Callable[[np.ndarray], Any]:
-        """Return `run` as a function of a start, d doubles; one for all calls with the same rows: see `Native.bind`."""
+        """Return `run` as a function of a start of d doubles (see `Native.bind`), cached by its rows."""
         w, shape, *_ = rows
-        given = id(w), part, flagged  # what is kept keeps w, so that no other array has its id
+        given = id(w), part, flagged  # the cached call keeps w alive, so that its id is unique
         if (known := self._calls.items.get(given)) is not None:
             return known
         size = (len(shape) - len(self.program.shape)) * self.program.size
@@ -308,11 +308,11 @@ class Loop:
         return self._calls.get(given if w.size + size <= FEW else None, lambda: call)
 
     def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
-        """Return the rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
+        """Return the rows of several (h, n); Python computes a few rows if `setup` is not compiled yet."""
         program = self.program
         if "setup" not in vars(self) and len(spans) * program.width <= FEW:
             rows = [[0.0] * program.width for _ in spans]
-            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
+            with suppress(*NO_NUMBER):  # perhaps in an unused branch
                 given = (numbers, spans, program.data, program.shape)
                 self.setup_in_python(*(part.tolist() for part in given), rows)
                 return np.array(rows, dtype=float)
@@ -340,7 +340,7 @@ _loops: Cache[Loop] = Cache(1024)
 def loop_of(
     method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
 ) -> Loop:
-    """Return the recorded loop of a method on a scene; one for all scenes of one identity.  Raises `CannotRecord`."""
+    """Return the recorded loop of a method on a scene, cached by their identity; raises `CannotRecord`."""
 
     def make() -> Loop:
         elapsed = stopwatch()
@@ -352,7 +352,7 @@ def loop_of(
 
 # -- by LLVM -----------------------------------------------------------------------------------------
 class Recorded(StepLoop[Rows]):
-    """By the recorded loop, compiled."""
+    """Run the recorded loop, compiled by LLVM."""
 
     derivative = "forward-mode AD through the numerical map"
 
@@ -361,13 +361,13 @@ class Recorded(StepLoop[Rows]):
         self.numbers = np.array(self.scene.numbers())
         self.loop = loop_of(method, self.scene, self.carry, counted=self.counted)
         self.loop.run  # noqa: B018, compiled now
-        if request.step is None:  # chosen at every call: the time is divided often
+        if request.step is None:  # every call chooses the step: `setup` runs often
             self.loop.setup  # noqa: B018
 
     def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Rows:
-        """Return the steps, and the arguments of the loop where they are not too many to be kept."""
+        """Return the steps, and the arguments of the loop unless they are too many."""
         if since is None and self.scene.keeps_dates:
-            since = self.since(h, n)
+            since = self.dates(h, n)
         few = len(n) * self.loop.program.width <= AHEAD
         rows = self.loop.rows(self.numbers, h, n, since) if few else None
         self.seconds = self.loop.seconds
@@ -411,14 +411,14 @@ class Recorded(StepLoop[Rows]):
 
 
 def spent(y: np.ndarray) -> tuple[np.ndarray, int | None]:
-    """Take the evaluations, the last number of each state, from the states."""
+    """Split the states from the evaluations, which are the last number of each state."""
     made = y[-1, -1]
     return y[:, :-1], int(made) if math.isfinite(made) else None
 
 
 # -- by Python ---------------------------------------------------------------------------------------
 class Plain(StepLoop[Spans]):
-    """Plain Python floats: the compiled loop run by Python, or the step map where it cannot be recorded."""
+    """Run on Python floats: the recorded loop, or the step map itself if it cannot be recorded."""
 
     program: Program | None = None
 
@@ -434,14 +434,14 @@ class Plain(StepLoop[Spans]):
 
     def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Spans:
         if since is None and self.scene.keeps_dates:
-            since = self.since(h, n)
+            since = self.dates(h, n)
         times = [[]] * len(n) if since is None else since.tolist()
         return list(zip(h.tolist(), n.tolist(), times, strict=True))
 
     def take(self, y0: np.ndarray, ready: Spans) -> tuple[np.ndarray, int | None]:
         y = None
         if self.program is not None:
-            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
+            with suppress(*NO_NUMBER):  # perhaps in an unused branch
                 y = np.array(self.run_program(self.program, y0.tolist(), ready))
         if y is None:
             y = self.as_written(y0, ready)
@@ -482,7 +482,7 @@ class Plain(StepLoop[Spans]):
 def trajectory(
     method: Steps, scene: Scene, x: AnyState, spans: Iterable[tuple[Arithmetic, Count]], xp: Namespace
 ) -> Iterator[OwnState]:
-    """Return the states after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
+    """Yield the states after each (h, n) of `spans`, for any kind of numbers."""
     for h, n in spans:
         x = method.advance(scene, x, h, n, xp)
         yield x

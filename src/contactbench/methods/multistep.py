@@ -2,9 +2,9 @@
 
     z_{n+1} + α₁ z_n + … + α_k z_{n+1−k} = h² (β₁ z''_n + … + β_K z''_{n+1−K}),
 
-the β exact on polynomials of the highest degree; with symmetric α the energy of z has no drift.  Quinlan, Tremaine,
-Astron. J. 100, 1694 (1990), doi:10.1086/115629.  Every interval starts afresh: its K points before are found going
-back, by steps of a Nyström method; the action is s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V).
+with β exact on polynomials of the highest degree; for symmetric α the energy of z has no drift.  Quinlan, Tremaine,
+Astron. J. 100, 1694 (1990), doi:10.1086/115629.  Every interval starts anew: a Nyström method steps backwards to its K
+points before the start.  The action is s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V).
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from contactbench.scene import Scene, State, Vector, dot, scaled
 from contactbench.scene.base import OwnState
 from contactbench.splitting.composition import number
 
-#: γt beyond which e^{γt/2} is no longer a double
+#: e^{γt/2} overflows for larger γt
 LONGEST = 1400.0
-#: what a step carries: z, the last increments, z'', those before, ψ, the fading sum of ψ, e^{−γt/2}
+#: variables of a step: z, the last increments, z'', the earlier z'', the last ψ, the fading sum of ψ, e^{−γt/2}
 Carried = tuple[Vector, Any, Vector, Any, Vector, Arithmetic, Arithmetic]
 
 
 def weights(nodes: Sequence[int], moments: Iterable[Fraction]) -> list[Fraction]:
-    """Return w with Σ w_i (−i)^m = moments[m] for m = 0, 1, …, as many as there are nodes i."""
+    """Return w with Σ w_i (−i)^m = moments[m] for m = 0, 1, …, one moment for each node i."""
     moments, found = list(moments), []
     for i in nodes:
         polynomial = [Fraction(1)]  # 1 at −i and 0 at the other nodes
@@ -55,7 +55,7 @@ def weights(nodes: Sequence[int], moments: Iterable[Fraction]) -> list[Fraction]
 
 @dataclass(frozen=True)
 class Multistep(FixedStep):
-    """z_{n+1} from α₁, …, α_k and so many forces; see above."""
+    """A multistep method with coefficients α₁, …, α_k and K = `forces` forces; see the module."""
 
     alpha: tuple[int, ...] = field(kw_only=True)
     forces: int = field(kw_only=True)
@@ -92,11 +92,11 @@ class Multistep(FixedStep):
 
     @property
     def starter(self) -> Tableau:
-        """Return the Nyström method of at least this order whose steps lead to the points before the start."""
+        """Return the Nyström method that steps to the points before the start; its order is at least this one."""
         return RKN8 if self.order <= RKN8.order else RKN12
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        """Return n, one for the momentum, and those of the points before the start, each known to the next step."""
+        """Return n, plus one for the momentum, plus the evaluations for the points before the start."""
         return self.forces * self.starter.used + n + 1
 
     def advance(
@@ -122,7 +122,7 @@ class Multistep(FixedStep):
             return tuple(own[:d]), own[d] if acts else nothing
 
         def before(carried: Any) -> Any:
-            """Go back by one step; the oldest point comes last."""
+            """Step backwards; the oldest point comes last."""
             y, own, z, shrunk, steps, slopes, psis = carried
             y, _, _ = nystrom_step(back, scene, y, -h, xp, back.used, loop, own, factors, stage)
             shrunk = shrunk + gain * shrunk
@@ -137,7 +137,7 @@ class Multistep(FixedStep):
             increment = tuple(h * h * (beta[0] * a + b) - c for a, b, c in moved)
             steps, slopes = increments.push(steps, increment), rates.push(slopes, rate)
             z = tuple(a + b for a, b in zip(z, increment, strict=True))
-            # one number and its reciprocal: updated apart, their product leaves 1, which shifts the frequency
+            # a reciprocal that was updated separately would make the product differ from 1 and shift the frequency
             shrunk = shrunk - loss * shrunk
             own, psi = force(scaled(shrunk, z))
             total = total - fading * total + psi
@@ -164,7 +164,7 @@ class Multistep(FixedStep):
 
 
 class Shifted:
-    """Vectors of some points before, the newest first, which move on by one where another comes."""
+    """Vectors of earlier points, the newest first; a new one shifts the others."""
 
     def __init__(self, count: int, like: Vector) -> None:
         self.none = (like,) * count
@@ -183,7 +183,7 @@ class Shifted:
 
 
 class Ring:
-    """The same in rows that stay where they are: the newest takes the place of the oldest; past : its place."""
+    """Vectors of earlier points in fixed rows: the newest replaces the oldest; past : the place of the newest."""
 
     def __init__(self, count: int, rows: Rows, xp: Any) -> None:
         self.count, self.none, self.rows, self.xp = count, count, rows, xp
@@ -210,7 +210,7 @@ class Ring:
 
 
 def past_of(count: int, like: Vector, xp: Any, loop: Repeat | None) -> Any:
-    """Return what keeps vectors of some points before: rows where a loop has them."""
+    """Return storage for vectors of earlier points: rows if the loop has them."""
     if loop is None or loop.rows is None:
         return Shifted(count, like)
     return Ring(count, loop.rows(count, like), xp)
@@ -221,7 +221,7 @@ def single_step(*_: object) -> NoReturn:
 
 
 def combine(coefficients: Sequence[Arithmetic | int], values: Sequence[Arithmetic]) -> Arithmetic:
-    """Return Σ c v; whole coefficients may be 0, and the last values may have none."""
+    """Return Σ c v without zero coefficients; the last values may lack one."""
     pairs = zip(coefficients, values, strict=False)
     return sum(c * v for c, v in pairs if not (isinstance(c, int) and c == 0))
 

@@ -1,4 +1,4 @@
-"""One step of a method as a pure function of plain tuples, for one's own code: `step_map`."""
+"""One step of a method as a pure function of plain tuples, for users' own code: `step_map`."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class OneStep:
     ``step(y, h)`` or ``step(y, h, numbers)``, of floats; a method that iterates is not compiled.  A step map has no
     state and keeps none.
 
-    Numbers may make the scene another problem, which has other flows: another sign of κ, another order of the moments
-    of inertia.  The step is then that one's, of traced numbers too for κ; where the method or what is carried has none
-    it is refused, in compiled code always, and nan under JAX.  So is a mass ≤ 0.
+    Numbers with another sign of κ or another order of the moments of inertia need other flows.  Plain numbers, and a
+    traced κ, select them.  If the method or the carried fields do not allow that, and for a mass ≤ 0, the step raises
+    `BadInput`, and under JAX it is nan; compiled code always raises.
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ class OneStep:
 
     @property
     def labels(self) -> list[str]:
-        """Return what the entries of y are."""
+        """Return the names of the entries of y."""
         return self.scene.labels(self.carry)
 
     @property
     def names(self) -> list[str]:
-        """Return what the entries of `numbers` are."""
+        """Return the names of the entries of `numbers`."""
         return self.scene.number_names()
 
     @property
@@ -100,7 +100,7 @@ class OneStep:
         return self.traced(y, h, given, xp)
 
     def fits(self, numbers: Numbers) -> Condition:
-        """Return whether numbers are those of the scene's structure, entry by entry."""
+        """Return whether numbers fit the flows of the scene, entry by entry."""
         known = [*numbers, 0.0]
         orders = self.scene.orders()
         return reduce(
@@ -108,7 +108,7 @@ class OneStep:
         )
 
     def rebuilt(self, numbers: Numbers) -> Scene:
-        """Return the scene of another structure that numbers make; `BadInput` where the method has no step on it."""
+        """Return the scene that numbers with other flows make; `BadInput` if the method has no step on it."""
         scene = self.scene.decided_by(numbers)
         why = self.method.refuses(scene)
         if missing := set(scene.required) - set(self.carry):
@@ -119,7 +119,7 @@ class OneStep:
         return scene
 
     def traced(self, y: Vector, h: Arithmetic, numbers: Numbers, xp: Any) -> Vector:
-        """Step with numbers that may not be looked at; nan, derivatives too, where there is no step of that kind."""
+        """Step with traced numbers; the result and its derivatives are nan where there is no such step."""
         scene = self.scene.with_numbers(numbers)
         place = self.names.index("kappa") if "kappa" in scene.coefficients else None
         if place is None or numbers[place] is self.scene.numbers()[place]:
@@ -142,12 +142,12 @@ class OneStep:
 
     @property
     def _numba_type_(self) -> object:
-        """Return what numba takes this for where compiled code calls it: a compiled function."""
+        """Return the type of the compiled function, for numba."""
         return self.compiled._numba_type_
 
     @cached_property
     def compiled(self) -> Any:
-        """The step, compiled by numba; `CannotRecord` where scene or method branch on values, or a step iterates."""
+        """The step compiled by numba; raises `CannotRecord` if scene or method branch on values or a step iterates."""
         import numba
 
         if self.method.iterates:
@@ -191,7 +191,7 @@ def namespace(*values: object) -> Any:
 
 
 def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None) -> OneStep:
-    """Return one step of a fixed-step method on a scene, as a pure function for one's own code.
+    """Return one step of a fixed-step method on a scene, as a pure function for users' own code.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A run: the question a method is asked, the prepared solver that is called, and how a call ended."""
+"""Requests to methods, prepared solvers, and the outcomes of their calls."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
 
 @dataclass(frozen=True)
 class Request:
-    """A validated question to a method: what to solve, how finely, and what to save.
+    """A validated request to a method: the scene, the setting and the saved times.
 
-    steps : those that are prescribed, of which `step` is the longest; None: equal ones between saved times.
-    atol : one number, or one for every component but the time.  scales : what rtol was multiplied by, see `to_scale`;
-    None where atol was given.
+    steps : prescribed steps, the longest is `step`; None for equal steps between saved times.  atol : one number, or
+    one for every component but the time.  scales : the factors that gave atol = rtol · scales, see `to_scale`; None
+    where the user gave atol.
     """
 
     scene: Scene
@@ -51,7 +51,7 @@ class Request:
     scales: Any = None
 
     def to_scale(self, takes_atol: bool, **data: object) -> Request:
-        """Return the request with the scales of the motion from its start, or other data, and the atol of these."""
+        """Return the request with the scales of the motion and the atol they give; data : another start."""
         assert self.rtol is not None
         start = self.scene.initial(self.carry, **data)
         each = self.scene.scales(start, float(self.save_at[-1]))
@@ -65,7 +65,7 @@ class Request:
 
     @property
     def asked(self) -> tuple[str, float]:
-        """Return what is set, "step", "rtol" or nothing, "exact", and its value."""
+        """Return the control, "step", "rtol" or "exact", and its value."""
         control = "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
         return control, self.step or self.rtol or 0.0
 
@@ -78,9 +78,9 @@ class Request:
 
 @dataclass(slots=True)
 class Outcome:
-    """What integrating gave: packed states (NaN where not reached), counts, and how it ended.
+    """The result of a run: packed states (NaN where not reached), counts, status and message.
 
-    checked : the states are known to be finite, the last at the end.  steps : the one chosen, and the longest taken.
+    checked : the states are known to be finite and to reach the end.  steps : the chosen step and the longest taken.
     """
 
     y: np.ndarray
@@ -95,8 +95,8 @@ class Outcome:
 class Pilot(NamedTuple):
     """A run that is compared with others: packed states after the start, and its counts.
 
-    fine : nothing can be wrong with it, or something is seen to be; None where nobody has looked.  spent : it takes
-    more steps than allowed.  ended : the attributes of its solution, where it is fine.
+    fine : whether the loop found it sound; None where the loop does not look.  spent : it needs more steps than
+    allowed.  ended : the attributes of its solution, if it is fine.
     """
 
     run: Any
@@ -109,20 +109,20 @@ class Pilot(NamedTuple):
 
 @dataclass
 class Prepared(ABC):
-    """Run a compiled solver: call it, with other initial data if you like, to get a `Solution`.
+    """Run a compiled solver: a call, with other initial data if given, returns a `Solution`.
 
-    A solver's own class writes `integrate`; `bare` where there is a faster way to the last state; and, where its
-    map can be differentiated, `sensitivity` together with `sensitivity_source`.
+    A subclass writes `integrate`.  It writes `bare` if it has a faster way to the last state, and `sensitivity` with
+    `sensitivity_source` if its map can be differentiated.
 
-    It belongs to what the scene's functions computed when it was prepared.  A function that cannot be recorded is
-    called as it is; where that is so, and something has changed since, a call computes with the change.
+    The solver keeps the scene's functions as they were recorded.  A function that cannot be recorded is called, so
+    that a call sees later changes of its globals.
 
     Parameters
     ----------
     method
         The name of the method.
     request
-        The scene, what is carried, the setting and the saved times.
+        The scene, the carried fields, the setting and the saved times.
     compile_s
         Seconds spent on tracing and compiling; zero where nothing is compiled.
 
@@ -142,7 +142,7 @@ class Prepared(ABC):
     sensitivity_source = ""
 
     def __init_subclass__(cls) -> None:
-        """The short repr, which `dataclass` would replace in every class."""
+        """Restore the short repr, which `dataclass` replaces in every subclass."""
         super().__init_subclass__()
         cls.__repr__ = Prepared.__repr__  # type: ignore[method-assign]
 
@@ -159,7 +159,7 @@ class Prepared(ABC):
         self.start = r.start
         self._motion, self._clock, self._end = r.scene.motion, r.scene.clock, float(r.save_at[-1])
         self._saves = len(r.save_at)
-        #: the whole call from a packed state, of a loop that sees by itself whether anything can be wrong
+        #: the whole call from a packed state, for a loop that detects failures itself
         self.at_once: Callable[[np.ndarray], Solution] | None = None
         #: times since the start that no step straddles, and how exact they are
         self.breaks = r.scene.breaks_until(self._end)
@@ -174,7 +174,7 @@ class Prepared(ABC):
         return at_once(y0) if at_once else self.solved(y0, self.integrate)
 
     def solved(self, y0: np.ndarray, integrate: Callable[[np.ndarray], Outcome]) -> Solution:
-        """Return the solution from a packed state, everything looked at that can be wrong."""
+        """Return the solution from a packed state, with all checks of its start and its result."""
         if y0 is not self.start:
             require_slope(self.request.scene, self.request.scene.unpack(y0.tolist(), self.request.carry))
             self.require_clock(y0)
@@ -226,7 +226,7 @@ class Prepared(ABC):
 
     @cached_property
     def places(self) -> dict[str, tuple[int | slice, int | None]]:
-        """Return where initial data are in a packed state, and how many numbers; those with no more to be checked."""
+        """Return the place and the length of initial data in a packed state, for data that need no further checks."""
         scene, carry = self.request.scene, self.request.carry
         found: dict[str, tuple[int | slice, int | None]] = {}
         at = 0
@@ -244,13 +244,13 @@ class Prepared(ABC):
         return partial(self.bare, self.start)
 
     def require_size(self, y0: np.ndarray) -> None:
-        """Raise `BadInput` for a packed state of another length, which compiled code would not notice."""
+        """Raise `BadInput` for a packed state of another length, which compiled code does not detect."""
         if len(y0) != len(self.start):
             names = ", ".join(self.request.scene.labels(self.request.carry)[:8])
             raise BadInput(f"y0 has {len(y0)} numbers: must be {len(self.start)}, those of {names}")
 
     def require_clock(self, y0: np.ndarray) -> None:
-        """Raise `BadInput` for a state that begins at another time, where steps end at breaks."""
+        """Raise `BadInput` for a start at another time if the scene has breaks."""
         if self.breaks and (begins := y0[self._clock]) != self.start[self._clock]:
             how = f"scene.with_(t={begins:g})"
             raise BadInput(f"t = {begins:g}: steps that end at breaks begin with the scene: {how}")
@@ -287,8 +287,8 @@ class Prepared(ABC):
         return int(np.argmax(bad)) if bad.any() else None
 
     def bounds(self, y0: np.ndarray) -> np.ndarray:
-        """Return `furthest` from a packed state; the latest is kept, since all pilots of a start ask for it."""
-        known, given = self._bounds, y0.tobytes()  # another thread may replace what is kept
+        """Return `furthest` from a packed state; the latest result is cached, since all pilots of a start need it."""
+        known, given = self._bounds, y0.tobytes()  # another thread may replace the cached result
         if known[0] != given:
             known = self._bounds = given, furthest(self.request.scene, self.request.carry, y0, self._end)
         return known[1]
@@ -307,10 +307,10 @@ class Prepared(ABC):
         message: str = "",
         stopped: tuple[float, np.ndarray] | None = None,
     ) -> Outcome:
-        """Return an outcome from the saved states reached so far: checked for divergence, padded with NaN.
+        """Return the outcome for the saved states reached: check for divergence, pad with NaN.
 
-        stopped : time and state at which a solver gave up.  Where that state is out of scale the solver
-        was right to, and the run has diverged by then: steps shrink without end before a singularity.
+        stopped : time and state at which a solver gave up.  If that state is out of scale, the run has diverged: steps
+        shrink without end before a singularity.
         """
         bad = self.first_divergence(y0, y)
         if bad is None and status is Status.ok and len(y) == self._saves:
@@ -331,7 +331,7 @@ class Prepared(ABC):
         return Outcome(y, counts, status, message, end)
 
     def audit(self, y0: np.ndarray, out: Outcome) -> Outcome:
-        """Return the outcome, an `ok` taken back that cannot be true."""
+        """Return the outcome; withdraw an `ok` that cannot be true."""
         if out.status is Status.ok and not out.checked:
             if out.end_time != self._end:
                 message = f"ended at t = {out.end_time:.6g}, not at t = {self._end:.6g}"
@@ -343,9 +343,9 @@ class Prepared(ABC):
         return out
 
     def _without_rise(self, y0: np.ndarray, out: Outcome) -> Outcome:
-        """Take an `ok` back where H0 ends above its start by more than all its terms there.
+        """Withdraw an `ok` if H0 ends above its start by more than all its terms there.
 
-        No motion of a scene that `bounds_energy` does so; a small error after a start next to an equilibrium is none.
+        No motion of a scene that `bounds_energy` does so.  A small error after a start near an equilibrium is accepted.
         """
         r = self.request
         x = r.scene.unpack(r.scene.entries(y0), r.carry)
@@ -355,7 +355,7 @@ class Prepared(ABC):
         end = r.scene.energy(x)
         if not (end > most > start and end - start > r.scene.energy_terms(x) / 2):
             return out
-        # one by one: functions may take floats alone
+        # state by state: functions may take floats only
         states = (r.scene.unpack(r.scene.entries(y), r.carry) for y in out.y)
         first = next(k for k, x in enumerate(states) if r.scene.energy(x) > most)
         y, time = out.y.copy(), float(r.save_at[first])
@@ -366,7 +366,7 @@ class Prepared(ABC):
     # -- the map of the steps taken --------------------------------------------------------------------
     @property
     def steps_follow_state(self) -> bool:
-        """Return whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
+        """Return whether the steps depend on the initial data: `sensitivity` then misses a part."""
         return self.request.rtol is not None
 
     def tangents(self, y0: np.ndarray) -> list[np.ndarray]:
@@ -375,13 +375,13 @@ class Prepared(ABC):
         return [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        """(k, d, m): derivative of the saved states along the scene's m tangents at y0, steps held fixed."""
+        """Return the derivative of the saved states along the scene's m tangents at y0, steps fixed, (k, d, m)."""
         raise BadInput(f"{self.method} ({self.request.engine}): its map cannot be differentiated")
 
     def differential(
         self, y0: np.ndarray, out: Outcome | Solution, patience: Patience | None = None
     ) -> Differential:
-        """dΦ of the map its user gets: to round-off where the engine can, else by differences of the solver."""
+        """Return dΦ of the whole map: to round-off where the engine can, else by differences of the solver."""
         if self.sensitivity_source and not self.steps_follow_state:
             with suppress(CannotRecord):  # a function that dual numbers do not know
                 return Differential(self.sensitivity_source, self.sensitivity(y0)[None])
@@ -389,17 +389,17 @@ class Prepared(ABC):
 
     @property
     def composed(self) -> bool:
-        """Return whether a run is a composition of contact maps, of whatever factors."""
+        """Return whether a run is a composition of contact maps, with any conformal factors."""
         return False
 
     def modified_hamiltonian(self, x: AnyState) -> Numeric:
-        """H̃ at x (see `splitting.modified`), None where the run is not known to be the flow of one."""
+        """Return H̃ at x (see `splitting.modified`), None if the run has no known modified Hamiltonian."""
         return None
 
 
 @dataclass
 class RunByTolerance(Prepared):
-    """A run of an `Adaptive` method: an atol that is not the user's follows the scale of the motion."""
+    """A run of an `Adaptive` method; a default atol follows the scale of the motion."""
 
     method_: Any
 
@@ -414,7 +414,7 @@ class RunByTolerance(Prepared):
 
 
 def furthest(scene: Scene, carry: tuple[str, ...], y0: np.ndarray, end: float) -> np.ndarray:
-    """Return beyond what the motion from a packed state has diverged, (motion,)."""
+    """Return the sizes of the components beyond which a motion from a packed state has diverged, (motion,)."""
     with np.errstate(all="ignore"):
         scales = scene.scales(scene.unpack(tuple(y0), carry), end)[: scene.motion]
         most = np.fmax(scales, np.fmax(1.0, np.linalg.norm(y0[: scene.motion])))
@@ -437,7 +437,7 @@ class Refused(Prepared):
 
 
 def require_slope(scene: Scene, start: AnyState) -> None:
-    """Raise `BadInput` unless the slope at a state is finite: some solvers never return from a first step of nan."""
+    """Raise `BadInput` unless the slope at a state is finite: some solvers never return from a nan."""
     try:
         slope = [float(component) for component in scene.pack(scene.rhs(start))]
     except NO_NUMBER as error:
@@ -452,13 +452,13 @@ def require_slope(scene: Scene, start: AnyState) -> None:
         )
 
 
-#: times at which a slope is compared with that a rounding later, and by what part of it the two may differ;
-#: roundings of a time beyond which a span has more of them than a motion has turns
+#: number of times at which a slope is compared with the slope one rounding later, and their allowed relative
+#: difference; a span of more roundings of its times than MANY needs no comparison
 LOOKS, APART, MANY = 16, 0.01, 1e9
 
 
 def warn_of_rounding(scene: Scene, carry: tuple[str, ...]) -> None:
-    """Warn where times are so far from 0 that their rounding is no small part of what a scene does with them."""
+    """Warn if the rounding of times far from 0 changes the slope of the scene noticeably."""
     begins, end = scene.begins, scene.t_end
     ulp = float(np.spacing(abs(begins) + end))
     if not begins or ulp * MANY < end:
@@ -483,7 +483,7 @@ _started: Cache[bool] = Cache(1024)
 
 
 def require_start(scene: Scene, carry: tuple[str, ...]) -> None:
-    """Raise `BadInput` for a scene that no solver can start from, once for each."""
+    """Raise `BadInput` for a scene whose slope at the start is not finite; check each scene once."""
     if scene.has_users_functions:
         verify(scene)
 
@@ -502,24 +502,24 @@ def stopwatch() -> Callable[[], float]:
     return lambda: perf_counter() - start
 
 
-# -- the derivative of any numerical map by central differences of the solver itself ---------------
+# -- the derivative of any numerical map by central differences ------------------------------------
 RATIO = 4.0
-#: increments, in parts of the size of the field that is moved
+#: increments, relative to the size of the displaced field
 INCREMENTS = tuple(1e-3 / RATIO**k for k in range(6))
-#: disagreement of the last two estimates, relative to their size, beyond which nothing is resolved
+#: relative disagreement of the last two estimates beyond which the derivative is not resolved
 UNRESOLVED = 0.1
-#: roundings of the state over the smallest increment, up to which their disagreement is round-off: a derivative
-#: may be as small as that, for example along an s that has decayed
+#: a disagreement below this many roundings of the state over the smallest increment is round-off: a derivative
+#: may be that small, for example along a decayed s
 ROUNDINGS = 8
-#: no derivative where its runs would cost more right-hand sides than this, in compiled code and in Python; a
-#: step of an implicit method that does not say counts as so many
+#: most right-hand sides of the runs for a derivative, in compiled code and in Python; right-hand sides of a step of
+#: an implicit method that does not count them
 BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 
 
 class Patience:
-    """How long laws may take to be measured: until a time on the clock of `perf_counter`; tell : whoever waits.
+    """A limit of time for measuring laws, on the clock of `perf_counter`; tell : reports progress.
 
-    over : whether the runs for a derivative would have taken longer.
+    over : whether the runs for a derivative would exceed it.
     """
 
     def __init__(self, until: float, tell: Callable[[str], None]) -> None:
@@ -530,7 +530,7 @@ class Patience:
         return max(self.until - perf_counter(), 0.0)
 
     def counts(self, runs: int) -> Callable[[], None]:
-        """Return what is called after each of some runs; it raises `OutOfPatience` where they take too long."""
+        """Return a function to call after each of some runs; it raises `OutOfPatience` if they will take too long."""
         begun, left, done = perf_counter(), self.left, 0
 
         def after_run() -> None:
@@ -547,11 +547,11 @@ class Patience:
 
 
 class OutOfPatience(Exception):
-    """The runs for a derivative would take too long."""
+    """Report that the runs for a derivative would take too long."""
 
 
 def scale(x: AnyState, v: AnyState, units: AnyState) -> float:
-    """Return the size of the field that v moves, where it is zero what the motion makes of it."""
+    """Return the size of the field that v displaces; for a zero field the size it reaches along the motion."""
     for own, part, unit in zip(x, v, units, strict=True):
         if any(part) if isinstance(part, tuple) else part:
             return norm(own if isinstance(own, tuple) else (own,)) or float(np.max(unit))
@@ -561,17 +561,16 @@ def scale(x: AnyState, v: AnyState, units: AnyState) -> float:
 def differences(
     run: Prepared, y0: np.ndarray, out: Outcome | Solution, patience: Patience | None = None
 ) -> Differential:
-    """Return dΦ at y0, of the map its user gets, choice of steps included, by differences of `run.integrate`.
+    """Return dΦ at y0 by differences of `run.integrate`, the choice of steps included.
 
-    patience : the time it may take; by default it is a number of right-hand sides, the same on every machine.
+    patience : the limit of time; by default a number of right-hand sides, the same on every machine.
 
-    Initial data are moved along the scene's tangents by increments falling by `RATIO`, and every two neighbouring
-    central differences D give one estimate without their error of second order, R = (r² D(δ/r) − D(δ))/(r² − 1):
-    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9.  Truncation makes the first of them
-    differ, round-off over δ the last, a choice of steps that jumps between the two sides a single one.  Where
-    neighbours agree best is the value, and twice their disagreement the error bar (Ridders, Adv. Eng. Software 4, 75
-    (1982), doi:10.1016/S0141-1195(82)80057-0).  Where even the last two disagree by a tenth of themselves, and by more
-    than the roundings of the state, the map bends within the smallest increment and no value is given.
+    The initial data are displaced along the scene's tangents by increments δ that fall by the factor `RATIO`.  Two
+    neighbouring central differences D give an estimate of fourth order, R = (r² D(δ/r) − D(δ))/(r² − 1): Hairer,
+    Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9.  Truncation dominates the first estimates and
+    round-off the last.  The value is the estimate that agrees best with its neighbour, and twice their difference is
+    the error bar (Ridders, Adv. Eng. Software 4, 75 (1982), doi:10.1016/S0141-1195(82)80057-0).  No value is given if
+    the last two differ by a tenth of their size and by more than the round-off of the state.
     """
     scene: Scene = run.request.scene
     x = scene.unpack(tuple(y0.tolist()), run.request.carry)

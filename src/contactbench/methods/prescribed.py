@@ -1,9 +1,8 @@
-"""Steps that are prescribed: grids that depend on nothing but the time, so that every step stays a contact map."""
+"""Prescribed steps: grids that depend on the time alone, so that every step stays a contact map."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,14 +30,6 @@ MOST_SAVED = 2**24
 SHORTEST_RUN = 1e-290
 
 
-class Plateaus(NamedTuple):
-    """Runs of equal steps, size h[k] and number n[k]; saved : which of them end at the saved times, in turn."""
-
-    h: np.ndarray
-    n: np.ndarray
-    saved: np.ndarray
-
-
 def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.ndarray:
     """Return `count` growing steps to t_end, between the times t = a(e^u − 1) for equidistant u.
 
@@ -49,13 +40,13 @@ def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.
     t_end
         Where the steps end, from 0.
     count
-        How many there are.
+        Number of steps.
     a
-        The time that passes before they have doubled, or nearly; far shorter than `t_end` the grid is geometric,
-        far longer it is equidistant.
+        About the time in which the steps double.  The grid is geometric where a is far shorter than `t_end`, and
+        equidistant where it is far longer.
     plateau
-        So many steps in a row are equal, which saves methods what they pay where a step changes, if nothing is
-        saved in between; divides `count`.
+        Number of equal steps in a row; divides `count`.  A method pays for every change of the step, and for every
+        saved time in between.
 
     Returns
     -------
@@ -83,7 +74,7 @@ def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.
 
 
 def steps_in(span: float | np.ndarray, until: float | np.ndarray, step: float) -> np.ndarray:
-    """The fewest equal steps ≤ `step` that cover each span, but for round-off of the time `until` at which it ends."""
+    """Return the fewest equal steps ≤ `step` that cover each span, up to round-off of its end, the time `until`."""
     longest = np.maximum(step, span / (2 * UNCOUNTED))
     ratio = (span * (1 - 1e-12) - GRID_ULPS * np.spacing(until)) / longest
     return np.minimum(np.maximum(np.ceil(ratio), 1), UNCOUNTED).astype(np.int64)
@@ -120,7 +111,7 @@ def saved_times(save_at: object, scene: Scene) -> np.ndarray:
 
 
 def since_start(times: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return increasing times of the scene's clock as those since its start; what is roundings before it is at it."""
+    """Return the times since the start for increasing times of the scene's clock, within roundings of the start 0."""
     start = scene.begins
     slack = GRID_ULPS * math.ulp(start) if start else 0.0
     if times[0] < start - slack:
@@ -141,12 +132,12 @@ def steps_of(value: object) -> np.ndarray:
 
 
 def end_times(steps: np.ndarray) -> np.ndarray:
-    """Return when each step ends; summed with more digits, where the machine has them."""
+    """Return the end of each step, summed with more digits where the machine has them."""
     return np.cumsum(steps, dtype=np.longdouble).astype(float)
 
 
 def steps_until(steps: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return how many steps lead to each of some increasing times > 0; `BadInput` where one lies between two ends."""
+    """Return the number of steps to each of some increasing times > 0; raise `BadInput` for a time inside a step."""
     ends = end_times(steps)
     nearest = np.searchsorted(ends[:-1] + steps[1:] / 2, times)
     off = np.abs(ends[nearest] - times) > EQUAL * steps[nearest] + GRID_ULPS * np.spacing(times)
@@ -158,8 +149,8 @@ def steps_until(steps: np.ndarray, times: np.ndarray) -> np.ndarray:
     return nearest + 1
 
 
-def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
-    """Return runs of equal steps, of which one ends at each of some times, to the last digit; the last is the end."""
+def plateaus(steps: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return runs of n[k] equal steps of size h[k], and the runs that end at the times, as (h, n, saved)."""
     last = steps_until(steps, times) - 1
     changes = np.abs(np.diff(steps)) > EQUAL * steps[1:]
     changes = np.append(changes, True)
@@ -168,11 +159,11 @@ def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
     n = np.diff(ends, prepend=0)
     spans, saved = np.add.reduceat(steps, ends - n), np.searchsorted(ends, last + 1)
     spans[saved] += np.diff(times, prepend=0.0) - np.add.reduceat(spans, np.append(0, saved[:-1] + 1))
-    return Plateaus(spans / n, n, saved)
+    return spans / n, n, saved
 
 
 def ends_between(spans: np.ndarray, last: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return when each of some spans ends, counted from the last of the times at which the spans `last` end."""
+    """Return the ends of spans; the spans with the numbers `last` end at `times`, and sums start anew at each."""
     group, sums = np.searchsorted(last, np.arange(len(spans))), np.cumsum(spans)
     ends: np.ndarray = np.append(0.0, times)[group] + (sums - np.append(0.0, sums[last])[group])
     ends[last] = times

@@ -1,13 +1,13 @@
 """Explicit Runge–Kutta and Runge–Kutta–Nyström methods, each a file of coefficients in `tableaux`.
 
-Runge–Kutta methods step y' = f(y), whatever the scene is; where damping only slows the clock of a motion (isotropic,
-of a body), they step e^{γt} M in the time τ = (1 − e^{−γt})/γ, which knows no damping.  Runge–Kutta–Nyström methods
-step z'' = f(t, z), which a
-motion with damping Γ = γ(t) s is in z = e^{G/2} q, G = ∫γ from the start of the step:
+Runge–Kutta methods solve y' = f(y).  For a body with isotropic damping, which only slows the clock of the motion, they
+integrate e^{γt} M, which is undamped in the time τ = (1 − e^{−γt})/γ.  Runge–Kutta–Nyström methods solve z'' = f(t, z):
+a motion with damping Γ = γ(t) s has this form in z = e^{G/2} q, G = ∫γ from the start of the step,
 
     z'' = (γ²/4 + γ'/2) z − e^{G/2} ∇V(e^{−G/2} z, t)/m,   z' = e^{G/2} u,   u = q' + γ q/2.
 
-The action is a quadrature by the weights of z': s e^{G} = s₀ + ½ [e^{G} q·p] + ∫ e^{G} (½ q·∇V − V), of their order.
+The action is a quadrature with the weights of z', of the same order: s e^{G} = s₀ + ½ [e^{G} q·p] +
+∫ e^{G} (½ q·∇V − V).
 Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.1 and §II.14.
 """
 
@@ -29,7 +29,7 @@ from contactbench.numbers import quadrature
 from contactbench.numbers.control import Repeat, repeat, settle
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace, Vector
-from contactbench.scene import Scene, State, System
+from contactbench.scene import Scene, State
 from contactbench.scene.algebra import DrivenState, dot, scaled
 from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damped_time
@@ -38,20 +38,21 @@ from contactbench.splitting.composition import number
 from contactbench.trace.formula import Formula, formula
 
 Row = tuple[Fraction, ...]
-#: a sum of the slopes of all stages by their weights
+#: from weights to the weighted sum of the slopes of all stages
 Slopes = Callable[[Row], Sequence[Arithmetic]]
-#: what the last stage evaluated, where it is asked for
+#: the values of the last stage, if they are needed
 Own = Sequence[Arithmetic] | None
 FOLDER = Path(__file__).parent / "tableaux"
-#: numbers of a state up to which the stages of a step are written out one after the other, as is fastest
+#: the stages of a step are written out, which is fastest, for states of up to this many numbers
 SMALL = 24
 
 
 @dataclass(frozen=True)
 class Tableau:
-    """Coefficients of an explicit method: row i of the matrix has those of the stages before stage i.
+    """Coefficients of an explicit method; row i of the matrix has the coefficients of the stages before stage i.
 
-    weights : of y; of a Nyström method two rows, of z and of z'.  lower : those of the embedded formula, and its order.
+    weights : one row for y, or two rows, for z and z', of a Nyström method.  lower, lower_order : the weights and the
+    order of the embedded formula.
     """
 
     source: str
@@ -68,7 +69,7 @@ class Tableau:
 
     @property
     def used(self) -> int:
-        """Return how many stages the step itself needs; others are those of the embedded formula."""
+        """Return the number of stages of the step without the embedded formula."""
         return max(i for row in self.weights for i, w in enumerate(row) if w) + 1
 
     @property
@@ -103,7 +104,7 @@ def read_tableau(name: str) -> Tableau:
 def combine(
     weights: Sequence[Fraction | Arithmetic], slopes: Sequence[Sequence[Arithmetic]], xp: Namespace
 ) -> list[Arithmetic]:
-    """Return Σ w k, entry by entry; weights of later stages may be left out."""
+    """Return Σ w k, entry by entry, over the stages that have a weight."""
     used = [
         (number(w, xp) if isinstance(w, Fraction) else w, k)
         for w, k in zip(weights, slopes, strict=False)
@@ -117,7 +118,7 @@ def combine(
 
 
 class Carried(NamedTuple):
-    """What a loop over stages carries: the number of the next, the slope of the last, and what else that gives."""
+    """Variables of a loop over stages: the number of the next stage, the last slope, and the values of that stage."""
 
     stage: Count
     last: Sequence[Arithmetic]
@@ -133,12 +134,11 @@ def run_stages(
     loop: Repeat | None = None,
     first: tuple[Sequence[Arithmetic], Own] | None = None,
 ) -> tuple[Slopes, Own]:
-    """Return sums of the slopes of all stages by their weights, and what else the last one gives.
+    """Return the function that sums the slopes of all stages by weights, and the values of the last stage.
 
-    ``evaluate(i, Σ a k)`` is the slope of stage i and what else there is, None for Σ a k where there are no k;
-    first : those of the first stage, where they are known.  loop : makes the stages one loop over rows, whose code is
-    short and fast where states are large; then Σ a k has base in it, rows like a slope, each with its weight at every
-    stage.
+    ``evaluate(i, Σ a k)`` returns the slope and the values of stage i; its argument is None at the first stage.
+    first : the result of the first stage, if it is known.  loop : run the stages as one loop over rows, whose code is
+    short and fast for large states; then Σ a k includes `base`, rows like a slope with a weight for every stage.
     """
     if loop is None or loop.rows is None:
         slope, own = evaluate(0, None) if first is None else first
@@ -168,7 +168,7 @@ def run_stages(
         column([*none, *(row[-1] for row in matrix[1:])]),
     )
 
-    # the latest row is added apart and kept after that: the sum of the others need not wait for it
+    # the latest row is added separately, so that the sum of the others need not wait for it
     def another(carried: Carried) -> Carried:
         i, last, own = carried
         total = rows.combine(square, size * i, given - 1 + i, given)
@@ -186,18 +186,14 @@ def run_stages(
 
 
 def table(values: Sequence[Fraction], xp: Any, loop: Repeat | None) -> Any:
-    """Return constants of the stages, of which a loop takes the i-th."""
+    """Return constants of the stages as a list, or as an array that a loop can index."""
     return [number(v, xp) for v in values] if loop is None else xp.asarray([number(v, xp) for v in values])
 
 
 # -- y' = f(y) -----------------------------------------------------------------------------------------
-def explicit_slope(scene: System, x: OwnState) -> list[Arithmetic]:
-    return leaves(scene.rhs(x))
-
-
 def explicit_step[X](
     tableau: Tableau,
-    scene: System,
+    scene: Scene,
     x: X,
     h: Arithmetic,
     xp: Namespace,
@@ -205,14 +201,14 @@ def explicit_step[X](
     loop: Repeat | None = None,
     first: Sequence[Arithmetic] | None = None,
 ) -> tuple[X, Slopes]:
-    """Return the state after a step, and h times the slopes of all stages; first : the slope at its beginning."""
+    """Return the state after a step, and the sums of h times the slopes; first : the slope at the start."""
     y = leaves(x)
 
     def evaluate(i: Count, moved: Sequence[Arithmetic] | None) -> tuple[list[Arithmetic], None]:
         at = x
         if moved is not None:
             at = rebuild(x, moved if loop else [a + d for a, d in zip(y, moved, strict=True)])
-        return [h * c for c in explicit_slope(scene, at)], None
+        return [h * c for c in leaves(scene.rhs(at))], None
 
     start = None if first is None else ([h * c for c in first], None)
     base = [((Fraction(1),) * stages, y)]
@@ -221,13 +217,13 @@ def explicit_step[X](
 
 
 def undamped_twin(scene: Any) -> Any:
-    """Return the scene without the damping that only slows its clock."""
+    """Return the scene without its damping, which only slows its clock."""
     return scene._replaced(gamma=0.0)
 
 
 # -- z'' = f(t, z) -------------------------------------------------------------------------------------
 class Undamped(NamedTuple):
-    """q and u, which are z and z' where a step begins; the time, where the scene has one; and s − ½ q·p."""
+    """q and u (z and z' at the start of a step), the time if the scene has one, and s − ½ q·p."""
 
     q: Vector
     u: Vector
@@ -236,7 +232,7 @@ class Undamped(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """e^{G/2} at every stage of a step of size h, times h; e^{−G/2}, times h, and ch; 1 − e^{−G/2} at the end."""
+    """At every stage: e^{G/2}, h e^{G/2}, e^{−G/2}, h e^{−G/2}, c h e^{−G/2}; at the end of the step: 1 − e^{−G/2}."""
 
     grown: Vector
     pushed: Vector
@@ -276,7 +272,7 @@ def damped(scene: Mechanical, y: Undamped) -> OwnState:
 
 
 def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any) -> Factors:
-    """Return the factors of a step from t, which does not matter where γ is constant."""
+    """Return the factors of a step from t; t has no effect where γ is constant."""
     nodes = (*tableau.nodes, Fraction(1))
     if not scene.rate_changes:
         whole = scene.gamma * h / 2
@@ -296,7 +292,7 @@ def factors_of(tableau: Tableau, scene: Any, t: Any, h: Any, xp: Any) -> Factors
 
 @cache
 def sums(nodes: tuple[Fraction, ...]) -> dict[Fraction, tuple[Fraction, ...]]:
-    """Return the nodes but zero in order, each with two or three before it that it is the sum of, if there are any."""
+    """Return the nonzero nodes in order, each with two or three smaller nodes that add up to it, if there are any."""
     found: dict[Fraction, tuple[Fraction, ...]] = {}
     for c in sorted({*nodes} - {Fraction(0)}):
         tried = (
@@ -307,7 +303,7 @@ def sums(nodes: tuple[Fraction, ...]) -> dict[Fraction, tuple[Fraction, ...]]:
 
 
 def exponentials(nodes: tuple[Fraction, ...], whole: Arithmetic, xp: Namespace) -> list[Vector]:
-    """Return e^{cx} and e^{−cx} for some c, those of a sum of two or three others as products."""
+    """Return e^{cx} and e^{−cx} for the nodes c; nodes that are sums of others by products."""
     one = 1.0 + 0 * whole
     found: dict[Fraction, Vector] = {Fraction(0): (one, one)}
     for c, terms in sums(nodes).items():
@@ -320,7 +316,7 @@ def exponentials(nodes: tuple[Fraction, ...], whole: Arithmetic, xp: Namespace) 
 
 
 def pull(scene: Any, q: Vector, t: Arithmetic | None, acts: bool) -> list[Arithmetic]:
-    """Return what a stage evaluates: e^{−G/2} z''; ½ q·∇V − V where s is carried; γ'/2 where γ changes."""
+    """Return the values of a stage: e^{−G/2} z''; ½ q·∇V − V if s is carried; γ'/2 if γ changes."""
     x = at(scene, q, t)
     gradient, gamma = tuple(scene.gradient_at(x)), scene.damping_at(x)
     stiffness, turn = gamma * gamma / 4, []
@@ -333,8 +329,11 @@ def pull(scene: Any, q: Vector, t: Arithmetic | None, acts: bool) -> list[Arithm
     return [*rate, *action, *turn]
 
 
-def by_stage(columns: Sequence[Vector], loop: Repeat | None) -> Callable[[Count], Sequence[Arithmetic]]:
-    """Return the function of a stage's number that gives its entry of every column."""
+def factors_by_stage(
+    tableau: Tableau, factors: Factors, h: Arithmetic, xp: Namespace, loop: Repeat | None
+) -> Callable[[Count], Sequence[Arithmetic]]:
+    """Return a function from the number of a stage to its factors and its time since the start of the step."""
+    columns = [*factors[:-1], tuple(number(c, xp) * h for c in tableau.nodes)]
     stages: Any = list(zip(*columns, strict=True))
     if loop is None or loop.rows is None:
         return stages.__getitem__  # type: ignore[no-any-return]
@@ -342,13 +341,6 @@ def by_stage(columns: Sequence[Vector], loop: Repeat | None) -> Callable[[Count]
     for i, row in enumerate(stages):
         rows[i] = row
     return rows.__getitem__
-
-
-def factors_by_stage(
-    tableau: Tableau, factors: Factors, h: Arithmetic, xp: Namespace, loop: Repeat | None
-) -> Callable[[Count], Sequence[Arithmetic]]:
-    """Return the factors of a stage by its number, and the time from the beginning of the step to it."""
-    return by_stage([*factors[:-1], tuple(number(c, xp) * h for c in tableau.nodes)], loop)
 
 
 def nystrom_step(
@@ -363,9 +355,9 @@ def nystrom_step(
     factors: Factors | None = None,
     stage: Callable[[Count], Sequence[Arithmetic]] | None = None,
 ) -> tuple[Undamped, Slopes, Own]:
-    """Return the state after a step, and h times what its stages are worth: z'', e^{G} (½ q·∇V − V), γ'/2.
+    """Return the state after a step, the sums of h times z'', e^{G} (½ q·∇V − V), γ'/2, and `pull` at the last stage.
 
-    first : `pull` at its beginning; then that of its last stage comes last.  stage : `factors_by_stage`.
+    first : `pull` at the start, if it is known.  stage : see `factors_by_stage`.
     """
     factors = factors or factors_of(tableau, scene, y.t, h, xp)
     stage, loss = stage or factors_by_stage(tableau, factors, h, xp, loop), factors.loss
@@ -401,7 +393,7 @@ def nystrom_step(
     if acts:
         action = action + change[d]
         action = action - loss * (2 - loss) * action
-    if scene.rate_changes:  # what a jump of γ does to u; of the order of the method where γ is smooth
+    if scene.rate_changes:  # u jumps with γ; where γ is smooth this is within the order of the method
         before, after = (scene.damping_at(at(scene, y.q, time)) / 2 for time in (y.t, t))
         jump = after - before - change[-1]
         u = tuple(a + jump * c for a, c in zip(u, q, strict=True))
@@ -409,13 +401,13 @@ def nystrom_step(
 
 
 def looped(repeat: Repeat, stages: int, scene: Scene, x: OwnState) -> Repeat | None:
-    """Return what makes the stages of a step one loop, where it can and neither they nor the numbers of x are few."""
+    """Return `repeat` if the stages of a step are to be one loop: many stages and a large state."""
     return repeat if repeat.rows is not None and stages > 4 and len(scene.pack(x)) > SMALL else None
 
 
 @dataclass(frozen=True)
 class RungeKutta(FixedStep):
-    """A step of a tableau, of y, or of z where it is a Nyström method."""
+    """A fixed-step method by a tableau, for y, or for z if it is a Nyström method."""
 
     tableau: Tableau = field(kw_only=True)
 
@@ -429,7 +421,7 @@ class RungeKutta(FixedStep):
         loop = looped(repeat, stages, scene, x)
         if not tableau.nystrom:
             free, step = scene, h
-            if scene.slows_its_clock:  # equal steps of that clock, whose time starts anew with every interval
+            if scene.slows_its_clock:  # equal steps of that clock, which starts anew with every interval
                 free, step = undamped_twin(scene), damped_time(scene.gamma, h * n, xp) / n
             x = repeat.steps(n, lambda x: explicit_step(tableau, free, x, step, xp, stages, loop)[0], x, h)
             return scene.decayed(x, xp.exp(-scene.gamma * h * n)) if scene.slows_its_clock else x
@@ -454,18 +446,17 @@ def refusal(method: Method, tableau: Tableau, scene: Scene) -> str | None:
     return unfit(method, scene, fits, "a configuration q in Rⁿ and damping Γ = γ s")
 
 
-def runge_kutta(name: str, tableau: Tableau, about: str) -> RungeKutta:
+def runge_kutta(name: str, tableau: Tableau, about: str, mission: bool = False) -> RungeKutta:
     def step(scene: Scene, x: OwnState, h: Arithmetic, xp: Namespace) -> OwnState:
         return METHODS[name].advance(scene, x, h, 1, xp)
 
     kind = "gradient" if tableau.nystrom else "rhs"
-    return RungeKutta(
-        name, tableau.order, step, tableau.used, kind, f"{about}; {tableau.source}", tableau=tableau
-    )
+    known = name, tableau.order, step, tableau.used, kind, f"{about}; {tableau.source}"
+    return RungeKutta(*known, mission=mission, tableau=tableau)
 
 
 RKN8, RKN12, RK8 = map(read_tableau, ("rkn8-6", "rkn12-10", "rk8"))
-METHODS.add(runge_kutta("rk4", read_tableau("rk4"), "classical Runge–Kutta"))
+METHODS.add(runge_kutta("rk4", read_tableau("rk4"), "classical Runge–Kutta", mission=True))
 METHODS.add(runge_kutta("rk8", RK8, "explicit Runge–Kutta"))
 METHODS.add(runge_kutta("rkn8", RKN8, "explicit Runge–Kutta–Nyström on z = e^{γt/2} q"))
 METHODS.add(runge_kutta("rkn12", RKN12, "explicit Runge–Kutta–Nyström on z = e^{γt/2} q"))

@@ -1,12 +1,12 @@
-"""A fixed step chosen from a tolerance: pilots at ever shorter steps, until one has the error asked for.
+"""Choose a fixed step from a tolerance: run pilots at ever shorter steps until one has the requested error.
 
-The step is the same throughout a run, so that a contact method keeps everything it keeps.  Two pilots over the same
-saved times, the steps of the coarser r times as long, give the error of the finer one, gap/(r^p − 1) (Richardson), if
-errors fall as the order p says.  They are known to where a third pilot agrees: its gap to the other is the one that p
-foretells.  Where it is not, the error counts as a power of the disagreement larger; and a step is foretold only where
-it is.  The first pilot whose error is small enough is the run.
+The step is constant along a run, so that a contact method keeps its structure.  Two pilots with the same saved times
+and steps of ratio r give the error of the finer one as gap/(r^p − 1) (Richardson), if the errors fall with the order p.
+A third pilot tests that: the ratio of two successive gaps must be the one predicted by p.  If the two disagree, the
+error is multiplied by a power of the disagreement.  The next step is predicted only if they agree.  The first pilot
+whose error is small enough is the run.
 
-Saved times shorten steps: what counts is the number of those that are taken.
+Saved times shorten steps, so the ratio of two pilots is the ratio of their numbers of steps.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,56 +33,55 @@ from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Assign, Element, Function, Store
 from contactbench.trace.formula import argument_names, formula
 
-#: errors that are small enough, and those a step is foretold for, as parts of the tolerance
+#: the accepted error and the error aimed at, as parts of the tolerance
 ENOUGH, AIM = 0.7, 0.4
-#: first pilot: this many steps over the whole span, or between breaks
+#: steps of the first pilot over the span, or between two breaks
 FIRST = 4
-#: steps are the longest one over powers of 2^(1/8), so that those of other calls are known
+#: the steps are the longest one divided by powers of 2^(1/8), so that calls share their prepared runs
 RUNGS = 8
-#: prepared runs that are kept, and numbers in the states of their pilots
+#: number of prepared runs kept, and of numbers in the states of their pilots
 KEPT, KEPT_NUMBERS = 64, 2**22
-#: damping times the first step at most
+#: largest product of the damping and the first step
 DAMPED = 8.0
-#: gaps after one as large as the motion are not asymptotic; after smaller ones than the second the order is believed
+#: a gap above the first (relative to the motion) is not asymptotic; below the second the order is trusted
 LOST, TRUSTED = 1.0, 0.1
-#: the first pilot's step is at most about a period of the motion, as the start has it, of high orders, and as much
-#: less as the order is: longer ones all fly off alike, and no error falls as the order says
+#: the first pilot's step is at most about a period of the motion at the start for an order ≥ HIGH, and shorter in
+#: proportion for lower orders: pilots with longer steps diverge alike, and their errors do not fall with the order
 PERIOD, HIGH = 6.0, 4
-#: `push` evaluates the force at so many times of the span, spaced by golden sections
+#: number of times at which `push` evaluates the force, spaced by golden sections over the span
 LOOKS, GOLDEN = 8, 0.6180339887498949
-#: and again after this part of the span, or after so many roundings of the time where they are longer
+#: it evaluates the force again after this part of the span, or after this many roundings of the time if longer
 NEXT, APART = 1e-9, 2.0**10
-#: the first pilot's step is at most so many times the time scale of the force
+#: the first pilot's step over the time scale of the force, at most
 PUSHED = 2.0
-#: right-hand sides that the period takes, and the distance between them, relative to the motion
+#: right-hand sides for the period of the motion, and their distance relative to the motion
 PROBES, BESIDE = 3, 1e-6
-#: gaps are rounding errors where after one below the first of these they neither fall nor grow, as slopes, beyond the
-#: others
+#: gaps are rounding errors if, once below ROUNDED, their slopes change by a factor between STUCK and GROWN
 ROUNDED, STUCK, GROWN = 1e-6, 0.7, 20.0
-#: gaps that differ from the one foretold by this factor at most agree
+#: a gap agrees with the predicted one if they differ by at most this factor
 AGREE = 2.0
-#: a gap that is off the one foretold by a factor makes the error larger by this power of it, above and below
+#: powers of the disagreement by which the error grows: gap larger, and smaller, than predicted
 ABOVE, BELOW = 3, 2
-#: where gaps fall, an error is at most so many times the slope of its gap
+#: where gaps fall, the error is at most this multiple of the slope of the gap
 MOST = 2.0
-#: saved states from which on two pilots that agree need no third one
+#: with more saved states than this, two pilots that agree need no third one
 MANY = 32
-#: a gap of this size is round-off
+#: a gap below this is round-off
 ROUND_OFF = 1e-13
-#: steps of a first pilot at most, and a hundredth of it for every unit of the motion's time; octaves of more steps
+#: most steps of a first pilot, plus a hundredth of it per time unit of the motion; octaves of further steps
 WILD, SPENT = 1e4, 6
-#: of steps that follow the motion: pilots have followed different motions if their numbers of steps are this far off
+#: for methods that follow the motion: pilots took different paths if their step numbers are off by this factor
 OTHER = 1.25
-#: pilots in a row that leave any scale, after which a method with step control is asked whether the motion does
+#: after this many diverging pilots in a row, the adaptive method WITNESS decides whether the motion diverges
 BLOWN, WITNESS, WITNESS_RTOL = 3, "rk8-7", 1e-8
-#: the search ends at a pilot of so many steps after twice as many in a row, or so many octaves below the first
+#: the search ends at LAST steps after 2·BLOWN diverging pilots, or OCTAVES octaves below the first step
 LAST, OCTAVES = 10**6, 20
-#: a pilot's step is at most so many times shorter than that of the one before, where they agree once, and again
+#: largest ratio of the steps of successive pilots: after one agreement, and after several
 NEAR, FAR = 4.0, 32.0
 
 
 class Choice(NamedTuple):
-    """How pilots ended: the one that is good enough and its states, or the outcome where none is; all evaluations."""
+    """The accepted pilot and its states, or the outcome if no pilot is accepted; the evaluations of all pilots."""
 
     evaluations: int
     pilot: Pilot | None = None
@@ -90,28 +90,30 @@ class Choice(NamedTuple):
 
 
 class Room:
-    """The memory of pilots from one start, by how many parts of an octave their steps are shorter than the longest.
+    """Memory for the pilots from one start, by rung: the step is the longest one over 2^(rung/8).
 
-    One call has it at a time.
+    Only one call uses a room at a time.
     """
 
     def __init__(self, chosen: ChosenStep) -> None:
         self.chosen, self.start = chosen, np.empty(len(chosen.start))
         self.time_scale = chosen.time_scale_at(self.start)
-        self.pilots: dict[int, Callable[[], Pilot]] = {}
         self.states: dict[int, np.ndarray] = {}
-        #: the rung from whose next one on steps are shorter: the longest one taken may be far below the one allowed
+        #: the last rung with the same steps: the longest step taken may be far below the allowed one
         self.rungs: dict[int, int] = {}
-        self.gaps: dict[tuple[int, int], Callable[[], float]] = {}
+        self.prepared, self.compared = cache(self.prepare), cache(self.compare)
 
     def pilot(self, rung: int) -> Pilot:
-        known = self.pilots.get(rung)
-        if known is None:
-            known = self.pilots[rung] = self.prepare(rung)
-        return known()
+        return self.prepared(rung)()
+
+    def gap(self, coarse: int, fine: int) -> float:
+        return self.compared(coarse, fine)()
+
+    def compare(self, coarse: int, fine: int) -> Callable[[], float]:
+        return distance(self.chosen.request, self.start, self.states[coarse], self.states[fine])
 
     def prepare(self, rung: int) -> Callable[[], Pilot]:
-        """Prepare the pilot as a function without arguments, on memory that is allocated once."""
+        """Return the pilot as a function without arguments that works on memory allocated once."""
         run = self.chosen.run_at(rung)
         octaves = math.log2(self.chosen.first / run.steps_taken[1])
         self.rungs[rung] = max(rung, math.floor(RUNGS * octaves))
@@ -131,19 +133,11 @@ class Room:
 
         return take
 
-    def gap(self, coarse: int, fine: int) -> float:
-        known = self.gaps.get((coarse, fine))
-        if known is None:
-            known = self.gaps[coarse, fine] = distance(
-                self.chosen.request, self.start, self.states[coarse], self.states[fine]
-            )
-        return known()
-
 
 class Gap(NamedTuple):
-    """Two pilots compared: how far they are apart, relative to the motion, and the ratio of their steps, > 1.
+    """The distance of two pilots relative to the motion, and the ratio > 1 of their steps.
 
-    slope : the gap over the part by which the steps of the coarser one are longer.
+    slope : size / (ratio − 1).
     """
 
     size: float = math.inf
@@ -152,9 +146,9 @@ class Gap(NamedTuple):
 
 
 def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
-    """Return the error of the finest of three pilots, relative to the motion, and whether they agree on the order.
+    """Return the relative error of the finest of three pilots, and whether the gaps agree with the order.
 
-    wider : the gap of the two coarser ones; infinite where there are none.
+    wider : the gap of the two coarser pilots, infinite if there are no two.
     """
     size, ratio, slope = gap
     before, longer, steeper = wider
@@ -172,9 +166,9 @@ def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
 
 @dataclass
 class ChosenStep(Prepared):
-    """A fixed-step method run to a tolerance on the error of the run; its pilots are part of every call."""
+    """Run a fixed-step method to a tolerance on the error of the run; every call runs its pilots."""
 
-    #: the state decides on a whole number of steps, which a small change of it leaves as it is
+    #: a small change of the state does not change the chosen step
     steps_follow_state = False
 
     #: a `FixedStep`
@@ -183,25 +177,25 @@ class ChosenStep(Prepared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # between two breaks lies something that steps as long as their distance do not see
+        # a step as long as the distance of two breaks would miss what happens between them
         times = [0.0, *(time for time, _ in self.breaks if 0 < time < self._end), self._end]
         self.first = min(float(np.diff(times).min()) / FIRST, self.method_.longest)
         rate = self.request.scene.conformal_rate
         if isinstance(rate, float) and rate:
-            # over steps much longer than the damping takes all of such pilots agree, on nothing that is left
+            # pilots with steps far longer than the damping time all agree that nothing is left
             self.first = min(self.first, DAMPED / abs(rate))
-        #: what the components of the motion are measured in
+        #: the units of the components of the motion
         self.units = np.array(self.scales(self.start)[: self._motion], dtype=float)
-        #: the step of a method that follows the motion is no time
+        #: a step is no time where the method follows the motion
         self.probes = 0 if self.method_.follows else PROBES
         if self.request.scene.clock is not None:
             self.first = min(self.first, PUSHED * self.push())
             self.probes += 2 * LOOKS
-        #: steps of the first pilot at most that follow the motion: on a wrong way they may be ever more
+        #: most steps of a first pilot that follows the motion: their number is unbounded on a wrong path
         self.limit = WILD + WILD / 100 * self._end / self.time_scale_at(self.start)()
-        #: by how many parts of an octave their steps are shorter
+        #: prepared runs, by rung
         self.runs: Cache[Any] = Cache(KEPT)
-        #: a `FixedStepRun`, or a `ToleranceRun` of a method that follows the motion, which is asked the same
+        #: a `FixedStepRun`; for a method that follows the motion a `ToleranceRun`, with the same interface
         self.run = self.run_at(0)
         self.compile_s, self.sensitivity_source = self.run.compile_s, self.run.sensitivity_source
         self.rooms: list[Room] = []
@@ -237,7 +231,7 @@ class ChosenStep(Prepared):
         return self.ending(y0, self.choose(y0))
 
     def ending(self, y0: np.ndarray, choice: Choice) -> Outcome:
-        """Return the outcome of a choice, with the evaluations of all pilots."""
+        """Return the outcome of a choice, with the evaluations of all its pilots."""
         pilot, out = choice.pilot, choice.outcome
         if pilot is not None:
             out = pilot.run.outcome(y0, choice.y, pilot.counts)
@@ -257,7 +251,7 @@ class ChosenStep(Prepared):
         return composed
 
     def choose(self, y0: np.ndarray) -> Choice:
-        """Take pilots until one has an error that is small enough, or there is none."""
+        """Run pilots until one is accurate enough or the search ends."""
         try:
             room = self.rooms.pop()  # no other thread has it meanwhile
         except IndexError:
@@ -272,9 +266,10 @@ class ChosenStep(Prepared):
         r, order = self.request, self.method_.order
         assert r.rtol is not None
         enough, aim = ENOUGH * r.rtol, AIM * r.rtol
-        evaluations, rung = self.probes, self.first_rung(room.time_scale())
-        first, last = rung, -1
-        # so many states agree only along the motion
+        longest = PERIOD * min(order / HIGH, 1.0) * room.time_scale() if self.probes else math.inf
+        first = max(math.ceil(RUNGS * math.log2(self.first / longest)), 0) if longest < self.first else 0
+        evaluations, rung, last = self.probes, first, -1
+        # many states agree only if both pilots follow the motion
         gap = Gap(LOST, math.inf, LOST) if len(self.later) > MANY else Gap()
         blown, stuck, asked, agreed = 0, 0, False, False
         while True:
@@ -283,7 +278,7 @@ class ChosenStep(Prepared):
             if pilot.spent and self.is_over(pilot.run, rung - first):
                 return Choice(evaluations, outcome=self.beyond(pilot.run))
             before, last = last, rung
-            # one that is watched may be all right in spite of what is seen
+            # the watching loop is stricter than `is_sound`
             if not (pilot.fine or self.is_sound(y0, pilot)):
                 blown, last, gap, rung = blown + 1, -1, Gap(), rung + RUNGS
                 if blown >= BLOWN and not asked:
@@ -303,7 +298,7 @@ class ChosenStep(Prepared):
                 continue
             wider, gap, coarse = gap, self.compare(room, before, last, coarse, pilot), pilot
             error, agree = error_of(gap, wider, order)
-            # so large gaps may be as the order says by chance: a next one is foretold, but not the last
+            # large gaps may agree with the order by chance: predict a next step, but do not accept
             if error <= enough and (wider.size <= TRUSTED or gap.slope <= enough):
                 return Choice(evaluations, pilot, pilot.y.copy())
             stuck += wider.size <= ROUNDED and STUCK < gap.slope / wider.slope < GROWN
@@ -322,16 +317,16 @@ class ChosenStep(Prepared):
                 rung += RUNGS // 2 if gap.size <= enough else RUNGS
 
     def rungs_to(self, factor: float, reach: float) -> int:
-        """Return by how many rungs steps are shorter whose error is so many times smaller, within reach."""
+        """Return the number of rungs that lowers the error by a factor, at most for steps `reach` times shorter."""
         octaves = math.log2(min(max(factor, 1.0) ** (1 / self.method_.order), reach))
         return max(math.ceil(RUNGS * octaves), 2)
 
     def is_over(self, run: Any, rungs: int) -> bool:
-        """Return whether a run of too many steps, so many rungs below the first one, ends the search."""
+        """Return whether a pilot with too many steps ends the search; rungs : distance to the first pilot."""
         return run.request.max_steps >= self.request.max_steps or rungs > RUNGS * SPENT
 
     def is_sound(self, y0: np.ndarray, pilot: Pilot) -> bool:
-        """Return whether a pilot reaches the end, on the scale of the motion."""
+        """Return whether a pilot reaches the end within the scale of the motion."""
         if pilot.spent or not np.isfinite(pilot.y[-1]).all():
             return False
         out = self.finish(y0, self.from_start(y0, pilot.y), pilot.counts)
@@ -341,13 +336,13 @@ class ChosenStep(Prepared):
         ratio = (fine.counts.steps or 1) / (coarse.counts.steps or 1)
         if self.method_.follows:
             shorter = 2.0 ** ((rung - before) / RUNGS)
-            if not 1 / OTHER < ratio / shorter < OTHER:  # they are on different ways
+            if not 1 / OTHER < ratio / shorter < OTHER:  # they took different paths
                 return Gap()
             ratio = shorter
         size = room.gap(before, rung)
         return Gap(size, ratio, size / (ratio - 1))
 
-    # -- where no pilot is good enough -----------------------------------------------------------------
+    # -- no pilot is accepted ------------------------------------------------------------------------
     def nothing(self, counts: Counts, status: Status, message: str, end: float = 0.0) -> Outcome:
         y = np.full((self._saves, len(self.start)), math.nan)
         return Outcome(y, counts, status, message, end)
@@ -364,7 +359,7 @@ class ChosenStep(Prepared):
         return self.nothing(pilot.counts, Status.failed, message)
 
     def failed(self, y0: np.ndarray, pilot: Pilot) -> Outcome:
-        """Return the outcome of the last pilot of a search that is given up, its message in terms of rtol."""
+        """Return the outcome of the last pilot where the search is given up, with a message about rtol."""
         out: Outcome = pilot.run.integrate(y0)
         step, rtol = pilot.run.steps_taken[0], self.request.rtol
         if out.status is Status.failed:
@@ -374,9 +369,9 @@ class ChosenStep(Prepared):
         return replace(out, steps=pilot.run.steps_taken)
 
     def end_of(self, y0: np.ndarray) -> tuple[Outcome | None, int]:
-        """Return how a motion ends that leaves any scale itself, as a solver with step control has it, and its cost.
+        """Return the outcome of an adaptive solver if it diverges, else None, and its evaluations.
 
-        Pilots say too little: into a steep wall they all fly off, at the same time.
+        Pilots cannot tell: in front of a steep wall all of them diverge, at the same time.
         """
         r, witness = self.request, METHODS[WITNESS]
         if witness.refuses(r.scene) is not None:
@@ -386,7 +381,7 @@ class ChosenStep(Prepared):
         return out if out.status is Status.diverged else None, out.counts.evaluations or 0
 
     def until(self, y0: np.ndarray, end: Outcome, pilot: Pilot, evaluations: int) -> Choice:
-        """Solve for the saved times before the motion ends; return these states with the status `diverged`."""
+        """Solve up to the last saved time before the motion diverges; return these states as `diverged`."""
         before = self.request.save_at[self.request.save_at < end.end_time]
         out = self.nothing(pilot.counts, Status.diverged, end.message, end.end_time)
         if len(before) and before[-1] > 0:
@@ -400,14 +395,10 @@ class ChosenStep(Prepared):
         return Choice(evaluations, outcome=out)
 
     # -- the first pilot -------------------------------------------------------------------------------
-    def first_rung(self, time_scale: float) -> int:
-        longest = PERIOD * min(self.method_.order / HIGH, 1.0) * time_scale if self.probes else math.inf
-        return max(math.ceil(RUNGS * math.log2(self.first / longest)), 0) if longest < self.first else 0
-
     def push(self) -> float:
-        """Return the time scale on which the force at the start's position changes; infinite where it does not.
+        """Return the time scale of an explicitly time-dependent force at the start's position, else infinity.
 
-        Pilots whose steps are whole periods of the force meet it in one phase, and agree on a wrong motion.
+        Pilots whose steps are whole periods of the force see one phase of it, and agree on a wrong motion.
         """
         scene, span, begins = self.request.scene, self._end, self.request.scene.begins
         near = max(NEXT * span, APART * math.ulp(abs(begins) + span))
@@ -426,9 +417,9 @@ class ChosenStep(Prepared):
         return math.inf
 
     def time_scale_at(self, y: np.ndarray) -> Callable[[], float]:
-        """Return a function that gives 1/ω of the motion at the packed state y, read when it is called.
+        """Return a function that computes 1/ω of the motion at the present content of the packed state y.
 
-        ω² = ‖J²f‖/‖f‖, in any units; infinite where f is still.
+        ω² = ‖J²f‖/‖f‖, in any units; 1/ω is infinite where f is constant.
         """
         scene, carry, units = self.request.scene, self.request.carry, self.units.tolist()
         own, d, found = np.array([scene.numbers()], dtype=float), len(y), np.zeros(2)
@@ -466,7 +457,7 @@ def curvature(
 ) -> tuple[Arithmetic, Arithmetic]:
     """Return ‖J²f‖ and ‖f‖ of the motion at a packed state, in units.
 
-    A constant damping is no part of f: what it leaves is slow, and contact steps may be longer than it takes.
+    f excludes a constant damping: the damped motion is slow, and contact steps may be longer than the damping time.
     """
     rate, motion = scene.conformal_rate, len(units)
     momenta = motion // 2 if hasattr(scene.unpack(y, carry), "q") else 0

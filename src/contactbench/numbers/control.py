@@ -23,7 +23,7 @@ from contactbench.numbers.protocol import (
 )
 from contactbench.xla import jnp, lax
 
-#: turns after which a loop over plain numbers is given up: a thousand digits take forty
+#: most turns of a loop over plain numbers; a thousand digits take forty
 ENDLESS = 200
 
 
@@ -39,7 +39,7 @@ class Rows(Protocol):
     def __getitem__(self, i: Count, /) -> Sequence[Arithmetic]: ...
     def __setitem__(self, i: Count, row: Sequence[Arithmetic], /) -> None: ...
     def combine(self, weights: Column, first: Count, count: Count, late: int = 0) -> Sequence[Arithmetic]:
-        """Return Σ weights[first + j] times row j, j < count; so many of the first rows are added last."""
+        """Return Σ weights[first + j] times row j, j < count; the `late` first rows are added last."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Repeat:
         return self.loop(n, body, x)
 
     def steps(self, n: Count, step: Callable[[Any], Any], x: Any, h: Arithmetic) -> Any:
-        """Apply a step of size h n times; where x has a time t, the k-th begins at t + k h, which is no running sum.
+        """Apply a step of size h n times; if x has a time t, the k-th step begins at t + k h, which is no running sum.
 
         x : a state, or a tuple that begins with one.
         """
@@ -90,7 +90,7 @@ repeat = Repeat(turns)
 
 
 def choose(condition: Condition, yes: Arithmetic, no: Arithmetic, xp: Namespace) -> Arithmetic:
-    """Return yes or no, entry by entry for arrays.  Both have been computed: neither may divide by zero."""
+    """Return yes or no, entry by entry for arrays; both are computed, so that neither may divide by zero."""
     if has_where(xp):
         return xp.where(condition, yes, no)
     return yes if condition else no
@@ -124,7 +124,7 @@ def scan[X](
 
 
 def iterate[X](body: Callable[[X], X], x: X, turns: int, xp: Namespace) -> X:
-    """Return x after so many turns of ``x = body(x)``: a loop where one is compiled, not to be unrolled for seconds."""
+    """Return x after so many turns of ``x = body(x)``, as a loop if code is compiled."""
     recorded: Callable[..., X] | None = getattr(xp, "iterate", None)
     if recorded is not None:
         return recorded(turns, body, x)
@@ -132,7 +132,7 @@ def iterate[X](body: Callable[[X], X], x: X, turns: int, xp: Namespace) -> X:
 
 
 def repeat_while[X](condition: Callable[[X], Condition], body: Callable[[X], X], x: X, xp: Namespace) -> X:
-    """Return x after ``x = body(x)`` for as long as the condition holds at it, entry by entry for arrays."""
+    """Return x after repeating ``x = body(x)`` while the condition holds, entry by entry for arrays."""
     can = abilities(xp)
     if can.branch:
         while condition(x):

@@ -1,4 +1,4 @@
-"""Numbers of as many digits as are wanted, of gmpy2: as mpmath's, in a sixth to a third of their time."""
+"""Numbers of gmpy2 with any number of digits, three to six times as fast as mpmath's."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import mpmath
 
 from contactbench.numbers.protocol import Abilities, Arithmetic, Numbers
 
-#: the binary logarithm of the largest number: beyond any scale, and what has digits of π that still fit a memory
+#: binary logarithm of the largest number, whose reduction by π still fits into memory
 LARGEST = 4000
 
 
@@ -31,7 +31,7 @@ class Decimals(Numbers):
         self.dps: int = self.mp.dps
 
     def mpf(self, x: Any) -> Any:
-        """Return it as one of these numbers: one of mpmath, whichever its context, a float, a string."""
+        """Return an mpmath number, a float or a string as one of these numbers."""
         return gmpy2.mpfr(self.mp.nstr(self.mp.mpf(x), self.dps + 5) if hasattr(x, "_mpf_") else x)
 
     def __getattr__(self, name: str) -> Any:

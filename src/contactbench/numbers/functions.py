@@ -1,4 +1,4 @@
-"""Find sin, exp, … of whatever numbers a scene runs on (``cb.math``).
+"""Functions sin, exp, … of all kinds of numbers that scenes run on (``cb.math``).
 
 A scene is written once and runs on floats, NumPy arrays, JAX tracers, mpmath numbers, heyoka's expressions and reals,
 dual and recorded numbers.  Arithmetic and powers are theirs; of the functions beyond that, these find the one that
@@ -31,7 +31,7 @@ POLES = {"log": 0, "log1p": -1}
 
 
 def namespace(x: object) -> Any:
-    """Return the namespace of a number: what its functions are attributes of."""
+    """Return the namespace with the functions of a number."""
     if isinstance(x, int | float):
         return math
     if isinstance(x, Number):
@@ -63,7 +63,7 @@ def call(name: str, own: Callable[..., Arithmetic], *numbers: Arithmetic) -> Ari
 
 
 def function(name: str) -> Callable[[Arithmetic], Arithmetic]:
-    """Return the function of that name of whatever number it is given."""
+    """Return the function with that name for all kinds of numbers."""
     plain: Callable[[float], float] = getattr(math, name)
 
     def apply(x: Arithmetic) -> Arithmetic:
@@ -103,7 +103,7 @@ def where(condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
 
 
 def leading(*numbers: Arithmetic) -> Arithmetic:
-    """Return the first that is no plain number, and so decides what functions apply; else the first."""
+    """Return the first value that is no plain number, or the first value: it decides on the functions."""
     return next((x for x in numbers if not isinstance(x, int | float)), numbers[0])
 
 

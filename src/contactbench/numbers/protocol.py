@@ -40,7 +40,7 @@ class Arithmetic(Protocol):
 Condition = Any
 #: the components of a vector
 Vector = tuple[Arithmetic, ...]
-#: how many steps or stages: an engine of its own counts in numbers of its own
+#: a number of steps or stages, perhaps a traced one
 Count = int | Arithmetic
 
 
@@ -70,7 +70,7 @@ class Namespace(Protocol):
 
 
 class ChoosingNamespace(Namespace, Protocol):
-    """The namespace of numbers that a program cannot look at: `where` chooses between two of them."""
+    """The namespace of numbers whose values are unknown: `where` chooses between two of them."""
 
     @property
     def where(self) -> Callable[..., Arithmetic]: ...
@@ -85,7 +85,7 @@ ArrayFunction = Any
 
 
 class ArrayNamespace(Namespace, Protocol):
-    """`numpy` or `jax.numpy`: besides the elementary functions, what makes, joins and compares arrays."""
+    """`numpy` or `jax.numpy`: elementary functions, and functions that make, join and compare arrays."""
 
     where: ArrayFunction
     multiply: Any
@@ -98,7 +98,7 @@ class ArrayNamespace(Namespace, Protocol):
 
 
 class ExactNamespace(Namespace, Protocol):
-    """An mpmath context, of as many digits as are wanted."""
+    """An mpmath context, with any number of digits."""
 
     dps: int
 
@@ -107,7 +107,7 @@ class ExactNamespace(Namespace, Protocol):
 
 
 class Abilities(NamedTuple):
-    """What a kind of number can do.
+    """The abilities of a kind of number.
 
     branch : a comparison is a bool, so that `if` chooses; otherwise ``where`` chooses, entry by entry.
     vectors : ``asarray`` and ``multiply.outer`` make one vector of the constants of many stages.
@@ -121,7 +121,7 @@ class Abilities(NamedTuple):
     traced: bool = False
 
 
-#: the largest power that is written as a product
+#: largest power that is written as a product
 LARGEST_POWER = 16
 #: of the namespaces that are not ours, by their package; of all others, arrays
 FOREIGN = {"math": Abilities(branch=True), "mpmath": Abilities(branch=True, digits=True)}

@@ -48,13 +48,13 @@ def gauss(digits: int, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) ->
 
 @cache
 def converted(number: Callable[[Any], Any], *asked: Any) -> Rule:
-    """Return them as numbers of another kind."""
+    """Return the rule in another kind of numbers."""
     nodes, weights, matrix = gauss(*asked)
     return [*map(number, nodes)], [*map(number, weights)], [[*map(number, row)] for row in matrix]
 
 
 def rule(xp: Namespace, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
-    """Return them as numbers of a namespace."""
+    """Return the rule in the numbers of a namespace."""
     if not has_digits(xp):
         return converted(float, DIGITS, stages, ends)
     return converted(xp.mpf, xp.dps, stages, ends) if isinstance(xp, Numbers) else gauss(xp.dps, stages, ends)

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
 
-#: what a run says that has no step at all
+#: hint for a run without any step
 NO_SERIES = "heyoka has no series of the root and other fractional powers of x, nor of |x|, at x = 0"
 
 
@@ -27,7 +27,7 @@ def _without_comparison(*_: object) -> NoReturn:
 
 
 class Series(Unknown):
-    """A heyoka expression under arithmetic: `expression` is what it stands for."""
+    """A heyoka expression, `expression`, under arithmetic."""
 
     __slots__ = ("expression",)
     __array_ufunc__ = None  # NumPy's scalars leave the arithmetic to this class

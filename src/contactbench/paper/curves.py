@@ -45,7 +45,7 @@ def curve(panel: str, name: str, kind: str, x: Numbers, y: Numbers, z: Numbers =
 
 def paper_2() -> Iterator[Point]:
     """Yield the phase portrait of the oscillator: closed orbits at λ = 0, spirals for λ > 0."""
-    orbit, spiral = np.linspace(0, 2 * math.pi, 81), np.linspace(0, 25.0, 201)
+    orbit, spiral = np.linspace(0, 2 * math.pi, 61), np.linspace(0, 25.0, 126)
     closed, open_ = (0.0, "conservative", orbit), (0.2, "dissipative", spiral)
     for q0, (gamma, kind, t) in ((0.5, closed), (1.0, closed), (1.5, closed), (1.5, open_)):
         truth = reference(SCENES["oscillator"].with_(gamma=gamma, q=(q0,)), t, ()).states()
@@ -56,9 +56,9 @@ def paper_3() -> Iterator[Point]:
     """Yield the momentum map of a rotation-invariant force along time, measured and by the law."""
     for gamma in (0.0, 0.05, 0.1, 0.2, 0.4):
         scene = SCENES["central"].with_(gamma=gamma)
-        run = numerical(scene, "contact-strang", 0.1, 40)
+        run = numerical(scene, "contact-strang", 0.1, 20)
         J = scene.momentum_at(run.states())[0]
-        fine = np.linspace(0, scene.t_end, 61)
+        fine = np.linspace(0, scene.t_end, 21)
         yield from curve("decay", f"λ = {gamma:g}", "law", fine, np.exp(-gamma * fine))
         yield from curve("decay", f"λ = {gamma:g}, contact-strang", "method", run.t, J / J[0])
 
@@ -67,7 +67,7 @@ def paper_4() -> Iterator[Point]:
     """Yield trajectories of the damped body in momentum space, from near each principal axis."""
     for axis in range(3):
         scene = SCENES["rigid_body"].with_(gamma=0.03, M=tuple(beside_axis(axis)), t_end=100.0)
-        path = numerical(scene, "contact-abc", 0.05, 200).y
+        path = numerical(scene, "contact-abc", 0.05, 125).y
         yield from curve("momentum", f"near axis {axis + 1}", "stable" if axis != 1 else "unstable", *path.T)
 
 
@@ -85,7 +85,7 @@ def paper_5() -> Iterator[Point]:
     for axis, sign, angle in itertools.product((0, 2), (1.0, -1.0), (0.25, 0.5, 0.7)):
         M = np.zeros(3)
         M[axis], M[1] = sign * math.cos(angle), math.sin(angle)
-        path = numerical(scene.with_(gamma=0.0, M=tuple(M), t_end=60.0), "contact-abc", 0.1, 200).y
+        path = numerical(scene.with_(gamma=0.0, M=tuple(M), t_end=60.0), "contact-abc", 0.1, 100).y
         turns = np.unwrap(np.arctan2(path[:, 1], path[:, 2 - axis]))
         once = int(np.argmax(np.abs(turns - turns[0]) > 2 * math.pi)) or len(path)
         name = f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad"
@@ -116,13 +116,13 @@ def paper_8() -> Iterator[Point]:
     """Yield the splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
     for gamma, kind in ((0.0, "conservative"), (0.1, "dissipative")):
         scene = SCENES["particle"].with_(gamma=gamma, t_end=60.0)
-        run = numerical(scene, "contact-printed", PAPER_STEP, 300)
-        energy = scene.energy(run.states())
+        run = numerical(scene, "contact-printed", PAPER_STEP, 240)
+        t, energy = run.t[::2], scene.energy(run.states())[::2]
         label = f"γ = {gamma:g}"
         yield from curve("phase", label, kind, run.y[:, 0], run.y[:, 2])
-        yield from curve("energy", label, kind, run.t, energy)
+        yield from curve("energy", label, kind, t, energy)
         if gamma == 0:
-            yield from curve("bounded", label, kind, run.t, energy / energy[0] - 1)
+            yield from curve("bounded", label, kind, t, energy / energy[0] - 1)
 
 
 def paper_stability() -> Iterator[Point]:
@@ -131,13 +131,13 @@ def paper_stability() -> Iterator[Point]:
     for axis, reach in enumerate((3.0, 1.0, 1.0)):  # far enough for a full D to destabilise the outer two
         e = unit[axis]
         j, k = sorted({0, 1, 2} - {axis})
-        sides = np.linspace(0, 0.6, 13)
+        sides = np.linspace(0, 0.6, 11)
         pairs = [(x, y, np.diag(x * unit[j] + y * unit[k])) for x in sides for y in sides]
         off = np.outer(unit[j], unit[k])
         beside = [
             (d, c, np.diag(d * (1 - e)) + np.clip(c, -d, d) * (off + off.T))
-            for d in np.linspace(0, reach, 17)
-            for c in np.linspace(-reach, reach, 33)
+            for d in np.linspace(0, reach, 13)
+            for c in np.linspace(-reach, reach, 25)
             if abs(c) <= d * (1 + 1e-12)
         ]
         for panel, grid in ((f"axis {axis + 1}, diagonal", pairs), (f"axis {axis + 1}, full", beside)):
@@ -145,7 +145,7 @@ def paper_stability() -> Iterator[Point]:
             for (x, y, _), rate in zip(grid, rates, strict=True):
                 kind = "unstable" if rate > zero else "stable" if rate < -zero else "neutral"
                 yield (panel, "growth rate", kind, x, y, rate)
-        d = np.linspace(0, reach, 121)
+        d = np.linspace(0, reach, 61)
         j, k = (axis + 1) % 3, (axis + 2) % 3
         linear, constant = a[j] - a[k], d**2 + (a[axis] - a[j]) * (a[axis] - a[k])
         root = np.sqrt(linear**2 / 4 + constant)
@@ -153,7 +153,7 @@ def paper_stability() -> Iterator[Point]:
             inside = np.abs(c) <= d
             yield from curve(f"axis {axis + 1}, full", f"det = 0, {name}", "criterion", d[inside], c[inside])
     ab = -criterion(np.zeros((3, 3)), unit[1])[1]  # det = d₁d₃ − ab there
-    d = np.linspace(ab / 0.6, 0.6, 61)
+    d = np.linspace(ab / 0.6, 0.6, 31)
     yield from curve("axis 2, diagonal", "det = 0", "criterion", d, ab / d)
 
 

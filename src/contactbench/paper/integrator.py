@@ -14,7 +14,7 @@ import scipy  # its parts are loaded when first used
 from contactbench.measure.law import round_off_bound
 from contactbench.measure.laws import LAWS, energies, pulled_deviation
 from contactbench.measure.order import fit_order
-from contactbench.measure.pullback import growth, pairs
+from contactbench.measure.pullback import growth, pairs, variational
 from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS, solve
 from contactbench.methods.base import Method
@@ -461,7 +461,7 @@ def fixed_steps(run: Solution) -> Differential:
     """Return dΦ with the steps held fixed; of a library's solver by its own run of the variational equations."""
     if run.run is None or not run.run.steps_follow_state:
         return run.differential
-    return Differential("variational equations", run.run.sensitivity(run.y0)[None])
+    return variational(run)
 
 
 def nearest_return(curve: np.ndarray) -> float:

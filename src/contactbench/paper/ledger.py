@@ -103,8 +103,8 @@ def verdict(
 def columns(measurements: Sequence[Measurement], prefix: str = "") -> dict[str, object]:
     """Return the columns of the measurement that a row shows: the first that fails, else the first."""
     m = next((m for m in measurements if not m.passes), measurements[0])
-    found = {"quantity": m.quantity, "measured": m.value, "relation": m.relation, "bound": m.bound}
-    found |= {"bound_reason": m.why, "evidence": SEPARATOR.join(map(str, measurements))}
+    found: dict[str, object] = {"measured": m.value, "relation": m.relation, "bound": m.bound}
+    found["evidence"] = SEPARATOR.join(map(str, measurements))
     return {f"{prefix}{name}": value for name, value in found.items()}
 
 
@@ -116,7 +116,8 @@ class Claim:
     says : the claim in our words.  scene, method : what it is measured on.  measure : ``(**parameters) -> Evidence``,
     the numbers of `measured` and then of `corrected`; every parameter has a default, which is what the table shows.
     measured, corrected : the measurements of the paper's statement and of the corrected one.  kind, correction : how
-    and in which words it is corrected.  figures : the paper's figures redrawn for it.
+    and in which words it is corrected.  figures : the paper's figures redrawn for it.  dear : it takes longer than a
+    second.
     """
 
     name: str
@@ -130,6 +131,13 @@ class Claim:
     kind: Correction | None = None
     correction: str = ""
     figures: Sequence[str] = ()
+    dear: bool = False
+
+    @property
+    def words(self) -> dict[str, str]:
+        """Return what the ledger says beside the numbers."""
+        said = {"where": self.where, "claim": self.says, "scene": self.scene, "method": self.method}
+        return said | {"correction": self.correction}
 
     def measurements(self, **parameters: object) -> list[Measurement]:
         defaults = inspect.signature(self.measure).parameters.items()
@@ -143,9 +151,7 @@ class Claim:
 
     def row(self, **parameters: object) -> dict[str, object]:
         """Measure the claim, with parameters of `measure`, and return its row; without a verdict if that fails."""
-        row: dict[str, object] = {"id": self.name, "where": self.where, "claim": self.says}
-        row |= {"scene": self.scene, "method": self.method, "figures": " ".join(self.figures)}
-        row |= {"command": f"contactbench claim {self.name}"}
+        row: dict[str, object] = {"id": self.name}
         try:
             found = self.measurements(**parameters)
         except Exception as error:
@@ -154,7 +160,7 @@ class Claim:
             return {**row, "status": "failed", "message": f"not finite: {'; '.join(broken)}"}
         statement, corrected = found[: len(self.measured)], found[len(self.measured) :]
         row |= columns(statement) | {"verdict": str(verdict(statement, corrected, self.kind))}
-        row |= {"correction_kind": str(self.kind or ""), "correction": self.correction, "status": "ok"}
+        row |= {"correction_kind": str(self.kind or ""), "status": "ok"}
         return row | columns(corrected, "corrected_") if corrected else row
 
 

@@ -1,13 +1,13 @@
-"""What the solvers of other libraries have in common: their method, their run and its call."""
+"""The common base of solvers of other libraries: method, run and call."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from contactbench.methods.base import Adaptive
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request, RunByTolerance
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
-from contactbench.scene import AnyState, Scene, System, dot, key
-from contactbench.scene.scales import in_order
+from contactbench.scene import AnyState, Scene
 from contactbench.solution import Counts, Status
 from contactbench.trace.form import Function, Unpack, execute
 from contactbench.trace.recording import Recorded, Tape, attempt
@@ -25,9 +24,9 @@ from contactbench.trace.recording import Recorded, Tape, attempt
 
 @dataclass(frozen=True)
 class Peer(Adaptive):
-    """A solver of another library; call : makes the `Call` of its run; solver : its name there.
+    """A solver of another library; call : makes the `Call` of a run; solver : its name in the library.
 
-    package : what must be installed.  stages : of an attempted step, where fixed.  costs : see `step_cost`, by engine.
+    package : must be installed.  stages : of an attempted step, if fixed.  costs : engine → `step_cost`.
     """
 
     name: str
@@ -43,6 +42,9 @@ class Peer(Adaptive):
     takes_atol: bool = True
     costs: Mapping[str, float] = field(default_factory=dict)
     largest: int = Adaptive.largest
+    mission: bool = False
+    stiff: bool = False
+    like: str = ""
     own_time = True
 
     def refuses(self, scene: Scene) -> str | None:
@@ -61,7 +63,7 @@ class Peer(Adaptive):
 
 
 class Ending(NamedTuple):
-    """How a call ended, as `Prepared.finish` takes it."""
+    """The result of a call, for `Prepared.finish`."""
 
     y: np.ndarray | None
     counts: Counts
@@ -71,15 +73,15 @@ class Ending(NamedTuple):
 
 
 class Call(ABC):
-    """A library at work on one request: all that a `PeerRun` does not do.
+    """The calls of a library for one request.
 
-    1. Making it compiles, allocates and connects; it raises `ImportError` where the library cannot be used.
-    2. ``call(y0)`` runs from a packed state: saved states reached, after the start (None: not even the start), counts,
-       and unless it went well status, message, and time and state at which the solver stopped.
-    3. ``last(y0)`` is the library's own call, by its fastest way: packed state to packed final state, unchecked.
+    1. The constructor compiles, allocates and connects; it raises `ImportError` if the library cannot be used.
+    2. ``call(y0)`` runs from a packed state.  It returns the saved states reached after the start (None if there is not
+       even a start), the counts, and after a failure status, message, and the last time and state of the solver.
+    3. ``last(y0)`` is the fastest call of the library: from a packed state to the final one, unchecked.
     """
 
-    #: spent on recording and compiling
+    #: seconds of recording and compiling
     seconds = 0.0
 
     def __init__(self, method: Peer, request: Request) -> None:
@@ -94,7 +96,7 @@ class Call(ABC):
 
     @abstractmethod
     def last(self, y0: np.ndarray) -> np.ndarray:
-        """Run from a packed state to the last one, and nothing else."""
+        """Run from a packed state to the last one, without saving others."""
 
     @property
     def spent(self) -> str:
@@ -103,7 +105,7 @@ class Call(ABC):
 
 @dataclass
 class PeerRun(RunByTolerance):
-    """A run of another library, by its call."""
+    """Run a solver of another library."""
 
     method_: Peer
 
@@ -117,34 +119,17 @@ class PeerRun(RunByTolerance):
         reached = np.empty((0, len(y0))) if y is None else self.from_start(y0, y)
         return self.finish(y0, reached, counts, status, message, stopped)
 
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        """As in `Prepared`, by variational equations: a run of its own, the tangents part of its error control."""
-        r, scene = self.request, self.request.scene
-        x = scene.unpack(tuple(y0.tolist()), r.carry)
-        tangents = tuple(scene.tangents(x))
-        name = f"variational equations of {scene.name}"
-        larger: Any = Variational(name=name, t_end=scene.t_end, base=scene, count=len(tangents))
-        request = replace(r, scene=larger)
-        if np.ndim(r.scales):
-            request = request.to_scale(self.method_.takes_atol)
-        start = np.array(larger.pack(Bundle(x, tangents)), dtype=float)
-        y = replace(self, request=request).integrate(start).y
-        v = y[:, len(y0) :].reshape(len(y), len(tangents), -1)
-        if scene.clock is not None:
-            v = np.insert(v, scene.clock, np.where(np.isnan(y[:, :1]), np.nan, 0.0), axis=2)
-        return np.moveaxis(v, 1, 2)
-
 
 @dataclass
 class Pieces(Prepared):
-    """A run from break to break, each piece one of its own; a few roundings around a break go by its slopes there."""
+    """Run in pieces between breaks; the few roundings around a break are crossed with the slopes there."""
 
     method_: Peer
 
     def __post_init__(self) -> None:
         super().__post_init__()
         times, begin, skipped, before = self.request.save_at, 0.0, 0.0, -1.0
-        #: runs, when they begin, how long the solver has not run before, which saved times and states are theirs
+        #: runs, their begins, the time skipped before each, the slice of saved times, the places of the saved states
         self.pieces = list[tuple[Prepared, float, float, slice, np.ndarray]]()
         for time, exact in [*self.breaks, (self._end, 0.0)]:
             end, last = min(time, self._end) - exact, time >= self._end - exact
@@ -162,7 +147,7 @@ class Pieces(Prepared):
         self.compile_s = sum(run.compile_s for run, *_ in self.pieces)
 
     def over(self, y: np.ndarray, time: float) -> np.ndarray:
-        """Return the state so much later, between the two sides of a break."""
+        """Return the state on the other side of a break, by a step of Heun."""
         scene, carry = self.request.scene, self.request.carry
 
         def slope(y: np.ndarray) -> np.ndarray:
@@ -177,7 +162,7 @@ class Pieces(Prepared):
         return y
 
     def at(self, begin: float, y: np.ndarray, y0: np.ndarray) -> np.ndarray:
-        """Return a state with the time so long after the start, which is no sum of pieces."""
+        """Return a state with the time `begin` after the start, which is no sum of pieces."""
         y = y.copy()
         y[self._clock] = y0[self._clock] + begin
         return y
@@ -204,90 +189,6 @@ class Pieces(Prepared):
         return replace(found, end_time=max(found.end_time, begin + out.end_time))
 
 
-class Bundle(NamedTuple):
-    x: AnyState
-    v: tuple[AnyState, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variational(System):
-    """A scene and tangent vectors as one larger scene: y' = f(y), v_j' = Df(y) v_j.
-
-    Any solver runs it as it runs the scene itself; the tangents are part of the error control.
-    Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995), doi:10.1016/0168-9274(95)00033-Q, §1.
-    """
-
-    base: Scene
-    count: int
-
-    def labels(self, carry: Sequence[str]) -> list[str]:
-        own = self.base.labels(carry)
-        moved = self.base.without_clock(own)
-        return own + [f"d{j + 1} {name}" for j in range(self.count) for name in moved]
-
-    # tangents do not move the time, and have none; they may grow as they like
-    clock = property(lambda self: self.base.clock)
-    motion = property(lambda self: self.base.motion)
-    canonical = property(lambda self: self.base.canonical)
-
-    def initial(self, carry: Sequence[str], **data: object) -> Bundle:
-        x = self.base.initial(carry, **data)
-        return Bundle(x, tuple(self.base.tangents(x)))
-
-    def unpack(self, y: Sequence[Arithmetic], carry: Sequence[str]) -> Bundle:
-        base, d = self.base, len(self.base.labels(carry))
-        each = len(base.without_clock(y[:d]))
-        v = (base.unpack(base.with_clock(y[i : i + each], 0.0), carry) for i in range(d, len(y), each))
-        return Bundle(base.unpack(y[:d], carry), tuple(v))
-
-    def pack(self, state: Bundle) -> list[Arithmetic]:  # type: ignore[override]
-        moved = (self.base.without_clock(System.pack(v)) for v in state.v)
-        return [*System.pack(state.x), *(c for v in moved for c in v)]
-
-    def scales(self, z: Bundle, end: float) -> np.ndarray:
-        """Return the scale of every component but the time; of a tangent as of a displacement by itself."""
-        own = self.base.scales(z.x, end)
-        moved = [np.array(self.base.without_clock(System.pack(v)), dtype=float) for v in z.v]
-        return np.concatenate([own, *(own * in_order((abs(v) / own).max()) for v in moved)])
-
-    def numbers(self) -> list[float]:
-        return self.base.numbers()
-
-    def with_numbers(self, numbers: Sequence[Arithmetic]) -> Self:
-        return self._replaced(base=self.base.with_numbers(numbers))
-
-    @property
-    def structure(self) -> tuple[object, ...]:
-        return (Variational, self.count, *self.base.structure)
-
-    @property
-    def identity(self) -> Hashable | None:
-        return key(self.base.identity, Variational, self.count)
-
-    def rhs(self, z: Bundle) -> Bundle:
-        base, carry = self.base, self.carried(z)
-        rows = derivative(base, z.x, carry)
-        v = (base.unpack([dot(row, flat) for row in rows], carry) for flat in map(base.pack, z.v))
-        return Bundle(base.rhs(z.x), tuple(v))
-
-    def jacobian(self, z: Bundle) -> list[list[Arithmetic]]:
-        """Return diag(Df, …, Df), without the coupling D²f(y) v_j of tangents to the state, strictly block triangular.
-
-        So Newton's iteration converges all the same, the tangents one turn later, and the solver's test sees both.
-        """
-        rows = derivative(self.base, z.x, self.carried(z))
-        moved = [self.base.without_clock(row) for row in self.base.without_clock(rows)]
-        blocks = [rows] + [moved] * self.count
-        size, found = sum(map(len, blocks)), list[list[Arithmetic]]()
-        for block in blocks:
-            before = [0.0] * len(found)
-            found += [[*before, *row, *[0.0] * (size - len(before) - len(row))] for row in block]
-        return found
-
-    def carried(self, z: Bundle) -> tuple[str, ...]:
-        return tuple(name for name in self.base.optional if getattr(z.x, name) is not None)
-
-
 def derivative(scene: Scene, x: AnyState, carry: tuple[str, ...]) -> list[list[Arithmetic]]:
     """Return Df at x, rows in packed order: the scene's own Jacobian, or its right-hand side on dual numbers."""
     rows: list[list[Arithmetic]] | None = scene.jacobian(x)
@@ -302,7 +203,7 @@ def derivative(scene: Scene, x: AnyState, carry: tuple[str, ...]) -> list[list[A
 
 
 # -- solvers that call back into Python ---------------------------------------------------------------
-#: evaluations DOP853 adds for the interpolant of a step, and before the first step
+#: evaluations of DOP853 for the interpolant of a step, and before the first step
 INTERPOLANT, BEFORE = 3, 2
 
 
@@ -311,7 +212,7 @@ type Rates = Callable[[float, Sequence[float]], Sequence[Any]]
 
 
 class Solver(Protocol):
-    """What SciPy's solvers have, and others are given."""
+    """The interface of SciPy's solvers."""
 
     t: float
     y: np.ndarray
@@ -323,12 +224,12 @@ class Solver(Protocol):
 
 
 class Callback(Call):
-    """A solver that calls back Python functions of plain floats, recorded with the numbers as constants.
+    """A solver that calls Python functions of floats, recorded with the numbers as constants.
 
-    A function that cannot be recorded is called as it is, at four times the cost.
+    A function that cannot be recorded is called directly, at four times the cost.
     """
 
-    #: as how many steps the last one counts that failed
+    #: number of steps that the last, failed one counts for
     failure = 1
 
     def __init__(self, method: Peer, request: Request) -> None:
@@ -343,10 +244,7 @@ class Callback(Call):
             self.jacobian = recorded or (lambda t, y: motion_jacobian(scene, t, y, carry))
 
     def rhs(self, t: float, y: Sequence[float]) -> Sequence[float]:
-        """Return the slopes, nan where a function raises: that is Python's way to say inf or nan.
-
-        A solver that is told so takes a smaller step.
-        """
+        """Return the slopes, or nan if a function raises an arithmetic error: the solver then takes a smaller step."""
         try:
             return self.slopes(t, y)
         except NO_NUMBER as error:
@@ -398,7 +296,7 @@ class Callback(Call):
         return Ending(found, counts, status, message, (float(solver.t), solver.y))
 
 
-def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Rates | None:
+def record_function(scene: Scene, what: str, carry: tuple[str, ...]) -> Rates | None:
     tape = Tape()
     names = tuple(f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry)))))
     t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
@@ -411,7 +309,7 @@ def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Rates |
 
 
 def motion_jacobian(
-    scene: System, t: Arithmetic, y: Sequence[Arithmetic], carry: tuple[str, ...]
+    scene: Scene, t: Arithmetic, y: Sequence[Arithmetic], carry: tuple[str, ...]
 ) -> list[Sequence[Arithmetic]]:
     rows = scene.jacobian(scene.unpack(scene.with_clock(y, t), carry))
     return [scene.without_clock(row) for row in scene.without_clock(rows)]

@@ -1,12 +1,12 @@
-"""Solvers in C and C++ that get a scene's right-hand side and Jacobian as C functions: no Python between them.
+"""Solvers in C and C++ that call a scene's right-hand side and Jacobian as C functions, without Python.
 
     void rhs     (double *dy, double t, const double *y, double *data)
     void jacobian(double *J,  double t, const double *y, double *data)     J column by column, as LAPACK has it
 
-data = (calls of rhs, calls of jacobian, origin, constants…): the functions count their own calls; y is the state
-less the time, which is t since the origin, the time a run begins at.  The constants are what the scene's numbers
-give before a state is known (1/m, γ/2, …), computed once; so one compiled function serves every scene of the same
-structure.  They are recorded from the scene and compiled by LLVM.
+data = (calls of rhs, calls of jacobian, origin, constants…): the functions count their own calls.  y is the state
+without the time, and t is the time since the origin, the start of a run.  The constants are computed once from the
+scene's numbers (1/m, γ/2, …), so that one compiled function serves every scene of the same structure.  The functions
+are recorded from the scene and compiled by LLVM.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from contactbench.trace.compiled import compile_recorded_c
 from contactbench.trace.form import Assign, Element, Function, Operation, Store, execute, read_by
 from contactbench.trace.recording import Block, Tape, attempt, is_constant, operand_of
 
-#: places in data: the two counters, the time a run begins at, then the constants
+#: places in data: the two counters, the start of the run, the constants
 RHS_CALLS, JACOBIAN_CALLS, ORIGIN, CONSTANTS = 0, 1, 2, 3
-#: what a compiled call returns of a run, followed by the packed state reached
+#: the numbers that a compiled call returns, followed by the packed state reached
 FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
 KNOWN = len(FACTS)
 #: CyRK's status codes
 SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR = 1, -52, -53
 #: the major version of SUNDIALS whose C interface is known
 MAJOR = 7
-#: what CVode returns when the budget of steps is spent
+#: result of CVode when the budget of steps is spent
 TOO_MUCH_WORK = -1
-#: components of a state up to which its dense Jacobian is compiled; beyond, solvers take differences
+#: most components of a state with a compiled dense Jacobian; beyond, solvers take differences
 LARGEST_JACOBIAN = 64
 
 
@@ -125,7 +125,7 @@ def _body(
 
 
 class Compiled(Call):
-    """A compiled solver; a library's own class connects it and reads how it ended."""
+    """A compiled solver; a subclass connects the library and translates its results."""
 
     def __init__(self, method: Peer, request: Request) -> None:
         super().__init__(method, request)
@@ -138,7 +138,7 @@ class Compiled(Call):
 
     @cached_property
     def to_end(self) -> Callable[..., np.ndarray]:
-        """Return what numba compiles for such arguments: at a call it looks for it for a third of a microsecond."""
+        """Return the compiled entry point for these arguments, which numba's dispatcher would find in 0.3 µs."""
         from numba import typeof
 
         kinds = tuple(map(typeof, (np.empty(len(self.request.start)), *self.arguments)))
@@ -161,7 +161,7 @@ class Compiled(Call):
         return self.to_end(y0, *self.arguments)[KNOWN:]
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `FACTS` and the state reached, and the saved states, of which those reached are filled."""
+        """Return `FACTS` with the state reached, and the saved states; states not reached are arbitrary."""
         if self.final_only:
             facts = self.to_end(y0, *self.arguments)
             return facts, facts[None, KNOWN:]

@@ -72,4 +72,8 @@ for _solver, _order, _stages, _about in (
     ("RADAU", 5, None, "implicit Radau IIA, Jacobian by differences, C++"),
 ):
     _name, _range = f"cyrk-{_solver.lower()}", (CLAMPED, 1e-1)
-    METHODS.add(Peer(_name, _about, Cyrk, ("c++",), _range, _solver, "CyRK", _order, _stages))
+    METHODS.add(
+        Peer(
+            _name, _about, Cyrk, ("c++",), _range, _solver, "CyRK", _order, _stages, stiff=_solver == "RADAU"
+        )
+    )

@@ -61,7 +61,7 @@ class Diffrax(Call):
         self.program, self.seconds = _programs.get(key(r.scene.identity, *rest), make)
 
     def _run(self, y0: np.ndarray) -> np.ndarray:
-        """Return what the program does from an initial state; the scene's own is on the device."""
+        """Run the program from an initial state; the scene's own is on the device already."""
         return np.asarray(self.program(self.start if y0 is self.request.start else on_device(y0), self.fixed))
 
     def _flat(self, y0: jax.Array, fixed: jax.Array) -> jax.Array:
@@ -161,4 +161,5 @@ for _solver, _order, _stages, _implicit, _about in (
     _known = _solver, "diffrax", _order, _stages, _implicit
     _named = f"diffrax-{_solver.lower()}", _about, Diffrax, ("jax",), (ROUNDING, 1e-1)
     # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
-    METHODS.add(Peer(*_named, *_known, costs={"jax": 2} if _implicit else {}, largest=64))
+    _sized: dict[str, Any] = {"largest": 64, "mission": not _implicit, "stiff": _implicit}
+    METHODS.add(Peer(*_named, *_known, costs={"jax": 2} if _implicit else {}, **_sized))

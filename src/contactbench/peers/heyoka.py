@@ -71,7 +71,7 @@ _integrators: Cache[tuple[heyoka.taylor_adaptive, float]] = Cache(32)
 
 
 def is_fast(scene: object) -> bool:
-    """Whether heyoka may reorder operations: with equal errors, up to a quarter faster, of bodies up to 9 % slower."""
+    """Return whether heyoka may reorder operations: up to a quarter faster, but for bodies up to 9 % slower."""
     return getattr(scene, "canonical", False)
 
 
@@ -88,7 +88,7 @@ class Taylor(Call):
         _, y0 = self.split_clock(r.start)
         scaled = np.ndim(r.scales) > 0
         units = np.array(r.scales) if scaled else np.ones(len(y0))
-        #: what the integrator's numbers are multiples of; None: all are 1
+        #: units of the integrator's numbers; None if all are 1
         self.units = units if scaled else None
         numbers = scene.numbers()
         self.origin = len(numbers) if shared else 0
@@ -107,7 +107,7 @@ class Taylor(Call):
         if shared:
             known = min(len(numbers), len(program.pars))
             self.integrator.pars[:known] = numbers[:known]
-        #: where a packed state has what is integrated: all of it, but the time
+        #: places of the integrated components in a packed state: all but the time
         self.motion: slice | list[int] = slice(self.clock)
         if self.clock is not None and self.clock < size - 1:
             self.motion = [i for i in range(size) if i != self.clock]

@@ -53,4 +53,5 @@ for _solver, _order, _stages, _cost, _about in (
 ):
     _known = _solver, "scipy", _order, _stages, _stages is None
     _named = f"scipy-{_solver.lower()}", _about, Scipy, ("python",), (CLAMPED, 1e-1)
-    METHODS.add(Peer(*_named, *_known, costs={"python": _cost}))
+    _same: dict[str, Any] = {"mission": True, "stiff": _stages is None, "like": f"cyrk-{_solver.lower()}"}
+    METHODS.add(Peer(*_named, *_known, costs={"python": _cost}, **_same))

@@ -9,7 +9,7 @@ from `max_steps` and the result's status is read.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -89,7 +89,7 @@ class Cvode(Compiled):
         return cvode, (*place, self.data, clock, self.end, r.max_steps)
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Run in pieces, of the same steps: between two of them Python looks at signals."""
+        """Run in pieces with the same steps, so that Python can handle signals between them."""
         *place, most = self.arguments
         piece = max(1, PIECE // len(y0))
         rows, taken, facts = np.empty((len(self.later), len(y0))), 0, np.zeros(KNOWN)
@@ -129,4 +129,5 @@ def cvode(method: Peer, request: Request) -> Call:
 for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
     _about = f"variable-order {_name}, Newton with analytic Jacobian (differences beyond 64 components)"
     _named = f"cvode-{_solver.lower()}", _about, cvode, ("c", "c+python"), (ROUNDING, 1e-1)
-    METHODS.add(Peer(*_named, _solver, "sksundae", implicit=True, costs={"c+python": 2}))
+    _about_it: dict[str, Any] = {"mission": True, "stiff": _solver == "BDF"}
+    METHODS.add(Peer(*_named, _solver, "sksundae", implicit=True, costs={"c+python": 2}, **_about_it))

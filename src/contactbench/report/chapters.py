@@ -36,28 +36,41 @@ class Text:
 
 
 @dataclass(frozen=True)
+class Fold:
+    """Python code behind a line that opens it."""
+
+    title: str
+    code: str
+
+
+@dataclass(frozen=True)
 class Section:
     title: str
     parts: tuple[Part | None, ...]
 
 
-Part = Text | View | Figure | Section
+Part = Text | View | Figure | Fold | Section
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A line of a summary.  count : of how many rows it is true; inline Markdown, as `View.legend`."""
+    """A line of a summary.
+
+    count : of how many rows it is true; inline Markdown, as `View.legend`.  queries : the lines of pandas that count.
+    """
 
     question: str
     answer: str
     count: str
+    queries: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Chapter:
     """One question.
 
-    name : its document is NAME.md.  title : its heading.  question : in one line.  order : its place.
+    name : its own.  document : its place is DOCUMENT.md, by default NAME.md; the first of a document gives its title.
+    title : its heading.  question : in one line.  order : its place.
     tables : the tables it reads; it has something to say when the first has rows.
     parts(frames) : its views, figures, texts and sections; views without rows, empty sections and None are left out.
     answers(frames) : its summary, a line or a few.
@@ -70,10 +83,11 @@ class Chapter:
     tables: tuple[str, ...]
     parts: Callable[[Frames], Iterable[Part | None]]
     answers: Callable[[Frames], Iterable[Answer]] = lambda frames: ()
+    document: str = ""
 
     @property
     def file(self) -> str:
-        return f"{self.name}.md"
+        return f"{self.document or self.name}.md"
 
     def fill(self, frames: Frames) -> tuple[Part, ...]:
         return tuple(shown(self.parts(frames)))
@@ -82,9 +96,13 @@ class Chapter:
 CHAPTERS = Registry("chapter", Chapter)
 
 
+#: where the questions are
+QUESTIONS = "contactbench.questions"
+
+
 # -- the chapters of this package: their prose is data -------------------------------------------------
 PROSE: dict[str, dict[str, Any]] = tomllib.loads(
-    files(__package__).joinpath("chapters.toml").read_text(encoding="utf-8")
+    files(QUESTIONS).joinpath("chapters.toml").read_text(encoding="utf-8")
 )
 #: the entries of all chapters, by name
 VIEWS, CHARTS = (
@@ -102,7 +120,8 @@ def chapter(
 
     def register(parts: Parts) -> Parts:
         title, question, order, tables = (PROSE[name][f] for f in ("title", "question", "order", "tables"))
-        CHAPTERS.add(Chapter(name, title, question, order, tuple(tables), parts, answers))
+        document = PROSE[name].get("document", "")
+        CHAPTERS.add(Chapter(name, title, question, order, tuple(tables), parts, answers, document))
         return parts
 
     return register
@@ -142,7 +161,7 @@ def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
 
 def discovered() -> dict[str, Chapter]:
     """Return every chapter; the modules of this package are imported for it."""
-    import_modules(__package__, without=("draw", "write"))  # these need matplotlib, which takes long to load
+    import_modules(QUESTIONS, without=("write",))  # these need matplotlib, which takes long to load
     return CHAPTERS
 
 

@@ -11,9 +11,9 @@ import pandas as pd
 
 from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import costs_to_reach
+from contactbench.plugins import OWN
 from contactbench.report.drawing import Axis, Curve, Span
-from contactbench.report.look import CONTESTANTS, look
-from contactbench.tables.contest import CONTACT
+from contactbench.report.look import CONTACT, CONTESTANTS, look
 
 #: errors below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17
@@ -57,22 +57,24 @@ def best(curves: Iterable[Curve], score: Score) -> list[str]:
 
 
 def choose(
-    curves: Sequence[Curve], score: Score, by_order: bool = False, subjects: Sequence[str] = ()
+    curves: Sequence[Curve], score: Score, subjects: Sequence[str] = (), by_order: bool = False
 ) -> list[str]:
     """Return the methods that a figure shows, at most MOST.
 
-    First its subjects (by default the best of all and the best contact method), then the contestants of the mission,
-    and where there is room the best of every other family (and order).
+    First its subjects, or the best of all and the best contact method; then what plug-ins bring, and the contestants
+    of the mission.
+    by_order : where there is room the best of every family and order, too.
     """
     groups: dict[tuple[str, int | None], list[Curve]] = {}
     for curve in curves:
         own = look(curve.method, curve.family)
-        groups.setdefault((own.family, own.order if by_order else None), []).append(curve)
-    contact = [curve for curve in curves if look(curve.method, curve.family).family == CONTACT]
+        groups.setdefault((own.family, own.order), []).append(curve)
+    contact = [curve for (family, _), some in groups.items() if family == CONTACT for curve in some]
     chosen = [*(subjects or [*best(curves, score), *best(contact, score)])]
+    chosen += [curve.method for curve in curves if curve.method not in OWN]
     for names in CONTESTANTS:
         chosen += best((curve for curve in curves if curve.method in names), score)
-    for group in groups.values():
+    for group in groups.values() if by_order else ():
         chosen += best(group, score)
     return list(dict.fromkeys(chosen))[:MOST]
 

@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 from contactbench.registry import Registry
 
+#: the family of the contact methods
+CONTACT = "contact"
 LOOK = tomllib.loads(files(__package__).joinpath("looks.toml").read_text(encoding="utf-8"))
 FAMILIES: dict[str, str] = LOOK["families"]
 #: the methods of which the best is drawn in every figure

@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 
-from contactbench.report.chapters import Answer, Part, Section, Text
+from contactbench.report.chapters import Answer, Fold, Part, Section, Text
 from contactbench.report.drawing import Figure
 from contactbench.report.views import Cell, Mark, View
 
 #: how a mark is written
 WRITTEN = {Mark.best: "**{}**", Mark.kept: "**{}**", Mark.tie: "*{}*", Mark.exception: "{} !"}
 #: a longer cell is not worth lining its column up for
-PADDED = 40
+PADDED = 20
 
 
 def without_html(text: str) -> str:
@@ -51,7 +51,8 @@ def table(item: View) -> str:
 
 
 def view(item: View, depth: int) -> str:
-    return "\n\n".join(filter(None, [heading(item.title, depth), without_html(item.legend), table(item)]))
+    title = heading(item.title, depth) if item.title else ""
+    return "\n\n".join(filter(None, [title, without_html(item.legend), table(item)]))
 
 
 def text(item: Text, depth: int) -> str:
@@ -64,6 +65,10 @@ def figure(item: Figure, depth: int) -> str:
     return f"{image}\n\n{without_html(item.caption)}" if item.caption else image
 
 
+def fold(item: Fold, depth: int) -> str:
+    return f"<details><summary>{item.title}</summary>\n\n```python\n{item.code}\n```\n\n</details>"
+
+
 def section(item: Section, depth: int) -> str:
     return "\n\n".join([heading(item.title, depth), parts(item.parts, depth + 1)])
 
@@ -72,7 +77,13 @@ def heading(title: str, depth: int) -> str:
     return f"{'#' * min(depth, 6)} {' '.join(without_html(title).split())}"
 
 
-WRITERS: dict[type, Callable[..., str]] = {Section: section, View: view, Text: text, Figure: figure}
+WRITERS: dict[type, Callable[..., str]] = {
+    Section: section,
+    View: view,
+    Text: text,
+    Figure: figure,
+    Fold: fold,
+}
 
 
 def parts(items: Iterable[Part | None], depth: int = 2) -> str:

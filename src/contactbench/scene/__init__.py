@@ -21,7 +21,7 @@ from contactbench.scene.algebra import (
     shifted,
     times,
 )
-from contactbench.scene.base import Cache, Scene, System, key
+from contactbench.scene.base import Cache, Scene, key
 from contactbench.scene.contact_system import ContactSystem
 from contactbench.scene.definition import verify
 from contactbench.scene.driven import Driven

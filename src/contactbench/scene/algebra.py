@@ -11,7 +11,7 @@ from contactbench.checks import real_array
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.protocol import Arithmetic, Vector
 
-#: how far an attitude that is given may be off one
+#: allowed error of a given attitude
 ROUNDED = 1e-6
 
 
@@ -98,7 +98,7 @@ def scaled(c: Arithmetic | Vector, v: Sequence[Arithmetic]) -> Vector:
 
 
 def times(c: Arithmetic | Vector, factor: Arithmetic) -> Arithmetic | Vector:
-    """Return c · factor of a number c, or of each in a tuple."""
+    """Return c · factor, for a tuple entry by entry."""
     return tuple(a * factor for a in c) if isinstance(c, tuple) else c * factor
 
 
@@ -135,8 +135,8 @@ def conjugate(R: Vector) -> Vector:
 def rotation_matrix(R: Vector) -> tuple[Vector, Vector, Vector]:
     """Return the 3×3 matrix of a quaternion.
 
-    Homogeneous of degree two and deliberately not normalised: what a solver lets drift in the
-    quaternion's length shows up in RᵀR − 1 and in J = R M, as it would with a drifting matrix.
+    It is homogeneous of degree two and not normalised, so that a drift of the quaternion's length shows in RᵀR − 1 and
+    in J = R M.
     """
     w, x, y, z = R
     return (
@@ -153,7 +153,7 @@ def rotate(R: Vector, v: Vector) -> Vector:
 def quaternion_of(value: object) -> Vector:
     """Return an attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion.
 
-    What is off by `ROUNDED` at most, as printed or single-precision numbers are, is taken for the nearest attitude.
+    A value that is off by at most `ROUNDED`, such as printed or single-precision numbers, means the nearest attitude.
     """
     wanted, off = "1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix", ""
     given = real_array("R", value, wanted)

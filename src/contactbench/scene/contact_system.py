@@ -1,4 +1,4 @@
-"""Any contact Hamiltonian H(q, p, s): its equations by reverse-mode differentiation of H as it was recorded."""
+"""Any contact Hamiltonian H(q, p, s): its equations by reverse-mode differentiation of the recorded H."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from contactbench.scene.canonical import Canonical, angular_momentum
 from contactbench.scene.scales import RATIO, SPANS
 from contactbench.trace.formula import Formula, argument_names
 
-#: components of a state up to which the Jacobian is derived
+#: most components of a state with a derived Jacobian
 LARGEST_JACOBIAN = 65
-#: a symmetry is one when the two sides of its law agree to this part of their terms, at states this far from the start
+#: the law of a symmetry must hold to this part of its terms, at POINTS states within SPREAD of the start
 SYMMETRIC, SPREAD, POINTS = 1e-9, 0.1, 4
 
 
 class Derivatives(NamedTuple):
-    """H along (q, p, s), in this order: its gradient, ∂H/∂s by itself, its Hessian; whether ∂H/∂s follows the state."""
+    """Derivatives of H by (q, p, s): gradient, ∂H/∂s alone, Hessian; and whether ∂H/∂s depends on the state."""
 
     partials: Formula
     rate: Formula
@@ -40,7 +40,7 @@ class Derivatives(NamedTuple):
 
 @lru_cache(256)
 def derivatives_of(hamiltonian: Formula) -> Derivatives:
-    """Return the derivatives of a recorded H(q, p, s); raise `CannotRecord` where one is not known."""
+    """Return the derivatives of a recorded H(q, p, s); raise `CannotRecord` if one is not known."""
     flat = of_state(hamiltonian)
     size, second = sum(n or 1 for n in hamiltonian.arguments if isinstance(n, int)), None
     partials, rate = flat.gradient(), flat.derive(lambda rows: rows[0][-1])
@@ -58,12 +58,12 @@ def slopes_of(momentum: Formula) -> Formula:
 
 
 def of_state(made: Formula) -> Formula:
-    """Return a formula of (q, p, s) as one of the tuple of all their components."""
+    """Return a formula of (q, p, s) as a formula of one tuple with all components."""
     return replace(made, arguments=(sum(n or 1 for n in made.arguments if isinstance(n, int)),))
 
 
 def read_by(made: Formula) -> set[object]:
-    """Return the names that a formula reads, its arguments among them."""
+    """Return the names that a formula reads, including its arguments."""
     return {*leaves(made.results)}.union(*(each.value.operands for each in made.body))  # type: ignore[union-attr]
 
 
@@ -76,14 +76,14 @@ class ContactSystem(Canonical):
     Where H = h(q, p) + γ s, γ a number or a parameter, the conformal factor is e^{−γt}, and s need not be carried.
     Elsewhere it is e^{−∫∂H/∂s}.  H0 in the laws is H(q, p, 0).
 
-    No exact flows are known of a general H: the contact methods for it are contact-gauss2, -4 and -6.
+    A general H has no known exact flows: its contact methods are contact-gauss2, -4 and -6.
 
         ContactSystem(hamiltonian=lambda q, p, s: p[0] ** 2 / 2 - cb.math.cos(q[0]) + 0.1 * s * s,
                       q=(1.0,), p=(0.0,), s=0.5, t_end=20.0)
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`; the name is "contact_system" by default.
     hamiltonian
         ``H(q, p, s, **parameters) -> number``, plain arithmetic and `cb.math` on the components of the tuples q and p
@@ -94,13 +94,13 @@ class ContactSystem(Canonical):
         Numbers by name that the functions take.
     momentum
         ``J(q, p, s, **parameters)``, a number or a tuple of them, of a symmetry: {J, H} = 0 in the Jacobi bracket, so
-        that J' = −J ∂H/∂s, which is tried near the start.  A symmetry of the configuration space has J linear in p.
+        that J' = −J ∂H/∂s, which is tested near the start.  J is linear in p for a symmetry of the configuration space.
 
     Raises
     ------
     BadInput
-        For lengths that differ, values that are not finite, an H that cannot be recorded or depends on nothing, and a
-        momentum that is none of a symmetry.
+        For lengths that differ, values that are not finite, an H that cannot be recorded or is constant, and a
+        momentum without a symmetry.
     """
 
     name: str = "contact_system"
@@ -109,7 +109,7 @@ class ContactSystem(Canonical):
     p: Vector
     momentum: Callable[..., Any] | None = None  # type: ignore[assignment]
     parameters: Mapping[str, float] = field(default_factory=dict)
-    #: of H as it was recorded; None where it is recorded at every call
+    #: derivatives of the recorded H; None if it is recorded at every call
     derived: Derivatives | None = field(init=False, repr=False, compare=False, default=None)
 
     kind = "contact system"
@@ -121,7 +121,7 @@ class ContactSystem(Canonical):
         "hamiltonian": function,
         "momentum": optional(function),
     }
-    #: no damping need be in it
+    #: H may have no damping
     may_gain_energy = True
 
     def __post_init__(self) -> None:
@@ -131,7 +131,7 @@ class ContactSystem(Canonical):
             if not (numbers and all(map(is_number, numbers))):
                 raise BadInput(f"{name}: must return a real number; it returns {excerpt(value)}")
         scene = self.recorded()
-        if not self.has_users_functions:  # those of this package compute the same tomorrow
+        if not self.has_users_functions:  # functions of this package never change
             self._fix("derived", scene.derived)
         found = read_by(scene._derived.partials)
         if found.isdisjoint(argument_names((2 * len(self.q) + 1,), ())) and not any(
@@ -143,7 +143,7 @@ class ContactSystem(Canonical):
                 scene._require_symmetry()
 
     def _derive[Derived](self, name: str, derive: Callable[[Formula], Derived]) -> Derived:
-        """Return derivatives of one of its functions; `BadInput` where it cannot be recorded or differentiated."""
+        """Return derivatives of one of its functions; raise `BadInput` if it cannot be recorded or differentiated."""
         given, n = getattr(self, name), len(self.q)
         try:
             return derive(as_formula(given, (n, n, 0), self.parameters))
@@ -208,7 +208,7 @@ class ContactSystem(Canonical):
 
     # -- H and its derivatives -------------------------------------------------------------------
     def _action(self, x: State) -> Arithmetic:
-        """Return s; where it is not carried nothing but the rate of s depends on it."""
+        """Return s, or 0 if it is not carried: then only its own rate depends on it."""
         return 0.0 * x.p[0] if x.s is None else x.s
 
     def _flat(self, x: State) -> Vector:
@@ -253,7 +253,7 @@ class ContactSystem(Canonical):
         return rows
 
     def sizes(self, x: State, end: float) -> Sizes:
-        """Return the sizes of a throw with the first force, as long as none of that changes by more than it has."""
+        """Return the sizes of a throw with the initial force, as long as the force changes little."""
 
         def throw(span: float) -> State:
             p = tuple(p + span * f for p, f in zip(x.p, force, strict=True))
@@ -293,7 +293,7 @@ class ContactSystem(Canonical):
 
 # -- a mass that depends on the configuration ----------------------------------------------------------
 def kinetic_energy(M: Sequence[Vector], p: Vector) -> Arithmetic:
-    """Return ½ pᵀM⁻¹p by M = L D Lᵀ, as ½ Σ y²/d with L y = p; M is read below its diagonal alone."""
+    """Return ½ pᵀM⁻¹p by M = L D Lᵀ, as ½ Σ y²/d with L y = p; only the lower triangle of M is read."""
     L: list[list[Arithmetic]] = []
     d: list[Arithmetic] = []
     y: list[Arithmetic] = []
@@ -309,7 +309,7 @@ def kinetic_energy(M: Sequence[Vector], p: Vector) -> Arithmetic:
 
 @dataclass(frozen=True)
 class OnMetric:
-    """H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s²; mass and potential take those of the parameters that they name."""
+    """H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s²; mass and potential get the parameters that they name."""
 
     mass: Callable[..., Sequence[Vector]]
     potential: Callable[..., Arithmetic]
@@ -330,7 +330,7 @@ class OnMetric:
 
 
 def named(function: Callable[..., object], parameters: Mapping[str, Arithmetic]) -> dict[str, Arithmetic]:
-    """Return the parameters that a function takes by name, all of them where it takes any."""
+    """Return the parameters that a function takes by name."""
     taken = signature(function).parameters
     every = any(each.kind is each.VAR_KEYWORD for each in taken.values())
     return {name: value for name, value in parameters.items() if every or name in taken}
@@ -351,9 +351,9 @@ def on_metric(
     parameters: Mapping[str, float] | None = None,
     **given: Any,
 ) -> ContactSystem:
-    """Return the contact system of `OnMetric`, γ, and κ where it is not 0, among its parameters.
+    """Return the contact system of `OnMetric`; γ, and κ unless it is 0, are among its parameters.
 
-    Raises `BadInput` for a mass that is not a symmetric positive definite n×n matrix at the start.
+    Raises `BadInput` if the mass is not a symmetric positive definite n×n matrix at the start.
     """
     for name in given.keys() & {"gradient", "hessian"}:
         raise BadInput(f"{name}: is derived where the mass depends on q")

@@ -1,7 +1,7 @@
-"""Verification that a user's functions fit each other: derivatives, flows, integrals, a symmetry.
+"""Verify that a user's functions are consistent: derivatives, flows, integrals, a symmetry.
 
-Derivatives are compared with differences near the initial data and along the motion, not with dual numbers, which a
-user's functions may not take.
+Derivatives are compared with differences near the initial data and along the motion.  Dual numbers cannot be used,
+since a user's functions may not take them.
 """
 
 from __future__ import annotations
@@ -25,43 +25,43 @@ from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.mechanical import Mechanical
 from contactbench.trace.formula import Formula
 
-#: points near the initial one, and how far from it, in parts of the size of each component
+#: number of points near the initial one, and their distance relative to the size of each component
 POINTS, SPREAD = 3, 0.1
-#: steps of the differences, in parts of that size; the one is used at which two estimates agree best
+#: steps of differences relative to that size; the step with the best agreement of two estimates is used
 STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
-#: a derivative is wrong when it is off by more than this part of its terms and by more than differences are
+#: a derivative is wrong if its error exceeds TOLERANCE of its terms and SAFETY times the error of differences
 TOLERANCE = 1e-6
 SAFETY = 8.0
-#: where differences are worse than this nothing can be said: a kink, a singularity
+#: differences with a larger relative error decide nothing (a kink, a singularity)
 UNSURE = 1e-3
 
-#: below this part of its start s is not given to flows: the rest may be the round-off of other terms
+#: flows are not tested for s below this part of its start: it may be round-off of other terms
 DECAYED = 1e-3
-#: spans over which flows and integrals are tried, in parts of the scene's end time
+#: spans over which flows and integrals are tested, relative to the end time
 TRIED = (1e-3, 1e-1)
 
-#: evaluations and seconds that a motion is followed for, and places on every step of it
+#: evaluations and seconds for following a motion, and number of points on each of its steps
 FOLLOWED, FOLLOWED_SECONDS, BETWEEN = 3000, 2.0, 4
-#: states of a motion at which functions are compared that are called state by state
+#: number of states of a motion at which functions are compared
 SOME = 32
 
 _verified: Cache[bool] = Cache(1024)
 
 
 def verify(scene: Scene) -> None:
-    """Raise `BadInput` unless a user's functions fit each other near the start; once per definition."""
+    """Raise `BadInput` unless a user's functions are consistent near the start; test each definition once."""
     _once(scene, "near the start", _verify)
 
 
 def verify_along(scene: Scene) -> None:
-    """Raise `BadInput` unless they fit along the motion, as far as some thousand evaluations lead."""
+    """Raise `BadInput` unless they are consistent along the motion, followed for some thousand evaluations."""
     claims = isinstance(scene, GeneralDamping) or _is_given(getattr(scene, "gradient", None))
     if claims or scene.has_momentum_law:  # else there is nothing to compare
         _once(scene, "along the motion", lambda scene: _check(scene, _motion(scene), _claims))
 
 
 def verify_at(scene: Scene, y: np.ndarray) -> None:
-    """Raise `BadInput` unless they fit at packed states (k, d)."""
+    """Raise `BadInput` unless they are consistent at packed states (k, d)."""
     if _has_functions(scene):
         with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
             _check(scene, y, _claims)
@@ -87,7 +87,7 @@ def _once(scene: Scene, where: str, check: Callable[[Mechanical], None]) -> None
 
 @contextmanager
 def _within_the_domain() -> Iterator[None]:
-    """End a comparison, without an error, where a function is not defined."""
+    """End a comparison without an error where a function is not defined."""
     try:
         yield
     except BadInput:  # a ValueError too
@@ -97,7 +97,7 @@ def _within_the_domain() -> Iterator[None]:
 
 
 def _verify(scene: Mechanical) -> None:
-    """Compare near the start, the Hessian too; report an error in the scene's own data."""
+    """Compare near the start, including the Hessian."""
     carry, n, rng = scene.carry(("s",)), len(scene.q), np.random.default_rng(1)
     start = np.array(scene.pack(scene.initial(carry)))
     _potential(scene, start[:n], _time(scene, start))
@@ -128,11 +128,11 @@ def _motion(scene: Mechanical) -> np.ndarray:
 
 
 class Claim(NamedTuple):
-    """That one function is the derivative of another.
+    """A claim that one function is the derivative of another.
 
-    f : of x, (n,), m numbers.  given : its claimed derivative at x, (m, n).  size : of each component of x.  says, of,
-    where : parts of the message, "{says} 1.0 at {where}, {of} there 1.1"; the first number is the user's: the given
-    derivative, or where `derived` the one of f.
+    f : function of x, (n,), with m values.  given : its claimed derivative at x, (m, n).  size : sizes of the
+    components of x.  says, of, where : parts of the message "{says} 1.0 at {where}, {of} there 1.1"; the first number
+    is the user's: the given derivative, or if `derived` the derivative of f.
     """
 
     f: Callable[[np.ndarray], object]
@@ -207,7 +207,7 @@ def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
 
 
 def _flow(scene: GeneralDamping, s: float) -> Iterator[Claim]:
-    """Yield what a flow of s' = −Γ(s) claims; raise `BadInput` unless it starts at s."""
+    """Yield the claims of a flow of s' = −Γ(s); raise `BadInput` unless it starts at s."""
     flow: Any = scene.damping_flow
     _starts(scene, "damping_flow", flow(s, 0.0, math), s, f"s = {s:.6g}, h = 0")
     for h in (part * scene.t_end for part in TRIED):
@@ -218,7 +218,7 @@ def _flow(scene: GeneralDamping, s: float) -> Iterator[Claim]:
 
 
 def _span(scene: Driven, t: float) -> Iterator[Claim]:
-    """Yield what the integrals of a rate claim; raise `BadInput` unless they begin at 0."""
+    """Yield the claims of the integrals of a rate; raise `BadInput` unless they begin at 0."""
     pair: Any = lambda h: scene.spent(t, float(h), math)  # noqa: E731
     for value, name in zip(pair(0.0), ("G", "φ"), strict=True):
         _starts(scene, f"span's {name}", value, 0.0, f"t = {t:.6g}, h = 0")
@@ -238,7 +238,7 @@ def _starts(scene: Scene, what: str, given: float, wanted: float, where: str) ->
 
 
 def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
-    """Yield what a Hessian claims; raise `BadInput` unless it is n rows of n numbers."""
+    """Yield the claim of a Hessian; raise `BadInput` unless it is n rows of n numbers."""
     if scene.hessian is None or not _is_given(scene.hessian):
         return
     n = len(scene.q)
@@ -256,7 +256,7 @@ def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
 
 
 def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
-    """Raise `BadInput` unless ∇V has no moment, J of q and ∇V in the place of p, at each place."""
+    """Raise `BadInput` unless the torque, J with ∇V in place of p, vanishes at each place."""
     found = []
     for q in places:
         with _within_the_domain():
@@ -296,7 +296,7 @@ def _compare(scene: Mechanical, claim: Claim) -> None:
 def difference(
     f: Callable[..., np.ndarray], q: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Return the derivative along a direction by central differences of order 4, and about its error."""
+    """Return the derivative along a direction by central differences of order 4, and an estimate of its error."""
     best, error = np.full_like(f(q), math.nan), math.inf
     for step in STEPS:
         ends = [(f(q + h * direction), f(q - h * direction)) for h in (step, step / 2)]

@@ -1,4 +1,4 @@
-"""Mechanical scenes with time in them: forces and damping that depend on it."""
+"""Mechanical scenes with forces and damping that depend on the time."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def driven_damp(scene: Driven, x: DrivenState, h: Arithmetic, xp: Namespace) -> 
 
 
 def _driven_constants(scene: Driven, h: Arithmetic, xp: Namespace) -> Constants:
-    """Return h, and the constants of `drift_damp` where γ is constant."""
+    """Return h, and the constants of `drift_damp` if γ is constant."""
     return (h,) if scene.rate_changes else (h, *_drift_damp_constants(scene, h, xp))
 
 
 def driven_drift_damp(scene: Driven, x: DrivenState, constants: Constants, xp: Namespace) -> DrivenState:
-    """AC over (t, t + h), with φ and ∫γ of that time."""
+    """AC over (t, t + h), with φ and ∫γ over that interval."""
     h, *constant = constants
     if not constant:
         total, phi = scene.spent(x.t, h, xp)
@@ -49,7 +49,7 @@ def driven_drift_damp(scene: Driven, x: DrivenState, constants: Constants, xp: N
 
 
 def increasing(name: str, value: object) -> tuple[float, ...]:
-    """Return increasing finite numbers as a tuple; a single number is one of them."""
+    """Return increasing finite numbers, or a single number, as a tuple."""
     times = np.array(real_array(name, value, "increasing finite times"), ndmin=1)
     if times.ndim != 1 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
         raise BadInput(f"{name} = {excerpt(value)}: must be increasing finite times, such as (13.3,)")
@@ -69,7 +69,7 @@ class Driven(Mechanical):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     hessian, q, p, kappa, mass, parameters, rotation_invariant
         As of `Mechanical`; κ = 0, no Hessian and no symmetry are allowed.
@@ -172,7 +172,7 @@ class Driven(Mechanical):
         return ("mass",) if self.rate else ("gamma", "mass")
 
     def V(self, q: Vector, t: Arithmetic | None = None) -> Arithmetic:
-        """Return V(q, t), at the start where no time is given."""
+        """Return V(q, t), by default at the start time."""
         return self.potential(q, self.t if t is None else self.time(t), **self.parameters)
 
     def dV(self, q: Vector, t: Arithmetic | None = None) -> Vector:

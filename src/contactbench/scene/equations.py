@@ -1,4 +1,4 @@
-"""Any equations of first order: what has no Hamiltonian, raced by the methods that need none."""
+"""Equations of first order without a Hamiltonian, for methods that need none."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class EquationState(NamedTuple):
 
 @lru_cache(256)
 def derived_jacobian(rhs: Formula, size: int) -> Formula | None:
-    """Return ∂f/∂(y, t) of a state as one tuple, n rows of n + 1, None where a derivative is not known."""
+    """Return ∂f/∂(y, t), n rows of n + 1 numbers, as a formula of one tuple; None for an unknown derivative."""
 
     def together(z: Vector, **parameters: Arithmetic) -> object:
         return rhs(z[size], z[:size], **parameters)
@@ -55,7 +55,7 @@ class Equations(Scene):
 
     Parameters
     ----------
-    name, about, t_end, scale, slows_after, hard, experiments
+    name, about, t_end, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`; the name may be left out.
     rhs
         ``f(t, y, **parameters)`` → n numbers, plain arithmetic on the n-tuple y, functions from `contactbench.math`.
@@ -133,7 +133,7 @@ class Equations(Scene):
         vector(f"y0 = {excerpt(self.y0)}, where rhs", slope, len(self.y0))
 
     def with_(self, **changes: Any) -> Self:
-        """Return a copy with some parameters changed, any of them by keyword; of another `rhs` too."""
+        """Return a copy with changed parameters by keyword, perhaps with another `rhs`."""
         given = changes.pop("rhs", None)
         changed = super().with_(**changes)
         if given is None:
@@ -142,7 +142,7 @@ class Equations(Scene):
         return type(self)(**{f.name: getattr(changed, f.name) for f in names}, rhs=given)
 
     def recorded(self) -> Self:
-        """Return the scene recorded, with its Jacobian derived where it can be."""
+        """Return the scene recorded, with its Jacobian derived if possible."""
         scene = super().recorded()
         if isinstance(scene.right_hand_side, Formula) and len(scene.y0) <= LARGEST_HESSIAN:
             return scene._replaced(jacobian_of=derived_jacobian(scene.right_hand_side, len(scene.y0)))
@@ -169,9 +169,9 @@ class Equations(Scene):
         return {"y0": x.y, "t": x.t}
 
     def sizes(self, x: EquationState, end: float) -> Sizes:
-        """Return the sizes of a throw with the first slope, as long as no component's changes by more than it has.
+        """Return the sizes of a throw with the initial slope, as long as the slope changes little.
 
-        A component that does not move yet has what the others make of its slope by then.
+        A component that is at rest gets its slope at the end of the throw.
         """
 
         def slope(span: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from contactbench.numbers.protocol import Arithmetic, Namespace, Vector
 
 
 def plain(scene: object, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    """Return the step itself, of flows without other constants."""
+    """Return the step itself, for flows without other constants."""
     return h
 
 
@@ -32,7 +32,7 @@ class Damped(Protocol):
 
 
 class Flow(NamedTuple):
-    """Define one exact subflow φ_h, in two functions: what depends on h alone is computed once, outside the time loop.
+    """Define one exact subflow φ_h by two functions: numbers that depend on h alone are computed outside the time loop.
 
     Flows for h1 and h2 compose to the flow for h1 + h2, so that neighbours may be merged.
 
@@ -43,8 +43,8 @@ class Flow(NamedTuple):
     apply
         ``(scene, x, constants, xp) -> x``: the state after the step.
     costs
-        What one application adds to the counts, by kind ("gradient", "rotation"; "attitude": the rotations that R
-        takes beside the others, where it is carried).
+        Evaluations of one application, by kind ("gradient", "rotation"; "attitude": the additional rotations if R is
+        carried).
     """
 
     constants: Callable[..., Constants]
@@ -59,16 +59,15 @@ def damped_time(gamma: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
     return choose(undamped, small, -xp.expm1(-z) / choose(undamped, 1.0, gamma, xp), xp)
 
 
-#: above this γh the decay is applied as a factor, below it as a small loss
+#: the decay is a factor above this γh, and a small loss below it
 STRONG = 1.5
 
 
 def damping(gamma: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
     """Return e^{−γh} as a pair (keep, lose): damped(p) = keep·p − lose·p.
 
-    With keep = 1 and lose = 1 − e^{−γh} the rounding of the coefficient matters only through the
-    small loss, so that 10⁶ steps do not drift by 10⁶ roundings of the factor; and the loss joins the
-    kick in one fused multiply-add.  Where the loss is nearly everything, (e^{−γh}, 0) instead.
+    With keep = 1 and lose = 1 − e^{−γh} only the small loss is rounded, so that 10⁶ steps do not drift by 10⁶ roundings
+    of the factor; and the loss joins the kick in one fused multiply-add.  For a large loss the pair is (e^{−γh}, 0).
     """
     strong = gamma * h > STRONG
     factor, loss = xp.exp(-gamma * h), -xp.expm1(-gamma * h)

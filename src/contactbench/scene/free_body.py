@@ -103,7 +103,7 @@ def free(scene: RigidBody, x: BodyState, t: Arithmetic, xp: Namespace) -> BodySt
 
 
 def polar(v: Vector, xp: Namespace) -> tuple[Arithmetic, Vector, Condition]:
-    """Return ‖v‖, v/‖v‖, and whether v is zero: 1 and the first axis then, so that no derivative of √0 is taken.
+    """Return ‖v‖, v/‖v‖, and whether v is zero; for v = 0 return 1 and the first axis, to avoid a derivative of √0.
 
     No square underflows, and the direction has length one where ‖v‖ itself has hardly any digits left.
     """
@@ -199,7 +199,7 @@ def phase(
 
 
 def sense(motion: Course, xp: Namespace) -> Arithmetic:
-    """Return −1 where the axis e of the frame is axis 3, 1 where it is axis 1: the sign of the bent part of ψ."""
+    """Return the sign of the bent part of ψ: −1 if the axis e of the frame is axis 3, 1 if it is axis 1."""
     return choose(motion.first, 1.0, -1.0, xp) * choose(motion.about_k, -1.0, 1.0, xp)
 
 
@@ -274,7 +274,7 @@ def jacobi(u: Arithmetic, m: Arithmetic, m1: Arithmetic, xp: Namespace) -> Vecto
     return sn, cn, dn, xp.pi / (2 * scale)
 
 
-#: what its duplication carries: the arguments and their mean, roots, the factor of a term, the excess, the sum
+#: variables of its duplication: the arguments and their mean, roots, the factor of a term, the excess, the sum
 Terms = tuple[Vector, Vector, Arithmetic, Arithmetic, Arithmetic]
 
 

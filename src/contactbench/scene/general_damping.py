@@ -98,7 +98,7 @@ def by_quadrature(
         return tau * sum(weighted), tau * extra, pace(xp.exp(r * tau), weights)
 
     def integrated(tau: Arithmetic, xp: ExactNamespace) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
-        """Return the same with all the digits that the numbers have."""
+        """Return the same to all digits of the numbers."""
         pace = lambda t: xp.exp(-r * t) * start / scene.dissipation(at(t)) if start else 1  # noqa: E731
         beside = lambda t: pace(t) * (scene.dissipation_rate(at(t)) - r)  # noqa: E731
         return xp.quad(pace, [0, tau]), xp.quad(beside, [0, tau]), pace(tau)
@@ -123,7 +123,7 @@ def by_quadrature(
 
 
 def at_rest(scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
-    """Return −Γ'h with Γ' where s is on average: its derivative by s is then right, too, −∂∫Γ'(s)/∂s."""
+    """Return −Γ'h with Γ' at the mean of s, so that the derivative by s is right too."""
     z = scene.dissipation_rate(s) * h
     still = z == 0
     moved = choose(still, 1, z + xp.expm1(-z), xp) / choose(still, 2, z, xp) / choose(still, 1, z, xp)
@@ -148,7 +148,7 @@ class GeneralDamping(Mechanical):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     potential, gradient, hessian, q, p, gamma, kappa, mass, parameters, rotation_invariant
         As of `Mechanical`; gamma and kappa stay 0, Γ is in their place.

@@ -34,7 +34,7 @@ class HeavyTop(RigidBody):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     inertia
         Three principal moments about the fixed point > 0.

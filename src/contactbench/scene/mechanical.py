@@ -24,9 +24,9 @@ from contactbench.scene.flow import Constants, Flow, damped_time, damping, plain
 from contactbench.scene.scales import in_order, reach
 from contactbench.trace.formula import Formula
 
-#: components up to which a Hessian is derived
+#: most components with a derived Hessian
 LARGEST_HESSIAN = 32
-#: derivatives of formulas, taken once; both raise `CannotRecord` where one is not known
+#: cached derivatives of formulas; both raise `CannotRecord` for an unknown derivative
 derived_gradient = lru_cache(256)(Formula.gradient)
 derived_hessian = lru_cache(256)(Formula.hessian)
 
@@ -39,7 +39,7 @@ def each_positive(name: str, value: Any) -> float | tuple[float, ...]:
 
 
 def masses(name: str, value: Any) -> float | tuple[float, ...]:
-    """Return them likewise; of anything else say how a matrix is given."""
+    """Return masses; for a matrix raise `BadInput` with the way to give it."""
     if callable(value) or np.ndim(value) > 1:
         how = "a matrix, constant or not, is cb.Mechanical(mass=lambda q: …), a function of q"
         why = f"{name} = {excerpt(value)}: must be one number > 0, or one for every component; {how}"
@@ -52,7 +52,7 @@ def sign(number: Arithmetic) -> int:
 
 
 def damping_rate(name: str, value: Any) -> float:
-    """Return a finite number; raise `BadInput` for anything else, which says how a function is given."""
+    """Return a finite number; for a function or an array raise `BadInput` with the way to give it."""
     if callable(value):
         how = "of time is cb.Driven(rate=lambda t: …), of s cb.GeneralDamping(damping=…), of q and s cb.ContactSystem"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
@@ -159,14 +159,14 @@ def _pinney(
     return a, choose(alive, 1 / y, xp.inf, xp), path
 
 
-#: z/a² up to which atan2(√z, a)/√z is a sum of so many powers: to round-off
+#: for z/a² ≤ SMALL, a sum of POWERS powers gives atan2(√z, a)/√z to round-off
 SMALL, POWERS = 1e-2, 9
 
 
 def _pinney_of_any_sign(
     a: Arithmetic, z: Arithmetic, xp: Namespace
 ) -> tuple[Arithmetic, Arithmetic, Arithmetic]:
-    """Return the same where the sign of κ is not known, z = kφT; smooth at κ = 0, which the others are not."""
+    """Return the same for an unknown sign of κ, z = kφT; it is smooth at κ = 0."""
     size, square = abs(z), a * a
     near = (size <= SMALL * square) & (a > 0)
     b = xp.sqrt(choose(near | (z == 0), 1.0, size, xp))
@@ -187,12 +187,11 @@ def _pinney_of_any_sign(
 class Mechanical(Canonical):
     """Describe a point mass in a potential: H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
 
-    The functions may read globals or attributes: every solve, run and reference takes the values that they have when
-    it is prepared.
+    The functions may read globals or attributes: every solve, run and reference uses their values at its preparation.
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     potential
         ``V(q, **parameters) -> number``.
@@ -204,13 +203,12 @@ class Mechanical(Canonical):
     q, p
         Initial coordinates and momenta, n numbers each.
     gamma, kappa
-        Damping, none by default, and then every run says "undamped"; κ ≠ 0 makes s part of the dynamics.
+        Damping; without any, every run reports "undamped".  κ ≠ 0 makes s part of the dynamics.
     mass
         > 0; one number, or one for every component; or ``M(q, **parameters)``, a symmetric positive definite matrix,
-        n rows of n numbers.  Then H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s², and the scene made is the `ContactSystem` of
-        this H, γ and κ among its parameters; gradient and hessian are derived, and errors are of every component by
-        itself: such coordinates are angles beside lengths more often than not.  In p = M(q) q' the damping is still
-        −γ p: the friction −γ M(q) q' is proportional to the mass.
+        n rows of n numbers.  Then the result is the `ContactSystem` with H = ½ pᵀM(q)⁻¹p + V(q) + γ s + ½ κ s² and the
+        parameters γ and κ.  Gradient and Hessian are derived, and every component has its own scale, since angles and
+        lengths are often mixed.  The damping is −γ p with p = M(q) q', a friction −γ M(q) q' proportional to the mass.
     parameters
         Numbers by name that the functions take.
     rotation_invariant
@@ -233,7 +231,7 @@ class Mechanical(Canonical):
     parameters: Mapping[str, float] = field(default_factory=dict)
     rotation_invariant: bool = False
     inverse_mass: Arithmetic | Vector = field(init=False, repr=False, default=1.0)
-    #: 1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it; None: any
+    #: the sign of the original κ, 1, 0 or −1, which selects the flows; None for flows of any sign
     kappa_sign: int = field(init=False, repr=False, default=0)
 
     kind = "mechanical"
@@ -280,7 +278,7 @@ class Mechanical(Canonical):
 
     @property
     def bodies(self) -> int:
-        """Return how many may have a mass of their own."""
+        """Return the number of masses."""
         return len(self.q)
 
     @property
@@ -298,7 +296,7 @@ class Mechanical(Canonical):
         return super().orders() + found + ([(i, zero, self.kappa_sign < 0)] if self.kappa_sign <= 0 else [])
 
     def recorded(self) -> Self:
-        """Return the scene recorded, with a gradient and a Hessian derived where they are left out."""
+        """Return the scene recorded; derive a missing gradient and Hessian."""
         if self.gradient is not None and not self.has_users_functions:
             return self
         scene = super().recorded()
@@ -428,7 +426,7 @@ class Mechanical(Canonical):
     def momentum(self, x: State) -> Vector | None:
         return angular_momentum(x.q, x.p)
 
-    #: what says that it has a symmetry
+    #: the argument that claims a symmetry, for messages
     symmetry: ClassVar[str] = "rotation_invariant = True"
 
     @property

@@ -44,7 +44,7 @@ def moments(name: str, value: Any) -> Vector:
 
 
 def one_rate(name: str, value: Any) -> float:
-    """Return a finite number; raise `BadInput` for anything else, which says who takes it."""
+    """Return a finite number; for a function or an array raise `BadInput` with a hint."""
     if callable(value) or np.ndim(value):
         how = "of RigidBody one for each axis is damping=(0.1, 0.2, 0.3); SciPy's solve_ivp takes any other"
         raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
@@ -126,7 +126,7 @@ def top_rate(scene: RigidBody) -> Arithmetic:
 
 
 def turn(scene: RigidBody, x: BodyState, tau: Arithmetic, xp: Namespace) -> BodyState:
-    """Flow of ½ (1/I_min − 1/I_mid) M_min²: what an asymmetric body is more than a symmetric top.
+    """Flow of ½ (1/I_min − 1/I_mid) M_min², the difference between an asymmetric body and a symmetric top.
 
     Free body = `turn` + `top`: Touma, Wisdom, Astron. J. 107, 1189 (1994); for what the choice of axes does
     to the error, Fassò, J. Comput. Phys. 189, 527 (2003).  Differences to the intermediate moment are the
@@ -167,9 +167,8 @@ def free_damp(scene: RigidBody, x: BodyState, constants: Constants, xp: Namespac
     return body_damp(scene, free(scene, x, tau, xp), decay, xp)
 
 
-#: what `free` costs in rotations: it has so many times the two square roots, divisions and transcendental
-#: functions of a rotation, with loops of fixed length (counted anew in the tests).  The momentum takes few of
-#: them, the attitude the others, where it is carried.
+#: cost of `free` in rotations, by the numbers of square roots, divisions and transcendental functions with loops of
+#: fixed length (the tests count them): without and with the attitude
 MOMENTUM_COST, FREE_COST = 23, 177
 FREE_COSTS = {"rotation": MOMENTUM_COST, "attitude": FREE_COST - MOMENTUM_COST}
 
@@ -190,7 +189,7 @@ class RigidBody(Scene):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     inertia
         Three principal moments > 0.
@@ -200,8 +199,7 @@ class RigidBody(Scene):
         Attitude at the start: 1, a quaternion (w, x, y, z) or a rotation matrix; the nearest one where it is off by
         10⁻⁶ at most.
     attitude
-        Whether R is part of the motion: carried, and judged with M, wherever methods are raced.  False where M alone
-        is asked for.
+        Whether R is part of the compared motion, beside M.
     gamma
         Isotropic damping, D = γ 1: a contact system with H = ½ M·I⁻¹M + γ s.
     damping
@@ -276,7 +274,7 @@ class RigidBody(Scene):
 
     @property
     def flows(self) -> Mapping[str, Flow]:  # type: ignore[override]
-        """Its subflows; compositions of higher order leave out `free`, which is costly."""
+        """Return its subflows; compositions of higher order leave out `free`, which is costly."""
         return ISOTROPIC if self.isotropic else BODY
 
     @property

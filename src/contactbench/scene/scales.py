@@ -1,7 +1,7 @@
-"""Units: which components share one, how large each becomes, and what an error is in parts of that.
+"""Scales: the sizes of the components of a motion, and errors relative to them.
 
-From its start alone a motion's sizes bound absolute tolerances and divergence; with its truth they are what errors are
-measured against, everywhere.
+Sizes estimated from the start define absolute tolerances and the bound of divergence.  Sizes of the true motion define
+all errors.
 """
 
 from __future__ import annotations
@@ -18,38 +18,38 @@ from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Vector
 from contactbench.scene.algebra import rotation_matrix
 
-#: a size between these counts as 1: a scene in sensible units keeps them
+#: a size between these counts as 1 if components share a unit
 LEAST, MOST = 1e-2, 1e3
-#: spans that are tried, each so many times as long as the one before
+#: number of spans tried, and the ratio of successive spans
 SPANS, RATIO = 18, 8.0
-#: what moves less than this part of what the energy would let it is measured against that part
+#: a size counts as at least this part of the size that the energy allows
 FAINT = 1e-3
 
 
 def known(sizes: np.ndarray) -> np.ndarray:
-    """Return sizes, 1 where they are not known."""
+    """Return sizes, with 1 for unknown ones."""
     return np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
 
 
 def in_order(sizes: object) -> np.ndarray:
-    """Return sizes, 1 where they are of order one or not known."""
+    """Return sizes, with 1 for sizes of order one and unknown ones."""
     sizes = np.asarray(sizes, dtype=float)
     other = np.isfinite(sizes) & (sizes > 0) & ~((sizes >= LEAST) & (sizes <= MOST))
     return np.where(other, sizes, 1.0)
 
 
 def size(vector: Vector) -> float:
-    """Return the largest magnitude among some numbers, nan if one of them is."""
+    """Return the largest magnitude among some numbers; nan if one of them is nan."""
     total: Any = sum(vector)
     largest: Any = max(map(abs, vector))
     return float(largest) if total == total else math.nan
 
 
 def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return how large the parts of the coordinates, of these lengths, and their velocities become.
+    """Estimate the largest sizes of parts of the coordinates, with given lengths, and of their velocities.
 
-    A body is thrown from x with its first acceleration, over the longest of some spans up to `end` in which the
-    change of the force does not outweigh what it has: a fraction of a period, or all the time of a free body.
+    The estimate is a throw from x with the initial acceleration over the longest span up to `end` in which the change
+    of the force is small: a fraction of a period, or the whole time for a free body.
     """
 
     ends = [*accumulate(lengths)]
@@ -62,14 +62,14 @@ def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.nd
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
         try:
             accelerations: Vector = scene.velocity(tuple(-g for g in scene.gradient_at(there)))
-        except Exception:  # a user's function, where it is not defined
+        except Exception:  # a user's function is not defined there
             return tuple(np.nan * c for c in q)
         return accelerations
 
     v, a = scene.velocity(x.p), pull(0.0, x.q)
     far, fast, force = map(sizes, (x.q, v, a))
     spans = [end / RATIO**k for k in reversed(range(SPANS))]
-    if scene.clock is not None:  # a force that is yet to come
+    if scene.clock is not None:  # a later force
         force = np.fmax.reduce([force, *(sizes(pull(span, x.q)) for span in spans)]).tolist()
     longest, fits = [0.0] * len(cuts), [True] * len(cuts)
     for span in spans:
@@ -89,9 +89,9 @@ def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.nd
     return most, faster
 
 
-# -- what an error is measured against -----------------------------------------------------------------
+# -- scales of errors --------------------------------------------------------------------------------
 def curvatures(scene: Any, x: Any) -> np.ndarray:
-    """Return |∂²H/∂y²| along every coordinate and momentum, (2n,): stiffnesses and inverse masses; 0 where unknown."""
+    """Return |∂²H/∂y²| for every coordinate and momentum, (2n,): stiffnesses and inverse masses; 0 if unknown."""
     n = len(x.q)
     try:
         rows = scene.jacobian(x)
@@ -102,14 +102,14 @@ def curvatures(scene: Any, x: Any) -> np.ndarray:
             rows = [slope(c) + np.zeros(len(y)) for c in (*found.q, *found.p)]
         bends = [rows[i + n if i < n else i - n][i] for i in range(2 * n)]
         return np.nan_to_num(np.abs(np.array(bends, dtype=float)), posinf=0.0)
-    except Exception:  # a user's function, of floats or where it is not defined
+    except Exception:  # a user's function of floats, or not defined there
         return np.zeros(2 * n)
 
 
 def at_least(scene: Any, x: Any, sizes: np.ndarray) -> np.ndarray:
-    """Return sizes of coordinates and momenta (2n,), a hardly moving one as what a motion of theirs would let it do.
+    """Return sizes of coordinates and momenta, (2n,), raised to a part of the sizes that the energy allows.
 
-    That is `FAINT` of √(2E/H''), E the kinetic energy that the momenta come to: √(2E/mω²) and √(2mE).
+    The bound is `FAINT` · √(2E/H'') with the kinetic energy E of the momenta: √(2E/mω²) and √(2mE).
     """
     bends, momenta = curvatures(scene, x), sizes[len(x.q) :]
     twice = np.nansum(bends[len(x.q) :] * momenta * momenta)
@@ -121,10 +121,10 @@ def at_least(scene: Any, x: Any, sizes: np.ndarray) -> np.ndarray:
 def vectors_of(
     scene: Any, y: np.ndarray, carry: Sequence[str], whole: bool = False
 ) -> tuple[np.ndarray, list[int]]:
-    """Return the motion in packed states (k, d), what errors are taken of, and how long each vector of one unit is.
+    """Return the components of packed states (k, d) that have errors, and the lengths of vectors with one unit.
 
-    The attitude is its nine matrix entries, what a quaternion and its negative have in common.  The time is no part,
-    nor, unless `whole`, s where nothing follows it: a constant in V would make it as large as one likes.
+    The attitude is its nine matrix entries, which do not depend on the sign of the quaternion.  The time is left out,
+    and unless `whole` also an s without effect on the motion, since a constant in V could make it arbitrarily large.
     """
     lengths = scene.groups(carry)
     if scene.clock is not None:
@@ -140,7 +140,7 @@ def vectors_of(
 
 
 def norms(v: np.ndarray, lengths: Sequence[int]) -> np.ndarray:
-    """Return the norms of vectors one beside the other, (k, ·); none underflows, nor overflows before it has to."""
+    """Return the norms of adjacent vectors, (k, ·), without underflow or unnecessary overflow."""
     if len(lengths) == v.shape[1]:
         return np.abs(v)
     firsts = np.cumsum(lengths) - lengths
@@ -152,9 +152,9 @@ def norms(v: np.ndarray, lengths: Sequence[int]) -> np.ndarray:
 
 
 def sizes_of(scene: Any, rows: np.ndarray, carry: Sequence[str], whole: bool = False) -> np.ndarray:
-    """Return the scale of each of `vectors_of` in true states (k, d), the start first: its largest size.
+    """Return the scale of each of `vectors_of` in true states (k, d): its largest size; the start comes first.
 
-    What hardly moves counts as what the energy would let it (`at_least`), what never moves as 1; the user's own rules.
+    Small sizes are raised by `at_least`, zero counts as 1, and the user's `scale` has priority.
     """
     sizes, vectors = norms(*vectors_of(scene, rows, carry, whole)).max(axis=0), scene.vectors
     motion = len(vectors)
@@ -173,7 +173,7 @@ def sizes_of(scene: Any, rows: np.ndarray, carry: Sequence[str], whole: bool = F
 def gaps(
     scene: Any, y: np.ndarray, true: np.ndarray, sizes: np.ndarray, carry: Sequence[str], whole: bool = False
 ) -> np.ndarray:
-    """Return the error of packed states (k, d): of every vector in parts of its own size, the largest, (k,)."""
+    """Return the largest relative error of the vectors of packed states (k, d), (k,)."""
     (found, lengths), (wanted, _) = (vectors_of(scene, each, carry, whole) for each in (y, true))
     apart = norms(np.asarray(found - wanted, dtype=float), lengths)
     return np.asarray((apart / sizes).max(axis=1))
@@ -182,9 +182,9 @@ def gaps(
 def errors(
     scene: Any, y: np.ndarray, true: np.ndarray, start: ArrayLike, carry: Sequence[str], whole: bool = False
 ) -> np.ndarray:
-    """Return the errors (k,) of states (k, d) against the true ones, whose sizes, the start's too, are the scales.
+    """Return the errors (k,) of states (k, d), relative to the sizes of the true states and the start.
 
-    Both may be arrays of numbers of more digits.
+    Both may be arrays of high-precision numbers.
     """
     rows = np.asarray(np.vstack([np.asarray(start), true]), dtype=float)
     return gaps(scene, y, true, sizes_of(scene, rows, carry, whole), carry, whole)

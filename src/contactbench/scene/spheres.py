@@ -22,10 +22,10 @@ from contactbench.scene.mechanical import Mechanical, _drift_damp_constants, _pi
 from contactbench.scene.scales import known
 from contactbench.trace.formula import Formula
 
-#: θ² up to which (1 − cos θ)/θ² and sin θ/θ are sums of so many powers, to round-off, and so many halvings at most
+#: for θ² ≤ SMALL, sums of POWERS powers give (1 − cos θ)/θ² and sin θ/θ to round-off; most halvings
 SMALL, POWERS, MOST = 1.0, 10, 600.0
 SINC, VERSINE = ([(-1) ** k / math.factorial(2 * k + more) for k in range(POWERS)] for more in (1, 2))
-#: by how much, relative, a start may be off the sphere
+#: allowed relative distance of a start from the sphere
 CLOSE = 1e-12
 #: a number, or one for every point
 Each = Any
@@ -40,7 +40,7 @@ def unit(name: str, value: Any) -> Vector:
 
 
 def flat(name: str, value: Any) -> tuple[Vector, int]:
-    """Return the numbers of one point or several, one after the other, and how many each has: 0, it is not said."""
+    """Return the numbers of one point or several in a row, and the length of a point, 0 if it is not known."""
     several = isinstance(value, tuple | list | np.ndarray) and len(value) > 0
     if several and all(np.ndim(row) == 1 for row in value):
         rows = [vector(f"{name}[{i}]", row, len(value[0])) for i, row in enumerate(value)]
@@ -49,7 +49,7 @@ def flat(name: str, value: Any) -> tuple[Vector, int]:
 
 
 def of(value: Each, i: int) -> Any:
-    """Return the value of point i, where there is one for all points or one for each."""
+    """Return the value for point i, from one for all points or one for each."""
     return value[i] if isinstance(value, tuple) else value
 
 
@@ -104,11 +104,11 @@ def horner(coefficients: Sequence[float], x: Arithmetic) -> Arithmetic:
 
 
 def sphere_kick(scene: Spheres, x: State, h: Arithmetic, xp: Namespace) -> State:
-    """B: p −= h ∇V along the sphere, s −= h V; q and p then are where rounding put them off, back on it.
+    """B: p −= h ∇V along the sphere, s −= h V; then q and p are projected back to the sphere.
 
-    That is nothing on the sphere, nor to vectors tangent to it, so that the map there is B's.  Without it the free
-    motion, which exchanges a rounding of |q| for one of q·p and back, is a parametric resonance of both (measured:
-    10⁻³ after 10⁶ steps).  1/|q| and 1/|q|² are steps of Newton's from 1/R and 1/R².
+    The projection only removes rounding errors: on the sphere it is the identity.  Without it the free motion exchanges
+    rounding errors of |q| and q·p, a parametric resonance of both (measured: 10⁻³ after 10⁶ steps).  1/|q| and 1/|q|²
+    are Newton steps from 1/R and 1/R².
     """
     q_after: Vector = ()
     p_after: Vector = ()
@@ -129,7 +129,7 @@ def great_circles(
     xp: Namespace,
     damped: Callable[[Arithmetic], Arithmetic] = lambda c: c,
 ) -> tuple[Vector, Vector]:
-    """Return q after the free motion, every point for its time over its mass, and p after that and damping.
+    """Return q after the free motion, each point over its time divided by its mass, and the damped p.
 
     q → q cos θ + (p t/m) sin θ/θ, p → p cos θ − q (|p|² t/mR²) sin θ/θ, θ = |p| t/mR: no division by |p|.
     What needs no sine is computed beside it.
@@ -189,7 +189,7 @@ class Spheres(Mechanical):
 
     Parameters
     ----------
-    name, about, t_end, s, exact, scale, slows_after, hard, experiments
+    name, about, t_end, s, exact, scale, slows_after, hard, stiff, mission, pace
         As of `Scene`.
     potential
         ``V(q, **parameters) -> number`` of a point, d numbers, or of several, a tuple of such.  It is a function near
@@ -297,7 +297,7 @@ class Spheres(Mechanical):
         return ["" if name == "radius" else name for name in super().number_names()]
 
     def of_numbers(self, function: Any) -> Any:
-        """Return a function of points as one of their numbers; a recorded one is that already."""
+        """Return a function of points as a function of their numbers; a recorded one is one already."""
         grouped = isinstance(function, Formula) or getattr(function, "func", None) is call_grouped
         if self.bodies == 1 or grouped:
             return function
@@ -358,7 +358,7 @@ class Spheres(Mechanical):
         return [self.dimension] * 2 * self.bodies
 
     def sizes(self, x: State, end: float) -> Sizes:
-        """Return the radii, and what a fall through them makes of momenta: √(2 m R ‖∇V‖)."""
+        """Return the radii, and the momenta after a fall through a radius, √(2 m R ‖∇V‖)."""
         try:
             slope = self.dV(x.q)
         except Exception:  # a user's function, where it is not defined
@@ -436,7 +436,7 @@ def planes(q: Vector, p: Vector) -> Vector:
 
 
 def frame(u: Vector) -> list[Vector]:
-    """Return d − 1 vectors orthogonal to a unit vector and to one another: axes mirrored so that the last is ±u."""
+    """Return d − 1 orthonormal vectors orthogonal to a unit vector u: axes mirrored so that the last is ±u."""
     last = u[-1]
     side = 1.0 if last >= 0 else -1.0
     mirror = (*u[:-1], last + side)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contactbench.scene import Scene
 from contactbench.scene.base import SCENES
 from contactbench.scenes.contact_systems import CONTACT_SYSTEMS
 from contactbench.scenes.driven import DRIVEN
@@ -11,8 +10,3 @@ from contactbench.scenes.standard import STANDARD
 
 for _scene in (*STANDARD, *DRIVEN, *CONTACT_SYSTEMS, *HARD):
     SCENES.add(_scene)
-
-
-def scenes_of(experiment: str) -> list[Scene]:
-    hard, scenes = experiment == "stability", SCENES.values()
-    return [s for s in scenes if experiment in s.experiments or (not s.experiments and s.hard == hard)]

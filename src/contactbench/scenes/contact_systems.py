@@ -47,7 +47,6 @@ DOUBLE_PENDULUM = ContactSystem(
     q=(1.5, 0.5),
     p=(0.0, 0.0),
     t_end=20.0,
-    experiments=("convergence", "laws", "work_precision", "stability"),
 )
 
 POLAR = ContactSystem(
@@ -59,7 +58,6 @@ POLAR = ContactSystem(
     q=(1.0, 0.0),
     p=(0.3, 0.8),
     t_end=20.0,
-    experiments=("convergence", "laws", "work_precision", "stability"),
 )
 
 THERMOSTAT = ContactSystem(
@@ -72,7 +70,6 @@ THERMOSTAT = ContactSystem(
     p=(0.3,),
     s=0.5,
     t_end=5.0,
-    experiments=("convergence", "laws", "work_precision", "stability"),
 )
 
 CONTACT_SYSTEMS = (DOUBLE_PENDULUM, POLAR, THERMOSTAT)

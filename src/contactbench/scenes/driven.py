@@ -1,4 +1,4 @@
-"""Scenes with time in them: a forced oscillator, Lane–Emden, chaos.
+"""Time-dependent scenes: a forced oscillator, Lane–Emden, chaos.
 
 H = T(p) + V(q, t) + γ(t) s, the class of Bravetti, Seri, Vermeeren, Zadra, Celest. Mech. Dyn. Astron. 132, 7 (2020),
 doi:10.1007/s10569-019-9946-9, one of whose examples the Lane–Emden scene is.
@@ -129,13 +129,8 @@ def with_action(
 
 
 # -- scenes ----------------------------------------------------------------------------------------
-#: few experiments each, since all of them on one more scene take a minute
-_LAWS = ("convergence", "laws")
-_COST = (*_LAWS, "decay_laws", "work_precision")
-
 FORCED_OSCILLATOR = Driven(
     name="forced_oscillator",
-    experiments=_COST,
     about="a damped oscillator under a sinusoidal force: a transient and a steady motion, both in closed form",
     potential=forced,
     gradient=forced_gradient,
@@ -155,7 +150,6 @@ LANE_EMDEN_5 = Driven(
     rate=spherical,
     span=spherical_span,
     exact=lane_emden_5,
-    experiments=_COST,
     q=(1.0,),
     p=(-1.0,),
     t=0.75,
@@ -165,7 +159,6 @@ LANE_EMDEN_5 = Driven(
 
 DUFFING = Driven(
     name="duffing",
-    experiments=(*_LAWS, "decay_laws"),
     about="a damped double well under a sinusoidal force: chaotic; up to the end time errors grow about fortyfold, "
     "long after it only laws and averages of a run mean anything",
     potential=double_well,

@@ -111,7 +111,7 @@ def damped_body(scene: RigidBody, t: Arithmetic, mp: MPContext) -> BodyState:
 def elliptic_phase(
     sine: Arithmetic, cosine: Arithmetic, modulus: Arithmetic, mp: MPContext, precision: int
 ) -> Any:
-    """F of the angle with these sides, to so many bits: where the motion starts, the same for all of its times."""
+    """Return F of the angle with these sides at the start of a motion, cached for all its times."""
     return mp.ellipf(mp.atan2(sine, cosine), modulus)
 
 
@@ -159,6 +159,7 @@ OSCILLATOR = Mechanical(
     q=(1.0,),
     p=(0.0,),
     t_end=20.0,
+    mission=True,
     exact=damped_oscillator,
 )
 
@@ -173,6 +174,7 @@ PARTICLE = Mechanical(
     q=(1.0, 0.5),
     p=(0.0, 0.3),
     t_end=20.0,
+    mission=True,
 )
 
 CENTRAL = Mechanical(
@@ -196,6 +198,7 @@ RIGID_BODY = RigidBody(
     gamma=0.1,
     M=(0.2, 1.5, 0.3),
     t_end=20.0,
+    mission=True,
     exact=damped_body,
 )
 
@@ -217,7 +220,6 @@ HEAVY_TOP = HeavyTop(
     M=(0.0, 0.0, 2.0),
     R=(0.955336489125606, 0.29552020666133955, 0.0, 0.0),
     t_end=20.0,
-    experiments=("convergence", "laws", "work_precision"),
 )
 
 SPHERICAL_PENDULUM = Spheres(
@@ -232,7 +234,6 @@ SPHERICAL_PENDULUM = Spheres(
     q=(0.6, 0.0, -0.8),
     p=(0.32, 0.9, 0.24),
     t_end=20.0,
-    experiments=("convergence", "laws", "decay_laws", "work_precision", "stability"),
 )
 
 PARTICLE_LONG = PARTICLE.with_(
@@ -240,6 +241,7 @@ PARTICLE_LONG = PARTICLE.with_(
     about="the particle with γ = 10⁻³ over a hundred times the span",
     gamma=1e-3,
     t_end=2000.0,
+    mission=False,
 )
 
 # Γ'(s) = κs falls from 0.5 at the start to 0.09 at the end, so that a rate taken as constant would show.

@@ -28,14 +28,14 @@ from contactbench.scene.flow import Constants, damped_time
 from contactbench.scene.rigid_body import rotation, spin, top_rate, turn_rate
 
 Stage = tuple[str, Fraction]
-#: a state, and the stage or the clock it is at
+#: a state, and its stage or its clock
 Clocked = tuple[BodyState, Any]
 HALF, ONE = Fraction(1, 2), Fraction(1)
 
 
 @dataclass(frozen=True)
 class Composition:
-    """Define a step by the flows that it is composed of.
+    """Define a step as a composition of flows.
 
     Parameters
     ----------
@@ -48,11 +48,13 @@ class Composition:
     source
         The paper, table and DOI that the coefficients are from.
     nystrom
-        Whether the order rests on [B, [B, [B, A]]] = 0, which holds for kicks and (merged) drifts only; elsewhere
-        the composition is refused.
+        Whether the order rests on [B, [B, [B, A]]] = 0, which holds for kicks and (merged) drifts only; other scenes
+        are refused.
     processor
         Stages that act once before the first step and, in reverse order, once after the last (Nyström
         compositions).  Palindromic stages between them make the whole run palindromic.
+    mission
+        Whether the benchmark is about the method, as `Method.mission`.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Composition:
     source: str
     nystrom: bool = False
     processor: tuple[Stage, ...] = ()
+    mission: bool = False
 
     @property
     def palindromic(self) -> bool:
@@ -72,7 +75,7 @@ class Composition:
 
 
 def palindrome(first: str, second: str, half: Sequence[str | float]) -> tuple[Stage, ...]:
-    """Return a palindromic list from the coefficients of its first half; the middle pair makes either sum one."""
+    """Return a palindromic list from its first half; the middle pair completes both sums to one."""
     left = [Fraction(str(c)) for c in half]
     sums = sum(left[::2], Fraction(0)), sum(left[1::2], Fraction(0))
     beside, centre = HALF - sums[len(left) % 2], ONE - 2 * sums[(len(left) + 1) % 2]
@@ -81,7 +84,7 @@ def palindrome(first: str, second: str, half: Sequence[str | float]) -> tuple[St
 
 
 def balance(first: str, second: str, coefficients: Sequence[str | float]) -> tuple[Stage, ...]:
-    """Return a two-part list whose coefficients of each part add up to zero: two more than the printed ones."""
+    """Return a two-part list, completed by two coefficients so that each part adds up to zero."""
     stages = [((first, second)[i % 2], Fraction(str(c))) for i, c in enumerate(coefficients)]
     for _ in range(2):
         name = (first, second)[len(stages) % 2]
@@ -129,7 +132,7 @@ def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
 
 @dataclass(frozen=True)
 class Plan:
-    """One step written out for a scene: what opens a run, what closes a step, what joins two."""
+    """One step written out for a scene: stages that open a run, that close a step, and that join two steps."""
 
     opening: tuple[Stage, ...]
     inner: tuple[Stage, ...]
@@ -149,7 +152,7 @@ def plan(composition: Composition, scene: Scene) -> Plan:
 
 
 def arrange(stages: tuple[Stage, ...], before: tuple[Stage, ...] = (), clocked: bool = False) -> Plan:
-    """Return the plan of stages and a processor; clocked : every step is to end with the joint."""
+    """Return the plan of stages and a processor; clocked : every step ends with the joint."""
     first, last = stages[0], stages[-1]
     if len(stages) == 1 or first[0] != last[0]:
         return Plan(before, stages, before[::-1], ())
@@ -186,7 +189,7 @@ def advance(
 def runner(
     stages: Iterable[Stage], scene: Scene, h: Arithmetic, xp: Namespace, repeat: Repeat
 ) -> Callable[[Sequence[Stage], OwnState], OwnState]:
-    """Return ``run(some, x)``, which applies some of the stages, whose constants are computed once."""
+    """Return ``run(some, x)``, which applies some of the stages; their constants are computed once."""
     flows, constants, rolled = scene.flows, stage_constants(stages, scene, h, xp), repeat.over_stages
 
     def run(stages: Sequence[Stage], x: OwnState) -> OwnState:
@@ -217,9 +220,9 @@ def shortest_period(names: list[str]) -> int:
 def stage_constants(
     stages: Iterable[Stage], scene: Scene, h: Arithmetic, xp: Namespace
 ) -> Callable[[Sequence[Stage]], Callable[[Any], Constants]]:
-    """Return the constants of every stage, computed once: ``constants(some)(k)``, of the k-th of some of one flow.
+    """Return ``constants(some)(k)``, the constants of the k-th of some stages of one flow, all computed once.
 
-    For arrays those of a flow are one vector: one exponential for all.  h may have an entry for each member.
+    For arrays the constants of a flow are one vector, with one exponential for all.  h may be an array.
     """
     flows, distinct = scene.flows, list(dict.fromkeys(stages))
     if not has_arrays(xp):
@@ -240,14 +243,14 @@ def stage_constants(
 
 
 def entry(constants: Constants, i: object) -> Constants:
-    """Return entry i of constants that are a vector, None, or a tuple of such; several for an array i."""
+    """Return entry i of constants, which are a vector, None, or a tuple of such; i may be an array."""
     if isinstance(constants, tuple):
         return tuple(entry(c, i) for c in constants)
     return None if constants is None else constants[i]
 
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
-    """Return whether all of a step but its turns is one flow, so that damping only rescales their time."""
+    """Return whether a step on the scene is undamped in a rescaled time, see `advance_by_the_clock`."""
     odd = len(composition.stages) % 2 == 1  # its turns end as they begin
     return composition.two_part and odd and "free_damp" in scene.flows
 
@@ -264,9 +267,9 @@ def advance_by_the_clock(
     """Advance the free body and isotropic damping together, without splitting the two.
 
     Damping only rescales the free body's clock: m = e^{γt} M and R move as if undamped in the time τ, dτ = e^{−γt} dt,
-    of which a step from t takes e^{−γt} φ(h).  One factor on M and s at the end is left of it, and one spin for all
-    steps, since it commutes with all else.  The last step is joined to the opening of a next one, which is then taken
-    back: what a compiled program has beside its loops costs it more than a rotation.
+    and a step from t takes the time e^{−γt} φ(h).  What remains at the end is one factor on M and s, and one spin for
+    all steps, which commutes with the other flows.  The last step includes the opening of a next one, which is then
+    undone: code outside the loop of a compiled program costs more than a rotation.
     """
     stages, gamma, decay = stages_on(composition, scene), scene.gamma, xp.exp(-scene.gamma * h)
     tau = damped_time(gamma, h, xp)
@@ -280,7 +283,7 @@ def advance_by_the_clock(
         return rotation(rotation(x, largest, about_largest, xp), smallest, about_smallest, xp)
 
     def first_rounds(x: BodyState, clock: Arithmetic) -> BodyState:
-        """Advance by all rounds of a step but its last: written out, or a loop where short code matters more."""
+        """Advance by all rounds of a step but the last, written out or as a loop."""
 
         def another(carried: Clocked) -> Clocked:
             x, k = carried

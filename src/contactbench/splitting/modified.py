@@ -1,4 +1,4 @@
-"""The modified Hamiltonian of a splitting: what its numerical flow is the exact flow of, up to a power of h.
+"""The modified Hamiltonian of a splitting: the numerical flow is its exact flow, up to a power of h.
 
 A composition of kicks B = V and damped drifts A = T + γs is the flow, for the time h, of
 
@@ -14,7 +14,7 @@ again do not.  Hence ∂H̃/∂s = γ, and H̃ decays as e^{−γt} along the nu
 Hairer, Lubich, Wanner, Geometric Numerical Integration, §IX, for the contact case Vermeeren, Bravetti, Seri,
 J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767.
 
-The composition is to be a palindrome: terms of even degree vanish, and with them the sign in [X_f, X_g] = ±X_{f, g}.
+The composition must be a palindrome: terms of even degree vanish, and with them the sign in [X_f, X_g] = ±X_{f, g}.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from contactbench.splitting.composition import Composition, Stage
 #: words of A and B, with coefficients
 Words = dict[str, Fraction]
 LETTERS = {"drift_damp": "A", "kick": "B"}
-#: degree of the last bracket taken into account: H̃ up to h⁴, its error is O(h⁶)
+#: highest degree of the brackets: H̃ up to h⁴ with an error O(h⁶)
 DEGREE = 5
 
 
@@ -68,7 +68,7 @@ def logarithm(series: Words) -> Words:
 
 @cache
 def weights(stages: tuple[Stage, ...]) -> Words:
-    """Return the factor of {w₁, {… {w_k, {A, B}}}} in H̃ by w₁…w_k; those that vanish identically left out."""
+    """Return the nonzero factors of {w₁, {… {w_k, {A, B}}}} in H̃, by w₁…w_k."""
     words = logarithm(flow_of(stages))
     found = {
         word[:-2]: (words[word] - words.get(word[:-2] + "BA", Fraction(0))) / len(word)
@@ -104,8 +104,10 @@ def lift(x: Vector, direction: Sequence[Arithmetic]) -> Vector:
 def modified_hamiltonian(
     scene: Any, composition: Composition, x: State, h: Arithmetic, degree: int = DEGREE
 ) -> Numeric:
-    """Return H̃ at x for steps of size h, brackets of up to `degree` parts included, on a mechanical
-    scene; needs s.  Its error is O(h^{degree+1})."""
+    """Return H̃ at x for steps of size h on a mechanical scene, with brackets of up to `degree` parts; needs s.
+
+    Its error is O(h^{degree+1}).
+    """
     total = scene.hamiltonian_at(x)
     for letters, c in weights(composition.stages).items():
         n = len(letters) + 2

@@ -88,6 +88,7 @@ PRINTED = Composition(
     1,
     (("kick", HALF), ("damp", ONE), ("drift", ONE), ("kick", HALF)),
     "the paper, §5.2, eq. (85), read right to left: B½, C, A, B½",
+    mission=True,
 )
 ABC = Composition(
     "contact-abc",
@@ -101,6 +102,7 @@ STRANG = Composition(
     2,
     (("kick", HALF), ("drift_damp", ONE), ("kick", HALF)),
     "Strang, SIAM J. Numer. Anal. 5, 506 (1968), doi:10.1137/0705041, on V and T + γs",
+    mission=True,
 )
 BM6 = two_part("contact-bm6", 6, _BM6, f"S10 of {BLANES_MOAN}")
 RKN4 = two_part("contact-rkn4", 4, _RKN4, f"SRKN6b of {BLANES_MOAN}")

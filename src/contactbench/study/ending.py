@@ -9,7 +9,7 @@ from pathlib import Path
 from contactbench.errors import BadInput, one_line
 from contactbench.gate import revisions
 from contactbench.gate.compare import compare_folders
-from contactbench.report import headline, write
+from contactbench.questions import mission, write
 
 WIDTH = 100
 #: measures that moved, shown by name
@@ -25,10 +25,9 @@ def ending(results: Path) -> str:
 
 def answers(results: Path) -> Iterator[str]:
     frames = write.tables(results)
-    ours = [frame for table, frame in frames.items() if not table.startswith("population")]
-    met = {name: {n for f in ours if name in f for n in f[name].dropna()} for name in ("method", "scene")}
-    yield f"Of {len(met['method'])} methods on {len(met['scene'])} scenes:"
-    for answer in headline.answers(frames):
+    runs = frames["runs"]
+    yield f"Of {runs['method'].nunique()} methods on {runs['scene'].nunique()} scenes:"
+    for answer in mission.answers(frames):
         yield textwrap.fill(answer.question.translate(PLAIN), WIDTH)
         found = f"{answer.answer}: {answer.count}".translate(PLAIN)
         yield textwrap.fill(

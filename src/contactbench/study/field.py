@@ -1,8 +1,8 @@
-"""Which methods race on a scene: the leaders on similar problems in the tables, and the best-known solvers."""
+"""Which methods race on a scene: the leaders on similar problems in the tables, and the mission's contestants."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from contextlib import suppress
 
 import numpy as np
@@ -10,23 +10,18 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.measure.statistics import costs_to_reach
-from contactbench.methods.base import METHODS
+from contactbench.methods.base import ENGINES, METHODS
 from contactbench.plugins import brought
-from contactbench.scene import Scene
+from contactbench.questions.regret import COSTS, regrets
+from contactbench.report.look import CONTACT, CONTESTANTS
+from contactbench.runs.features import features
+from contactbench.scene.base import Scene
 from contactbench.scenes import SCENES
-from contactbench.study.features import features
-from contactbench.study.problems import DAMPING
-from contactbench.tables.contest import CONTACT
-from contactbench.tables.declared import results
-from contactbench.tables.regret import COSTS, regrets
+from contactbench.tables.declared import TIMES, results
 
-#: solvers that every reader knows: they race on every scene
-KNOWN = ("rk4", "scipy-dop853", "cyrk-dop853", "cvode-adams")
 #: a method leads on a problem if its cost is at most `LEADS` times the least; it races if it leads on at
 #: least the share `PART` of the problems
 LEADS, PART = 1.25, 0.2
-#: the same factor for hard scenes, whose runs are timed only once
-LEADS_ONCE = 1.5
 #: the most leaders taken from one set of problems: those that lead on the largest part of it
 MOST = 12
 #: how many random problems are consulted, those with the nearest damping; a smaller damping counts as this one
@@ -36,81 +31,74 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 
 
 def field(scene: Scene, errors: Collection[float]) -> list[str]:
-    """Return the methods that race by default, those of plug-ins included; none if no tables are installed."""
-    able = [
-        name
-        for name, method in METHODS.items()
-        if method.refuses(scene) is None and not method.lacks(method.engines[0])
-    ]
-    contact = [name for name in able if METHODS[name].family == CONTACT]
-    leading: set[str] = set()
+    """Return the methods that race by default, those of plug-ins included, the most likely to lead first.
+
+    None if no tables are installed.
+    """
+    able = [name for name, method in METHODS.items() if method.refuses(scene) is None]
+    here = [name for name in able if not METHODS[name].lacks(METHODS[name].engines[0])]
+    leading: list[str] = []
     with suppress(BadInput):  # a table is missing
-        damping = damping_of(scene)
-        rows = random_problems(scene, damping)
-        rows = rows if len(rows) else named_scenes(scene)
-        leading = leaders(rows, able, errors)
-        if not leading & {*contact}:  # what the contact form costs is part of the answer
-            leading |= leaders(rows, contact, errors)
-        if damping > DAMPING[1]:  # stronger than of any random problem
-            leading |= leaders(strongly_damped_scenes(scene), able, errors, LEADS_ONCE)
-    return [name for name in METHODS if name in {*KNOWN, *brought(), *leading}] if leading else []
+        rows, contact = similar(scene), [name for name in here if METHODS[name].family == CONTACT]
+        leading = leaders(rows, here, errors)
+        if not {*leading} & {*contact}:  # what the contact form costs is part of the answer
+            leading += leaders(rows, contact, errors)
+    everywhere = [*contestants(), *brought()] if leading else []
+    return list(dict.fromkeys(name for name in (*leading, *everywhere) if name in able))
 
 
-def leaders(
-    rows: pd.DataFrame, methods: list[str], errors: Collection[float], most: float = LEADS
-) -> set[str]:
-    """Return the methods that lead on enough problems, at any of the errors and by any of the costs."""
+def contestants() -> list[str]:
+    """Return of each line of the mission's contestants the first of every kind of engine."""
+    found: dict[tuple[int, str], str] = {}
+    for place, line in enumerate(CONTESTANTS):
+        for name in filter(METHODS.__contains__, line):
+            found.setdefault((place, ENGINES.get(METHODS[name].engines[0], "compiled")), name)
+    return list(found.values())
+
+
+def leaders(rows: pd.DataFrame, methods: list[str], errors: Collection[float]) -> list[str]:
+    """Return the methods that lead on enough problems, at any of the errors and by any of the costs, best first."""
     rows = rows[rows["method"].isin(methods)]
     measured, parts = rows["error"].unique(), dict[str, float]()
     nearest = {min(measured, key=lambda own: abs(np.log(own / error))) for error in errors if len(measured)}
-    for error in nearest:
-        for cost in COSTS:
-            table = regrets(rows, error, cost)
-            share = table.le(most).sum() / table.notna().sum()
-            parts |= {name: max(part, parts.get(name, 0.0)) for name, part in share[share >= PART].items()}
-    return {*sorted(parts, key=lambda name: -parts[name])[:MOST]}
+    for table in (regrets(rows, error, cost) for error in nearest for cost in COSTS):
+        share = table.le(LEADS).sum() / table.notna().sum()
+        parts |= {name: max(part, parts.get(name, 0.0)) for name, part in share[share >= PART].items()}
+    return sorted(parts, key=lambda name: -parts[name])[:MOST]
 
 
 def damping_of(scene: Scene) -> float:
     """Return the ratio of damping to frequency, estimated by a pilot run; nan if the pilot fails."""
+    damping = np.nan
     with suppress(BadInput):
-        return max(float(features(scene).damping), UNDAMPED)
-    return np.nan
+        damping = max(float(features(scene).damping), UNDAMPED)
+    return damping
 
 
-def random_problems(scene: Scene, damping: float) -> pd.DataFrame:
-    """Return the costs on the random problems of the same kind with the nearest damping."""
-    problems = results("population_problems").set_index(["seed", "scene"])
-    alike = problems[(problems["hard"] == "") & (problems["kind"] == scene.kind)]
-    if damping == damping:
-        gaps = np.log(alike["damping"].astype(float).clip(lower=UNDAMPED) / damping).abs()
-        alike = alike.loc[gaps.nsmallest(NEAREST).index]
-    rows = results("population")
-    return rows[pd.MultiIndex.from_frame(rows[["seed", "scene"]]).isin(alike.index)]
+def similar(scene: Scene) -> pd.DataFrame:
+    """Return the costs on the random problems of the kind with the nearest damping.
+
+    Of a kind without any on its named scenes, and of one without those on all of them.
+    """
+    problems, damping = results("problems").set_index(["seed", "scene"]), damping_of(scene)
+    drawn = problems[(problems["hard"].fillna("") == "") & (problems["kind"] == scene.kind)]
+    gaps = np.log(drawn["damping"].astype(float).clip(lower=UNDAMPED) / damping).abs()
+    near, rows = (gaps.nsmallest(NEAREST) if damping == damping else gaps), results("population")
+    rows = rows[pd.MultiIndex.from_frame(rows[["seed", "scene"]]).isin(near.index)]
+    return rows if len(rows) else costs_on(name for name, own in SCENES.items() if own.kind == scene.kind)
 
 
-def named_scenes(scene: Scene) -> pd.DataFrame:
-    """Return the costs on the named scenes of the same kind, or on all named scenes if there is none."""
-    work = results("work_precision")
-    alike = work[work["scene"].isin([name for name, own in SCENES.items() if own.kind == scene.kind])]
-    return cost_rows(alike if len(alike) else work, "time_min_s")
-
-
-def strongly_damped_scenes(scene: Scene) -> pd.DataFrame:
-    """Return the costs on the hard scenes of the same kind with more damping than any random problem."""
-    hard = results("stability")
-    alike = (SCENES[name] for name in hard["scene"].unique() if name in SCENES)
-    names = [own.name for own in alike if own.kind == scene.kind and damping_of(own) > DAMPING[1]]
-    return cost_rows(hard[hard["scene"].isin(names)], "time_s")
-
-
-def cost_rows(runs: pd.DataFrame, time: str) -> pd.DataFrame:
-    """Return the cost of each error for each method and scene, in the columns of the random problems."""
+def costs_on(scenes: Iterable[str]) -> pd.DataFrame:
+    """Return the cost of each error for each method and named scene, in the columns of the random problems."""
+    runs, times = (results(name).query("saved == 1") for name in ("runs", "times"))
+    alike = runs[runs["scene"].isin([*scenes])]
+    done = (runs if alike.empty else alike).query("status == 'ok'").merge(times, "left", list(TIMES.key))
     found = []
-    for (scene, method), own in runs[runs["status"] == "ok"].groupby(["scene", "method"]):
-        columns = (own[name].to_numpy(dtype=float, na_value=np.nan) for name in ("rhs_equivalents", time))
-        reached = own["solution_error"].to_numpy(dtype=float)
-        costs = (costs_to_reach(reached, spent, ERRORS) for spent in columns)
+    for (scene, method), own in done.groupby(["scene", "method"]):
+        reached, *spent = (
+            own[name].to_numpy(float, na_value=np.nan) for name in ("error", "evaluations", "least_s")
+        )
+        costs = (costs_to_reach(reached, each, ERRORS) for each in spent)
         key = {"seed": 0, "scene": scene, "method": method, "status": "ok"}
         for error, *each in zip(ERRORS, *costs, strict=True):
             found.append(key | {"error": error} | dict(zip(COSTS, each, strict=True)))

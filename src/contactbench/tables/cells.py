@@ -1,8 +1,8 @@
 """Finished cells: a file each in ``results/.cells/PROFILE``, there as a whole or not at all, merged into the tables.
 
 A merge rewrites the tables under a lock and only then renames the files it has read; to merge a file twice does no
-harm, so that no kill loses anything.  The files stay, and say which cells are done.  Once all cells of an experiment
-are, rows of its tables that none of them has made are dropped: their benchmark no longer exists.
+harm, so that no kill loses anything.  The files stay, and say which cells are done.  Once all cells of a run
+are, rows of the tables that none of them has made are dropped: their benchmark no longer exists.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -120,8 +120,7 @@ class Cells:
                 if known := _load(self._record(run)):
                     made_by = {name for entry in entries if entry.run == run for name, _ in entry.rows}
                     # rows of a larger profile stay, and with them the run that made them
-                    profile_of = {n: read(TABLES[n], self.results)["profile"] for n in whole}
-                    alone = [n for n, each in profile_of.items() if not others and each.isin(profiles).all()]
+                    alone = [name for name in whole if not others and self._all_of(name, profiles)]
                     save_run(run, known, made_by, alone if run == self.run else (), self.results)
             for entry in entries:
                 if entry.cell:
@@ -129,11 +128,15 @@ class Cells:
                 else:
                     entry.path.unlink()
 
+    def _all_of(self, name: str, profiles: Sequence[str]) -> bool:
+        frame = read(TABLES[name], self.results)
+        return bool(frame["profile"].isin(profiles).all()) if "profile" in frame else "standard" in profiles
+
     def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[Row]]:
         done = self.done() if expected else {}
         done |= {e.cell: e.rows for e in entries if e.cell and e.path.parent == self.folder}
-        unfinished = {file for file, name in expected if (file, name) not in done}
-        return _by_table(done[cell] for cell in expected if cell[0] not in unfinished)
+        # several experiments may make rows of one table
+        return _by_table(done[cell] for cell in expected) if expected <= done.keys() else {}
 
     def _record(self, run: str) -> Path:
         return self.results / FOLDER / f"{run}.json"

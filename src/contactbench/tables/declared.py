@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from contactbench.errors import BadInput
 from contactbench.measure.law import JUDGEMENT
@@ -21,73 +21,54 @@ DECLARED: Data = tomllib.loads(Path(__file__).with_name("tables.toml").read_text
 FOLLOWS = "it follows from the deviation, which is compared, and what round-off may amount to"
 
 
-def column(entry: Data) -> Column:
-    rule = {"rule": Rule[entry["rule"]]} if "rule" in entry else {}
-    return Column(**{**entry, **rule})
-
-
-GROUPS = {
-    f"+{group}": {name: column(entry) for name, entry in entries.items()}
-    for group, entries in DECLARED["groups"].items()
-}
-COMMON = GROUPS["+common"]
-
-
-def law_columns(names: Iterable[str]) -> dict[str, Column]:
-    """Return the columns of laws, then those of the judgement of each that is structural."""
-    columns, laws = {}, {name: LAWS[name] for name in names}
-    for name, law in laws.items():
-        kind: Literal["whole", "number"] = "whole" if law.gate.value == "count" else "number"
-        label = law.label or name.replace("_", " ")
-        columns[name] = Column(law.definition, kind, Rule[law.gate.value], label=label, shown=law.shown)
-    for name in [name for name, law in laws.items() if law.structural]:
+def law_columns(name: str) -> dict[str, Column]:
+    """Return the column of a law, and of one that a map keeps or not whether it is claimed and kept."""
+    law = LAWS[name]
+    columns = {name: Column(law.definition, "number", Rule[law.gate.value], label=law.label)}
+    if law.structural:
         about = {what: f"{name}: {meaning}" for what, meaning in JUDGEMENT.items()}
         columns[f"{name}_claimed"] = Column(about["claimed"], "flag", Rule.same)
-        for what in ("kept", "undecided"):
-            columns[f"{name}_{what}"] = Column(about[what], "answer", ungated=FOLLOWS)
-        columns[f"{name}_bound"] = Column(about["bound"], "number", ungated=FOLLOWS)
+        columns[f"{name}_kept"] = Column(about["kept"], "answer", ungated=FOLLOWS)
     return columns
 
 
 def columns(declared: Data) -> dict[str, Column]:
     found: dict[str, Column] = {}
     for name, entry in declared.items():
-        if name.startswith("+laws"):
-            found |= law_columns(LAWS if entry is True else entry)
+        if entry == "law":
+            found |= law_columns(name)
         else:
-            found |= GROUPS.get(name) or {name: column(entry)}
+            found[name] = Column(**{**entry, **({"rule": Rule[entry["rule"]]} if "rule" in entry else {})})
     return found
+
+
+#: the laws of this package; those that no question reads have no column
+OWN_LAWS = frozenset(LAWS)
+
+
+def brought() -> dict[str, Column]:
+    """Return the columns of the laws that plug-ins bring."""
+    return {name: column for law in LAWS if law not in OWN_LAWS for name, column in law_columns(law).items()}
 
 
 def declare(name: str) -> Table:
     given: Data = DECLARED["tables"][name]
-    own = given["columns"]
-    more: Data = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if k != "columns"}
-    by_law = any(entry.startswith("+laws") for entry in own)  # depend on what is registered
-    table = Table(name, declared=(lambda: columns(own)) if by_law else columns(own), **more)
+    lists: Data = {part: tuple(given[part]) for part in ("key", "whole") if part in given}
+    more = brought if "law" in given["columns"].values() else dict
+    table = Table(name, given["about"], columns(given["columns"]), **lists, more=more)
     TABLES.add(table)
     return table
 
 
-CONVERGENCE = declare("convergence")
-LAWS_TABLE = declare("laws")
-LAWS_TIME = declare("laws_time")
-MOTION = declare("motion")
-DECAY_LAWS = declare("decay_laws")
-WORK_PRECISION = declare("work_precision")
-DEFINITIONS = declare("definitions")
-CLAIMS_TABLE = declare("claims")
-PAPER_FIGURES = declare("paper_figures")
-STABILITY = declare("stability")
-STABILITY_LIMITS = declare("stability_limits")
-DAMPING_RATES = declare("damping_rates")
-STRONG_DAMPING = declare("strong_damping")
-STRUCTURE_BUYS = declare("structure_buys")
+RUNS = declare("runs")
+TIMES = declare("times")
+ORDERS = declare("orders")
+LIMITS = declare("limits")
+RING = declare("ring")
+PROBLEMS = declare("problems")
 POPULATION = declare("population")
-POPULATION_PROBLEMS = declare("population_problems")
-POPULATION_HARD = declare("population_hard")
-#: what the motion is compared with, and over which time at its end the orbit is drawn
-TRUTH, ORBIT = "truth", 14.4
+CLAIMS_TABLE = declare("claims")
+MOTION = declare("motion")
 
 
 # -- those that come with the package ----------------------------------------------------------------
@@ -100,21 +81,21 @@ def shipped_folder() -> Path | None:
 
 
 def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
-    """Return a result table as the benchmark wrote it: typed columns, times included.
+    """Return a result table as the benchmark wrote it, with typed columns.
 
     ``attrs["columns"]`` says what each column means.
 
     Parameters
     ----------
     name
-        Of a table, such as "laws", "work_precision", "stability", "claims".
+        Of a table: "runs", "times", "orders", "limits", "ring", "problems", "population", "claims" or "motion".
     folder
         Of a run of your own; by default the tables that came with the package.
 
     Returns
     -------
     DataFrame
-        A row for each cell: scene × method × engine × setting, or what the table is about.
+        A row for each run, or what the table is about.
 
     Raises
     ------
@@ -124,8 +105,8 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
     Examples
     --------
     >>> import contactbench as cb
-    >>> laws = cb.results("laws")
-    >>> laws.attrs["columns"].keys() == set(laws.columns)
+    >>> runs = cb.results("runs")
+    >>> runs.attrs["columns"].keys() == set(runs.columns)
     True
     """
     from contactbench.tables.store import read  # takes long to load, as pandas does
@@ -137,5 +118,5 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
     if not table.path(where).is_file():
         raise BadInput(f"folder = {str(where)!r}: has no table {name!r}")
     frame = read(table, where)
-    frame.attrs["columns"] = {key: column.meaning for key, column in table.every_column.items()}
+    frame.attrs["columns"] = {key: column.meaning for key, column in table.columns.items()}
     return frame

@@ -1,7 +1,6 @@
 """What a result table is: typed columns, how each may differ between two runs, and the registry of tables.
 
-A row is keyed by the table's key columns.  A table with timed columns lives in two files: NAME.csv has
-what a rerun reproduces, NAME_times.csv the key and what the clock said.
+A row is keyed by the table's key columns; NAME.csv has all of them.
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -61,8 +59,8 @@ class Column:
 
     meaning : what it is, a phrase.  rule : how it may differ between two runs; ungated : why it has no rule (a key
     needs neither, nor what a clock said).  timed : it comes from a clock.  exact : an input, written in full; other
-    numbers have six significant digits.  label : short name for headings.  shown : the views that show it, of a law.
-    infinite : infinity is a value of it (a limit there is none of); elsewhere it is a damaged file.
+    numbers have six significant digits.  label : short name for headings.  infinite : infinity is a value of it (no
+    limit); elsewhere it is blank.
     """
 
     meaning: str
@@ -71,37 +69,24 @@ class Column:
     timed: bool = False
     exact: bool = False
     label: str = ""
-    shown: tuple[str, ...] = ()
     ungated: str = ""
     infinite: bool = False
-
-
-PROVENANCE = {
-    "schema": Column("version of the columns", "whole", ungated="a file of another version is refused"),
-    "profile": Column(
-        "smallest profile that makes the row: a run of it, or of a larger one, must have it",
-        rule=Rule.profile,
-    ),
-}
-#: a column that some tables have: by how much counts of the row turn on roundings of its initial data
-SPREAD = "evaluations_spread"
 
 
 @dataclass(frozen=True)
 class Table:
     """A result table.
 
-    declared : its columns, or a function that returns them, where they depend on what is registered.  key : the
-    columns that name a row.  whole : leading key columns of what is always made as a whole, a new run replaces all
-    its rows.  version : goes up when columns change so that old files mislead; a column more or less does not.
+    own : its columns; more : gives those that plug-ins add.  key : the columns that name a row.  whole : leading key
+    columns of rows that are always made together: a new run replaces all of them.
     """
 
     name: str
     about: str
-    declared: Mapping[str, Column] | Callable[[], Mapping[str, Column]]
-    key: tuple[str, ...] = ("scene", "method", "engine", "setting")
+    own: Mapping[str, Column]
+    key: tuple[str, ...]
     whole: tuple[str, ...] = ()
-    version: int = 3
+    more: Callable[[], Mapping[str, Column]] = dict
 
     def __post_init__(self) -> None:
         odd = [name for name in self.key if name not in self.columns or self.columns[name].timed]
@@ -110,27 +95,15 @@ class Table:
 
     @property
     def columns(self) -> Mapping[str, Column]:
-        return self.declared() if callable(self.declared) else self.declared
+        return {**self.own, **self.more()}
 
-    @cached_property
-    def every_column(self) -> dict[str, Column]:
-        return {**self.columns, **PROVENANCE}
+    @property
+    def rules(self) -> dict[str, Rule]:
+        return {name: column.rule for name, column in self.columns.items() if column.rule is not None}
 
     @property
     def timed(self) -> list[str]:
         return [name for name, column in self.columns.items() if column.timed]
-
-    @property
-    def rules(self) -> dict[str, Rule]:
-        columns = self.every_column.items()
-        return {name: column.rule for name, column in columns if column.rule is not None}
-
-    def files(self, results: Path) -> dict[Path, list[str]]:
-        untimed = [name for name, column in self.every_column.items() if not column.timed]
-        files = {self.path(results): untimed}
-        if self.timed:
-            files[results / f"{self.name}_times.csv"] = [*self.key, *self.timed, "schema"]
-        return files
 
     def path(self, results: Path) -> Path:
         return results / f"{self.name}.csv"
@@ -157,6 +130,6 @@ def floor(rule: Rule | None, rows: pd.DataFrame) -> np.ndarray:
     if rule is None or not rule.decades:
         return np.zeros(len(rows))
     least = np.finfo(float).eps * np.maximum(100.0, np.sqrt(numbers(rows, "evaluations", 0.0)))
-    least *= np.maximum(1.0, numbers(rows, "condition_number", 1.0))
+    least *= np.maximum(1.0, numbers(rows, "condition", 1.0))
     round_off = np.where(rows.get("engine", "") == "mpmath", 1e-39, least)
     return np.maximum(round_off, STRUCTURE) if rule is Rule.structure else round_off

@@ -37,43 +37,37 @@ class OldTable(BadInput):
 
 # -- reading ---------------------------------------------------------------------------------------
 def read(table: Table, results: Path) -> pd.DataFrame:
-    """Return the table's rows, typed, timed columns included; none if there is no file.
+    """Return the table's rows, typed; none if there is no file.
 
-    Columns that the files lack are blank, columns that the table does not know are left out with a note.
-    Raises `OldTable` for a file of another version and `BadInput` for one that is not this table.
+    Columns that the file lacks are blank, columns that the table does not know are left out with a note.
+    Raises `OldTable` for a file without a key column, of another version, and `BadInput` for one of no such table.
     """
-    (untimed, names), *others = table.files(results).items()
-    frame = read_file(table, untimed, names) if untimed.exists() else pd.DataFrame()
-    for path, names in others:
-        if len(frame) and path.exists():
-            times = read_file(table, path, names).drop(columns="schema")
-            frame = frame.merge(times, "left", list(table.key))
-    return set_types(frame.reindex(columns=[*table.every_column]), table)
+    path = table.path(results)
+    frame = read_file(table, path) if path.exists() else pd.DataFrame()
+    return set_types(frame.reindex(columns=[*table.columns]), table)
 
 
-def read_file(table: Table, path: Path, names: Sequence[str]) -> pd.DataFrame:
+def read_file(table: Table, path: Path) -> pd.DataFrame:
     try:
         frame = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         why = " ".join(str(error).split())
         raise BadInput(f"{path}: not a readable CSV ({why}); move it away or restore it") from None
-    foreign = f"{path}: columns are not those of table {table.name!r}; move it away or restore it"
-    if "schema" not in frame or not set(table.key) & set(frame):
-        raise BadInput(foreign)
-    require(path, frame["schema"].isin(["", np.nan]), ": cut short; restore the file")
-    old = sorted(set(frame["schema"]) - {str(table.version)})
-    if old:
-        why = f"schema {', '.join(old)}, this version reads {table.version}; run the benchmark (tox -e bench)"
-        raise OldTable(f"{path}: {why}")
-    if not set(table.key) <= set(frame):
-        raise BadInput(foreign)
-    unknown = [name for name in frame if name not in names]
+    if not set(table.key) & set(frame):
+        raise BadInput(f"{path}: columns are not those of table {table.name!r}; move it away or restore it")
+    if lacking := [name for name in table.key if name not in frame]:
+        raise OldTable(
+            f"{path}: no column {lacking[0]!r}, of another version; run the benchmark (tox -e bench)"
+        )
+    last = pd.Series(frame.index == len(frame) - 1)
+    require(path, last & (not path.read_bytes().endswith(b"\n")), ": cut short; restore the file")
+    unknown = [name for name in frame if name not in table.columns]
     if unknown:
         note(f"{path}: columns {unknown} are not known to this version and left out")
     frame = frame.drop(columns=unknown)
     typed = {}
     for name, values in frame.items():
-        column = table.every_column[str(name)]
+        column = table.columns[str(name)]
         typed[name] = parse(values, column)
         if (wrong := lost(values, typed[name])).any():
             value = repr(values[wrong].iloc[0])[:100]
@@ -98,7 +92,7 @@ def set_types(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     """Return the frame in the types of the table: a missing flag is not set, infinity is blank where it is no value."""
     found = {}
     for name, values in frame.items():
-        column = table.every_column[str(name)]
+        column = table.columns[str(name)]
         typed = parse(values, column)
         found[name] = typed.fillna(False).astype(bool) if column.type == "flag" else typed
     return pd.DataFrame(found)
@@ -124,12 +118,13 @@ def lost(values: pd.Series, typed: pd.Series) -> pd.Series:
 
 def check(table: Table, row: Row) -> None:
     """Raise `BadInput` for a row with a column or a value that the table cannot take."""
+    columns = table.columns
     for name, value in row.items():
-        if name not in table.every_column:
+        if name not in columns:
             raise BadInput(
                 f"table {table.name!r} has no column {name!r}; columns: {', '.join(table.columns)}"
             )
-        kind = table.every_column[name].type
+        kind = columns[name].type
         if value is None or kind == "text":
             continue
         if kind in ("flag", "answer"):
@@ -160,7 +155,7 @@ def merge(
         old = read(table, results)
     except OldTable as error:
         note(f"{error}; replaced")
-        old = set_types(pd.DataFrame(columns=[*table.every_column]), table)
+        old = set_types(pd.DataFrame(columns=[*table.columns]), table)
     new = canonical(table, rows)
     replaced = list(table.whole or table.key)
     frame = pd.concat([old[~index(old, replaced).isin(index(new, replaced))], new], ignore_index=True)
@@ -168,7 +163,8 @@ def merge(
         known = index(frame, list(table.key)).isin(pd.Index(made, tupleize_cols=False))
         named = [frame[name].isin(["", *others]) for name in ("scene", "method") if name in frame]
         elsewhere = np.logical_and.reduce(named) if others and named else np.zeros(len(frame), bool)
-        stays = known | ~frame["profile"].isin(profiles) | elsewhere
+        larger = ~frame["profile"].isin(profiles) if "profile" in frame else "standard" not in profiles
+        stays = known | larger | elsewhere
         name_dropped(table, frame[~stays])
         frame = frame[stays]
     if new.empty and len(frame) == len(old):
@@ -196,8 +192,7 @@ def canonical(table: Table, rows: Iterable[Row]) -> pd.DataFrame:
     for row in rows:
         check(table, row)
     frame = pd.DataFrame(rows)
-    frame["schema"] = table.version
-    frame = set_types(frame.reindex(columns=[*table.every_column]), table)
+    frame = set_types(frame.reindex(columns=[*table.columns]), table)
     return round_digits(frame, table).drop_duplicates(list(table.key), keep="last")
 
 
@@ -215,29 +210,20 @@ def in_order(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     from contactbench.scenes import SCENES
 
     ranks = {"scene": list(SCENES), "method": list(METHODS)}
-    named = ["variant", "control", "value", "setting"] if "value" in frame and "setting" in table.key else []
-    order = [name for key in table.key for name in (named if named and key == "setting" else [key])]
 
     def rank(column: pd.Series) -> pd.Series:
         if column.name in ranks:  # names of no registry, a plug-in's, after the others
             names = dict.fromkeys([*ranks[str(column.name)], *sorted(set(column))])
             return column.map({name: i for i, name in enumerate(names)})
-        return -column if column.name == "value" else column
+        return -column if column.name == "setting" else column
 
-    return frame.sort_values(order, key=rank, kind="stable", ignore_index=True)
+    return frame.sort_values(list(table.key), key=rank, kind="stable", ignore_index=True)
 
 
 def write(frame: pd.DataFrame, table: Table, results: Path) -> None:
-    for path, names in table.files(results).items():
-        part = frame[names]
-        if path != table.path(results):
-            part = part[part[table.timed].notna().any(axis=1)]
-            if part.empty:
-                path.unlink(missing_ok=True)
-                continue
-        text = pd.DataFrame({name: as_text(part[name], table.every_column[name]) for name in names})
-        with replacing(path) as file:
-            text.to_csv(file, index=False, lineterminator="\n")
+    text = pd.DataFrame({name: as_text(frame[name], column) for name, column in table.columns.items()})
+    with replacing(table.path(results)) as file:
+        text.to_csv(file, index=False, lineterminator="\n")
 
 
 def as_text(values: pd.Series, column: Column) -> list[str]:
@@ -256,7 +242,7 @@ def as_text(values: pd.Series, column: Column) -> list[str]:
 
 def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     for name in frame:
-        column = table.every_column[name]
+        column = table.columns[name]
         if column.type == "number" and not column.exact and frame[name].notna().any():
             digits = np.full(len(frame), TIME_DIGITS if column.timed else DIGITS)
             digits[(frame[name].abs() <= floor(column.rule, frame)).to_numpy()] = ROUND_OFF_DIGITS

@@ -14,7 +14,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import fit_order, march, order_at
 from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method, prepare
-from contactbench.methods.fixed_step import COUNTED, FixedStep
+from contactbench.methods.fixed_step import COUNTED, FixedStep, with_counters
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
@@ -33,7 +33,7 @@ CASES = (
 STEPS, RTOLS = (80, 1280), (1e-5, 1e-9)
 #: of another call of the same program; of another compiler over 80 steps, and of an invariant over ten
 SAME, COMPILED, ROUND_OFF = 1e-14, 1e-13, 1e-12
-#: how many times that of a method which feeds on its own history
+#: factor on these bounds for a multistep method
 MULTISTEP = 10
 #: error over tolerance, at most, of a run this short; and what round-off of the phase leaves of a closed form
 GROWTH, EXACT = 1e3, 1e-10
@@ -156,18 +156,6 @@ def ends_as_it_says(case: MethodCase) -> None:
         require_below(0.01, off, "end off a blow-up")
 
 
-def with_counter(scene: Scene, kind: str) -> tuple[Scene, list[int]]:
-    """Return the scene with a gradient or rhs that counts its calls, and the count; it cannot be recorded."""
-    calls, original = [0], getattr(scene, kind)
-
-    def counting(x: Any, **parameters: float) -> object:
-        calls[0] += 1
-        float(x[0] if kind == "gradient" else x[0][0])  # asks for the value
-        return original(x, **parameters)
-
-    return scene._replaced(**{kind: counting}), calls
-
-
 def counts(case: MethodCase) -> None:
     """Declare `evaluations=` and `kind=` as they are, or count in `counts` all that is evaluated."""
     method: Any = case.method
@@ -181,12 +169,12 @@ def counts(case: MethodCase) -> None:
     # what cannot be counted on an engine is counted on another
     engine = next((e for e in (case.engine, *method.engines) if e in CALLBACKS), None)
     if engine and found.kind in COUNTED:
-        twin, calls = with_counter(case.scene, found.kind)
+        twin, calls = with_counters(case.scene, plain=True)
         run = replace(case, engine=engine, scene=twin).run()
-        calls[0] = 0
+        calls[found.kind] = 0
         reported = run().counts.evaluations
-        says = f"{reported} evaluations reported, {calls[0]} calls of the {COUNTED[found.kind]}"
-        require(reported == calls[0], says)
+        says = f"{reported} evaluations reported, {calls[found.kind]} calls of the {COUNTED[found.kind]}"
+        require(reported == calls[found.kind], says)
 
 
 def engines_agree(case: MethodCase) -> None:

@@ -234,7 +234,7 @@ def check_scene(scene: Scene) -> list[Finding]:
     Violation
         Where a rule is broken.
     BadInput
-        For what is no scene.
+        If the argument is no scene.
 
     Examples
     --------

@@ -32,24 +32,24 @@ type Instructions = Callable[[IRBuilder, Sequence[Value]], Value | None]
 
 #: whether numba is allowed to
 COMPILES = os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
-#: the arrays a program works on that are not doubles in one dimension
+#: arrays of a program that are not one-dimensional arrays of doubles
 KINDS = {**dict.fromkeys(("spans", "w", "times"), (DOUBLE, 2)), "shape": (np.dtype(np.int64), 1)}
-#: functions LLVM knows, and its names for them; all others are the C library's
+#: functions of LLVM and its names for them; the C library has the others
 INTRINSICS = {
     "abs": "fabs",
     **{name: name for name in ("sqrt", "floor", "ceil", "pow", "exp", "log", "log2", "log10", "sin", "cos")},
 }
 ARITHMETIC = ("add", "sub", "mul", "div")
 COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
-#: entries of a row that one instruction adds, no more: next to longer vectors some processors halve their plain
-#: arithmetic; and entries that are added at once: few enough for the registers of any processor
+#: entries of a row that one instruction adds: longer vectors slow down scalar arithmetic on some processors; entries
+#: that are added at once, few enough for the registers of every processor
 VECTOR, WIDE = 4, 32
 #: products and sums may be fused
 CONTRACT = ("contract",)
 
 
 class Array(NamedTuple):
-    """A contiguous array: where it begins and, where they are known, its length and that of a row of it."""
+    """A contiguous array: its address, and if known its length and the length of a row."""
 
     first: Value
     length: Value | None = None
@@ -57,7 +57,7 @@ class Array(NamedTuple):
 
 
 class Lowering:
-    """The instructions of one function; variables live on the stack, from where LLVM takes them into registers.
+    """The instructions of one function; variables are on the stack, and LLVM moves them into registers.
 
     fused : products and sums may be one operation, which Python's are not.
     """
@@ -242,7 +242,7 @@ class Lowering:
 
 # -- by LLVM -----------------------------------------------------------------------------------------
 class Machine:
-    """LLVM for the processor of this machine, and what it has compiled in this process."""
+    """LLVM for the processor of this machine, with the programs compiled in this process."""
 
     def __init__(self) -> None:
         from llvmlite import __version__, binding
@@ -262,7 +262,7 @@ class Machine:
         self.compiled = 0
 
     def address(self, key: str, result: str, kinds: Sequence[str], instructions: Instructions) -> int:
-        """Return where a function is whose instructions a call writes, compiled or as it was kept.
+        """Return the address of a function; its instructions are written and compiled unless it was kept on disk.
 
         kinds : of its arguments and result, "double", "i64", "doubles" and "i64s" for pointers to them, or "void".
         """
@@ -302,7 +302,7 @@ class Machine:
         return bytes(self.target.emit_object(parsed))
 
 
-#: held while LLVM is set up: `cache` would do that twice for threads that begin together, and free one
+#: held while LLVM is set up: with `cache` alone, two threads could do that at once
 MAKING = Lock()
 
 
@@ -320,7 +320,7 @@ def only_machine() -> Machine:
 
 @cache
 def back_end() -> str:
-    """Return what a compiled program depends on besides what was recorded, and the processor."""
+    """Return the digest of this module, on which every compiled program depends."""
     return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 

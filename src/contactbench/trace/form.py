@@ -61,7 +61,7 @@ class Store(NamedTuple):
 
 
 class Allocate(NamedTuple):
-    """An array of a function's own, of so many numbers, none of which is read before it is stored."""
+    """A local array; every number is stored before it is read."""
 
     array: str
     size: int
@@ -109,7 +109,7 @@ type Statement = Assign | Update | Store | Allocate | Combine | Loop | While | U
 
 @dataclass(frozen=True, eq=False)
 class Digested:
-    """What is compared and hashed by its fields, all that it computes."""
+    """A base for classes that are compared and hashed by their fields."""
 
     def compared(self) -> tuple[object, ...]:
         return tuple(getattr(self, field.name) for field in fields(self) if field.compare)
@@ -136,7 +136,7 @@ class Function(Digested):
 
 
 def digest(*parts: object) -> str:
-    """Return a key of what objects are, by their representation."""
+    """Return a digest of objects by their representation."""
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -160,7 +160,7 @@ def read_by(statement: Assign | Store) -> set[Operand]:
 
 
 def prune(statements: Sequence[Assign], result: Results) -> tuple[Assign, ...]:
-    """Return assignments, one after the other, without those that the result does not need."""
+    """Return the assignments that the result needs, in order."""
     kept, read = [], {*leaves(result)}
     for statement in reversed(statements):
         if statement.target in read:

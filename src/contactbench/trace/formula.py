@@ -43,7 +43,7 @@ SCOPE: dict[str, object] = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Formula(form.Digested):
-    """What a function of numbers computes.
+    """The operations of a function of numbers.
 
     arguments : of every positional argument the length of the tuple it is, 0 for a number, "xp" for a namespace of
     numbers, which is not read.  names : keyword arguments, numbers.  body : `Operation`s, on the arguments v0, v1, …
@@ -99,7 +99,7 @@ class Formula(form.Digested):
         return self.exact()
 
     def taken[X](self, parameters: Mapping[str, X]) -> dict[str, X]:
-        """Return those of the parameters that it takes."""
+        """Return the parameters that it takes."""
         return {name: parameters[name] for name in self.names}
 
     # -- derivatives -------------------------------------------------------------------------------
@@ -114,7 +114,7 @@ class Formula(form.Digested):
         )
 
     def derive(self, choose: Callable[[list[list[Arithmetic]]], object], exact: bool = False) -> Formula:
-        """Return the formula of what is chosen of the derivatives of all results along the first argument.
+        """Return the formula of selected derivatives of all results along the first argument.
 
         exact : the constants in it, which are products of those of the function, are not rounded.
         """
@@ -159,7 +159,7 @@ def derivatives(
     Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2.
     """
     operations, rows = list(tape.root.statements), []
-    # what is multiplied last has all digits, a constant alone too
+    # the last factor has all digits, and so has a constant alone
     unit = 1.0 if kind is float else Recorded(tape, along[0], "f", tape.root) * 0.0 + 1.0
     for result in results:
         found: dict[Operand, Amount] = {result: (kind(1), unit)}

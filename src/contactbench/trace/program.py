@@ -1,4 +1,4 @@
-"""A time loop as recorded functions: what is computed once, and what is computed at every step.
+"""A time loop as two recorded functions: one computes constants once, the other one computes the steps.
 
 `record` runs a function of (numbers, h, n, state) on recorded numbers and makes of it
 
@@ -46,9 +46,10 @@ Numbers = Sequence[Arithmetic]
 
 
 class Program(NamedTuple):
-    """A recorded time loop; data, shape : what it is called with, `run` with (*shape, *which); width : of w.
+    """A recorded time loop.
 
-    size : components of a state.
+    data, shape : arguments of the functions; `run` gets (*shape, *which).  width : length of a row of w.  size : number
+    of components of a state.
     """
 
     setup: Function
@@ -57,29 +58,29 @@ class Program(NamedTuple):
     shape: np.ndarray
     width: int
     size: int
-    #: whether `run` watches all that it is asked to
+    #: whether `run` performs all the tests of `Watch`
     watched: bool = False
 
 
 class Watch(NamedTuple):
-    """What `run` watches besides the size of the state, each a function of (numbers, state).
+    """Further tests of `run`, as functions of (numbers, state).
 
-    slope : numbers that must be finite at the start.  energy : an energy and the most that it may rise above its
-    start; None where it may.
+    slope : numbers that must be finite at the start.  energy : an energy and its allowed rise above the start; None if
+    it may rise.
     """
 
     slope: Callable[[Numbers, Numbers], list[Arithmetic]]
     energy: Callable[[Numbers, Numbers], tuple[Arithmetic, Arithmetic]] | None
 
 
-#: what is known of the times of an interval, see `Clock`
+#: names of the dates of an interval, see `methods.dates`
 DATES = ("begins", "low", "high")
-#: what another thread sets to end a run early, with nothing reached, and the steps between two looks at it
+#: the entry that another thread sets to end a run early; the number of steps between two tests of it
 STOP, TURN = Element("shape", (0,), kind="stop"), 2**12
 
 
 class Column(Block):
-    """What is computed for every element of a vector, and these: data, ranges of them as often as they are picked."""
+    """The expressions computed for every element of a vector; `data` has its elements, in ranges as they are picked."""
 
     def __init__(self, tape: ProgramTape, values: tuple[float, ...]) -> None:
         super().__init__(tape.root)
@@ -90,7 +91,7 @@ class Column(Block):
         tape.columns.append(self)
 
     def pick(self, rows: Sequence[int]) -> int:
-        """Where the elements of these rows begin in `data`."""
+        """Return the place of the elements of these rows in `data`."""
         rows = tuple(int(row) % len(self.values) for row in rows)
         if rows not in self.picked:
             self.picked[rows] = len(self.data)
@@ -99,7 +100,7 @@ class Column(Block):
 
 
 class Vector(Recorded):
-    """Some elements of a column, an expression for all of them: ``v[3]``, ``v[rows]`` and ``v[k]`` for a recorded k."""
+    """An expression for some elements of a column: ``v[3]``, ``v[rows]``, and ``v[k]`` for a recorded k."""
 
     __slots__ = ("rows",)
 
@@ -129,7 +130,7 @@ class Vector(Recorded):
 
 
 class KeptRows:
-    """Rows in an array of the program's own; like : numbers like those of a row."""
+    """Rows in a local array of the program; like : an example of a row."""
 
     def __init__(self, tape: Tape, count: int, like: Sequence[Arithmetic]) -> None:
         self.tape, self.like, self.width = tape, like, len(leaves(like))
@@ -171,7 +172,7 @@ class KeptRows:
 class ProgramTape(Tape):
     def __init__(self) -> None:
         super().__init__()
-        #: whole numbers both functions are called with: known when everything is recorded
+        #: whole numbers for both functions, known when everything is recorded
         self.whole = Block()
         self.shape: list[Callable[[], Count]] = [lambda: 0]  # the first is STOP
         self.root = Block(self.whole)
@@ -181,14 +182,14 @@ class ProgramTape(Tape):
         self.exported: dict[str, str] = {}
 
     def given(self, numbers: int) -> tuple[list[Recorded], Recorded, Recorded]:
-        """Return what `setup` is called with: a scene's numbers, and the step and the count of an interval."""
+        """Return the arguments of `setup`: a scene's numbers, and the step and the count of an interval."""
         own = [self.assign(Element("numbers", (i,)), "f", self.root) for i in range(numbers)]
         h = self.assign(Element("spans", ("u", 0)), "f", self.root)
         return own, h, self.assign(Element("spans", ("u", 1), kind="i"), "i", self.root)
 
     @property
     def loads(self) -> list[Assign]:
-        """What `run` reads from a row of w, of the numbers of `setup`."""
+        """Return the statements of `run` that read numbers of `setup` from a row of w."""
         exported = enumerate(self.exported.items())
         return [Assign(name, Element("w", ("u", i), kind=kind)) for i, (name, kind) in exported]
 
@@ -208,7 +209,7 @@ class ProgramTape(Tape):
         return Recorded(self, self.whole.known[key], "i", self.whole)
 
     def place(self, column: Column, name: str, offset: int) -> Recorded:
-        """Where in a row of w an expression of a column is stored, from an offset in the column on."""
+        """Return the place of an expression of a column in a row of w, from an offset in the column."""
         if name not in column.stored:
             column.stored.append(name)
         at = column.stored.index(name)
@@ -263,13 +264,13 @@ def record(
     watch: Watch | None = None,
     clock: int | None = None,
 ) -> Program:
-    """The program of ``advance(numbers, h, n, y, xp, repeat) -> y``, on packed states of d components.
+    """Return the program of ``advance(numbers, h, n, y, xp, repeat) -> y`` on packed states of d components.
 
-    clock : which of them is the time, where one is; `advance` is then called with an origin and `DATES`, too.
+    clock : the index of the time, if there is one; then `advance` also gets an origin and `DATES`.
 
-    `run` returns the first interval at whose end a number is not finite, or one of the first `bounded` larger than
-    `factor` times their norm at the start (1 where that is less), or the energy watched has risen; 0 where the slope
-    watched is not finite; −1 if none.  Raises `CannotRecord`.
+    `run` returns −1, or the number of the first interval that ends with a number that is not finite, with one of the
+    first `bounded` numbers above `factor` times their norm at the start (at least 1), or with a risen energy; 0 if the
+    slope is not finite.  Raises `CannotRecord`.
     """
     tape = ProgramTape()
     given, h, n = tape.given(numbers)
@@ -312,7 +313,7 @@ def setup(tape: ProgramTape) -> Function:
 def looks(
     tape: ProgramTape, numbers: Numbers, d: int, bounded: int, factor: float, watch: Watch | None
 ) -> tuple[list[Statement], list[Statement]]:
-    """What `run` does before its loop and at the end of each interval, to find the first bad one."""
+    """Return the statements of `run` before its loop and at the end of each interval that find the first bad one."""
     xp, head, last = RecordedNumbers(tape), Block(tape.main), Block(tape.main)
     start, state = ([Recorded(tape, f"x{i}", "f", block) for i in range(d)] for block in (head, last))
     size = xp.sqrt(sum((c * c for c in start[1:bounded]), start[0] * start[0]))
@@ -340,7 +341,7 @@ def steps(
     last: Sequence[Statement],
     dates: Sequence[str],
 ) -> tuple[Statement, ...]:
-    """The loop over the intervals; head, last : before it, at the end of each; dates : what `times` has of each."""
+    """Return the loop over the intervals; head, last : before it, at the end of each; dates : names in `times`."""
     state, known = tuple(f"x{i}" for i in range(len(ends))), len(tape.shape)
     first = tuple(f"start{i}" for i in range(len(ends)))
     given = [Assign(name, Element("start", (i,))) for i, name in enumerate(first)]
@@ -385,5 +386,5 @@ def going(go: str) -> tuple[Statement, ...]:
     return Assign(f"{go}0", STOP), Assign(go, Operation("eq", (f"{go}0", 0)))
 
 
-#: names of what such a loop needs
+#: prefixes of the variables of such a loop
 TURNS = ("done", "left", "more", "go", "turn", "next")

@@ -1,4 +1,4 @@
-"""Numbers that record what is computed with them, as straight-line scalar code.
+"""Numbers that record the operations on them, as straight-line scalar code.
 
 Equal operations become one, numbers known at recording time are folded by Python itself, and what does not change in a
 loop is computed before it.  The value of a recorded number is not known: what asks for it, as ``if x > 0`` does, raises
@@ -224,7 +224,7 @@ class Recorded(Unknown):
         return function(*inputs)
 
 
-#: NumPy's names of what Python has operators for, and Python's
+#: NumPy's names of operators, and Python's
 NUMPY = "add subtract multiply divide power float_power negative equal not_equal less less_equal greater greater_equal"
 PYTHON = "add sub mul truediv pow pow neg eq ne lt le gt ge"
 OPERATORS: dict[str, Callable[..., Arithmetic]] = {

@@ -1,5 +1,6 @@
-"""High-precision numbers, how many digits of two computations agree, and two engines: heyoka's Taylor series, and
-extrapolation, which shares nothing with them.
+"""High-precision numbers, the digits on which two computations agree, and two independent engines.
+
+The engines are heyoka's Taylor series and extrapolation.
 
 mpmath is imported when it is first used: its import would be a quarter of the command line's start.
 """
@@ -44,7 +45,7 @@ def disagreement(a: Rows, b: Rows) -> list[Arithmetic]:
 
 
 def agreeing_digits(a: Rows, b: Rows, at_most: int) -> int:
-    """Return the decimal digits to which two computations agree, relative to the scale of the worst column."""
+    """Return the number of digits on which two computations agree, relative to the scale of the worst column."""
     worst = max(e / scale for e, scale in zip(disagreement(a, b), scales(b), strict=True))
     return matching_digits(worst, at_most)
 
@@ -72,15 +73,15 @@ def place(value: Arithmetic, digits: int) -> int:
     return digits if value == 0 else digits - 1 - int(mpmath.floor(mpmath.log10(abs(value))))
 
 
-#: functions whose work grows with the size of their argument, and the binary logarithm of the largest they take:
-#: mpmath would look for the digits of an exponent that no memory holds, and end the process
+#: functions with a cost that grows with their argument, and the binary logarithm of their largest argument: beyond it
+#: mpmath would exhaust the memory
 GROWING, LARGEST = ("exp", "expm1", "sinh", "cosh", "tanh", "sin", "cos", "tan"), 1000
 
 
 def decimal_context(digits: int) -> MPContext:
-    """Return an mpmath context of its own, so that nobody's global precision is touched.
+    """Return a new mpmath context, so that the global precision does not change.
 
-    Its functions raise `OverflowError` for arguments beyond any scale.
+    Its functions raise `OverflowError` for huge arguments.
     """
     import mpmath
 
@@ -111,17 +112,17 @@ def with_decimals(scene: Scene, number: Callable[[str], Arithmetic]) -> Scene:
     return scene.with_numbers([convert(x) for x in scene.numbers()])._replaced(**start)
 
 
-# -- how long it may take ----------------------------------------------------------------------------
-#: a moment that never comes, on the clock of `perf_counter`
+# -- limits of time ---------------------------------------------------------------------------------
+#: no deadline, on the clock of `perf_counter`
 NEVER = math.inf
-#: seconds of work after which the time that the rest will take is extrapolated
+#: seconds of work after which the remaining time is extrapolated
 FORESEEN = 2.0
 MAX_STEPS = 1_000_000
-#: a step this small against the longest taken means a singularity ahead; where none could be taken, against the span
+#: a step below this part of the longest one, or of the span before the first step, means a singularity ahead
 COLLAPSE, NO_STEP = 1e-12, 1e-36
-#: states of a motion at which two ways to read its equations are compared
+#: number of states at which two evaluations of the equations are compared
 LOOKS = 100
-#: a step that takes a state further than this, relative to 1 + its size, has failed
+#: a step that moves a state further than this, relative to 1 + its size, has failed
 BEYOND = 1e30
 
 
@@ -143,13 +144,13 @@ def jump_at(scene: Scene, time: float) -> BadInput:
 
 
 def of_bends(scene: Scene) -> str:
-    """Return what a refusal of a scene adds where its force or damping depends on time."""
+    """Return a hint for the refusal of a scene whose force or damping depends on time."""
     bends = "; where a force or damping bends or jumps, name the times in breaks="
     return "" if scene.clock is None else bends
 
 
 class OutOfTime(BadInput):
-    """The time given to a computation does not suffice; `needed` : seconds it would take, by extrapolation."""
+    """Report that a computation needs more time than it has; needed : the extrapolated seconds."""
 
     def __init__(self, message: str, needed: float = math.inf) -> None:
         super().__init__(message)
@@ -157,13 +158,13 @@ class OutOfTime(BadInput):
 
 
 class DoublesOnly(BadInput):
-    """Equations that can be evaluated in double precision only."""
+    """Report that equations can be evaluated in double precision only."""
 
 
 class Stopwatch:
-    """The time that a computation of a scene over a span has taken, and an extrapolation of what it will take.
+    """Measure the time of a computation over a span, and extrapolate it to the end.
 
-    patience : the computation goes on while the extrapolated time is at most so many times its budget.
+    patience : the computation goes on while the extrapolated time is at most this multiple of its budget.
     """
 
     def __init__(self, scene: Scene, span: float, deadline: float, patience: float = 1.0) -> None:
@@ -171,7 +172,7 @@ class Stopwatch:
         self.begun, self.worked = perf_counter(), thread_time()
 
     def is_over(self, t: float) -> bool:
-        """Return whether the deadline has passed, or, seen from t, will pass before the end."""
+        """Return whether the deadline has passed, or by extrapolation from t will pass before the end."""
         worked = thread_time() - self.worked  # a busy machine may stand still for seconds
         hopeless = worked * self.span > self.patience * (self.deadline - self.begun) * t
         return perf_counter() > self.deadline or (worked > FORESEEN and t > 0 and hopeless)
@@ -189,9 +190,9 @@ class Stopwatch:
 
 
 def within[Made](make: Callable[[], Made], watch: Stopwatch) -> Made:
-    """Return what `make`, a compilation, returns; raise `OutOfTime` where that is not before the deadline.
+    """Return the result of `make`, a compilation; raise `OutOfTime` at the deadline.
 
-    A thread cannot be ended: a late one compiles on, and the interpreter waits for it when it exits.
+    A thread cannot be ended: a late compilation goes on, and the interpreter waits for it when it exits.
     """
     if watch.deadline == NEVER:
         return make()
@@ -238,9 +239,9 @@ def taylor(
 ) -> Rows:
     """Return states at increasing times ≥ 0 (decimal strings) by heyoka's Taylor series, as mpmath numbers.
 
-    start : packed initial state as decimal strings, by default the scene's own.  stops : times that are among the
-    others, at which a step ends.  Raises `BlowUp` when a step falls below `collapse` of the longest, `OutOfTime` after
-    the deadline (a time of `perf_counter`).
+    start : packed initial state as decimal strings, by default the scene's own.  stops : some of the times, at which a
+    step must end.  Raises `BlowUp` if a step falls below `collapse` times the longest one, and `OutOfTime` after the
+    deadline (a time of `perf_counter`).
     Biscani, Izzo, Mon. Not. R. Astron. Soc. 504, 2614 (2021), doi:10.1093/mnras/stab1032.
     """
     import heyoka
@@ -282,9 +283,9 @@ def taylor(
 
 
 def heyoka_reads_rhs(scene: Scene, rows: Rows, carry: tuple[str, ...]) -> bool:
-    """Return whether heyoka agrees with mpmath to 35 digits, as not on x / 3, the product with a double near 1/3.
+    """Return whether heyoka's right-hand side agrees with mpmath's to 35 digits, at states and half-way between them.
 
-    At states of a motion and half-way between them: what is divided may be a pulse that is over at its end.
+    They disagree, for example, on x / 3, which heyoka computes as a product with a double near 1/3.
     """
     import heyoka
 
@@ -353,12 +354,12 @@ Breaks = Sequence[tuple[float, float]]  #: times, each with its uncertainty
 
 
 def sides(breaks: Breaks, end: float) -> list[float]:
-    """Return the times just before and just after each break, those between 0 and an end."""
+    """Return the times just before and just after each break, between 0 and an end."""
     return [side for time, exact in breaks for side in (time - exact, time + exact) if 0 < side < end]
 
 
 def lost_at_breaks(slope: Slope, breaks: Breaks, times: Sequence[float], states: np.ndarray) -> float:
-    """Return how far a motion may be off because its breaks are met as exactly as they are; states (k, d) at times."""
+    """Return the error of a motion due to the uncertainty of its breaks; states (k, d) at times."""
     lost = 0.0
     for time, exact in breaks:
         y = states[min(int(np.searchsorted(times, time)), len(times) - 1)]
@@ -377,7 +378,7 @@ def across_breaks(
 ) -> list[np.ndarray]:
     """Return states at increasing times, `sides` of breaks among them, by `solve(y, times, begin=…)`.
 
-    Over a break itself nothing converges: there a state moves by the mean of the slopes on both sides.
+    No engine converges over a break: the state moves across it by the mean of the slopes on both sides.
     """
     rows, begin, group = list[np.ndarray](), begin + 0 * times[-1], list[Arithmetic]()
     for time in times:
@@ -407,7 +408,7 @@ def extrapolate(
 ) -> list[np.ndarray]:
     """Return the states at increasing times, arrays of any kind of numbers; raises as `extrapolation` does.
 
-    least : the size that a state counts as, at least.
+    least : lower bound for the size of a state.
     """
     if not times:
         return []
@@ -442,9 +443,9 @@ def extrapolated(
     check: Callable[[], None],
     least: float = 0.0,
 ) -> tuple[int, np.ndarray | None]:
-    """Return one extrapolated step from t and the number of columns it took; None if `most` are not enough.
+    """Return the number of columns and the result of an extrapolated step from t; None if it needs more than `most`.
 
-    check : called before every slope, raises where the time is over.
+    check : called before every slope; raises when the time is over.
     """
     first, far = slope(t, y), BEYOND * (1 + np.abs(y).max())
     previous: list[np.ndarray] = []
@@ -454,7 +455,7 @@ def extrapolated(
         for k in range(1, 2 * j):
             check()
             old, mid = mid, old + 2 * h * slope(t + k * h, mid)
-            if not np.abs(mid).max() <= far:  # it diverges at this step, and numbers would grow without end
+            if not np.abs(mid).max() <= far:  # it diverges, and mpmath numbers would grow without end
                 return j, None
         row = [mid]
         for k, below in enumerate(previous, start=1):  # Aitken–Neville in h²

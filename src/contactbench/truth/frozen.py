@@ -1,4 +1,4 @@
-"""The truth as stored: decimal strings in files whose digests are known, and which scene they belong to."""
+"""Frozen references: decimal strings in files with known digests, found by the digest of a scene."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from contactbench.trace.formula import Formula
 
 
 def name_of(function: Callable[..., object]) -> list[str]:
-    """Return a function of this package by its name; a user's by what it computes, or, unknown, as none other."""
+    """Return an identifier of a function: its name in this package, a user's recorded operations, or its id."""
     if is_ours(function):
         return [function.__module__, function.__qualname__]
     return ["", function.digest if isinstance(function, Formula) else f"unknown {id(function)}"]
 
 
 def fingerprint(value: object) -> list[str]:
-    """Return numbers as the decimals they print as."""
+    """Return numbers as the decimals that Python prints."""
     return [repr(float(x)) for x in np.ravel(np.asarray(value))]
 
 
 def digest(scene: Scene) -> str:
-    """Return the SHA-256 of what determines the trajectory: kind, functions, numbers and initial data."""
+    """Return the SHA-256 of kind, functions, numbers and initial data, which determine the trajectory."""
     scene = scene.recorded()
     functions = [
         [f.name, *name_of(value)]
@@ -40,11 +40,11 @@ def digest(scene: Scene) -> str:
         if f.name not in ("exact", "hessian") and callable(value := getattr(scene, f.name))
     ]
     kind = type(scene)
-    package = ".".join(kind.__module__.split(".")[:2])  # where it is imported from, not where it is written
+    package = ".".join(kind.__module__.split(".")[:2])  # the public place of the class
     definition: list[object] = [
         f"{package}.{kind.__qualname__}",
         functions,
-        list(getattr(scene, "parameters", {})),
+        list(scene.parameters),
         fingerprint(scene.numbers()),
         [fingerprint(getattr(scene, name)) for name in scene.initial_fields],
         *map(fingerprint, scene.layout),
@@ -71,7 +71,7 @@ def manifest(folder: Path) -> dict[str, dict[str, Any]]:
 
 @lru_cache
 def table(path: Path, sha256: str) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of decimal strings of a frozen file; `BadInput` if it is not what it was."""
+    """Return header and rows of decimal strings of a frozen file; raise `BadInput` if it was changed."""
     content = path.read_bytes()
     if hashlib.sha256(content).hexdigest() != sha256:
         raise BadInput(f"{path.name}: does not match its SHA-256 in MANIFEST.json; restore the file")
@@ -99,5 +99,5 @@ def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple[list[li
 
 
 def condition_number(scene: Scene) -> float | None:
-    """Return max_t ‖∂x(t)/∂x(0)‖₂ along the true trajectory: what errors grow to.  None where it is not stored."""
+    """Return max_t ‖∂x(t)/∂x(0)‖₂, the growth of errors along the true trajectory; None if it is not stored."""
     return next((entry.get("condition_number") for entry in entries(scene)), None)

@@ -1,7 +1,7 @@
-"""The truth: a closed form, a frozen file, a live high-precision solution, or what two solvers agree on, in that order.
+"""The truth: a closed form, a frozen file, a live high-precision solution, or two solvers in double precision.
 
-Numbers of a scene and times are taken as the decimals they print as (0.1 means one tenth), so that
-the truth does not depend on a float's binary expansion.  No method under test is imported here.
+The first one that exists is used.  Numbers of a scene and times are read as decimals (0.1 means one tenth), so that
+the truth does not depend on binary expansions.  No method under test is imported here.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ from contactbench.truth.frozen import digest, entries, frozen
 from contactbench.truth.survey import Survey
 from contactbench.truth.two_solvers import doubles
 
-#: bits of the lower of two precisions, tried in turn until enough digits agree
+#: bits of the lower of two precisions; the next pair is tried if too few digits agree
 LIVE_BITS = (140, 300, 600)
-#: right-hand sides, in numbers of so many digits, that take about as long as the first step of a Taylor series
+#: right-hand sides in numbers of LIVE_DIGITS digits that take as long as the first step of a Taylor series
 FIRST_STEP, LIVE_DIGITS = 100, 50
-#: seconds that a live reference may take unless more are allowed
+#: default limit of seconds for a live reference
 LIVE_SECONDS = 300.0
-#: by how much, in double precision, a closed form may be off
+#: allowed error of a closed form in double precision
 CLOSE = 1e-6
-#: the part of them for high precision, two solvers have the rest; and of either for the survey, without time in a force
+#: the part of the time for high precision, the rest is for two solvers; the part of either for the survey
 HIGH, SURVEY = 0.5, 0.3
 
 
@@ -74,9 +74,9 @@ class Reference:
     t, y
         Times since the start, (k,), and states, (k, d), correctly rounded, columns as in ``scene.labels(carry)``.
     decimals
-        The same numbers as k rows of d decimal strings with every digit that is known.
+        The same numbers as k rows of d decimal strings with all known digits.
     digits
-        Decimal digits known to be right, relative to the largest entry of a column, the worst column.
+        Number of correct decimal digits relative to the largest entry of a column, for the worst column.
     source
         "closed form", "frozen", "live", or "two solvers", which has no decimals.
     """
@@ -111,7 +111,7 @@ def checked_times(scene: Scene, times: object) -> np.ndarray:
     return np.array([time_between(start, time) for time in t.tolist()]) if start else t
 
 
-#: rows of decimals, how many digits of them are right, and where they are from
+#: rows of decimals, the number of correct digits, and their source
 type Stored = tuple[list[list[str]], int, str]
 
 _cache: Cache[Reference] = Cache(1024)
@@ -132,20 +132,20 @@ def reference(
     carry
         Which of s and R to give; by default all the scene has.
     seconds
-        How long a live computation may take; it ends sooner where it is seen to need far more.
+        Limit of time for a live computation; it ends sooner if it would need far more.
 
     Returns
     -------
     Reference
-        The states, (k, d), correctly rounded, with all digits that are known as strings.
+        The states, (k, d), correctly rounded, and all known digits as strings.
 
     Raises
     ------
     BadInput
-        For times before the start or not finite, and where no reference can be computed: the trajectory blows up
-        before the last time, or too few digits can be had.
+        For times before the start or not finite, and if no reference can be computed: the trajectory blows up before
+        the last time, or too few digits are known.
     OutOfTime
-        A `BadInput`, where it would take too long.
+        A `BadInput`, if it would take too long.
 
     Examples
     --------
@@ -174,7 +174,7 @@ def reference(
         return _cache.get(key(identity, digest(scene), scene.exact, carry, t.tobytes()), make)
     except (OutOfTime, DoublesOnly):
         pass
-    try:  # their part of the time is theirs, whatever high precision, which may compile for long, has had
+    try:  # high precision, which may compile for long, does not use up the time of the two solvers
         return by_two_solvers(scene, t, carry, max(begun + seconds, perf_counter() + (1 - HIGH) * seconds))
     except OutOfTime as why:
         raise OutOfTime(str(why), why.needed / (1 - HIGH)) from why
@@ -191,12 +191,12 @@ def by_two_solvers(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline
 
 # -- closed forms ------------------------------------------------------------------------------------
 CLOSED_FORM_DIGITS = 50
-#: of every column its decimals and how many digits of them are right; None for a column that is not known
+#: for every column its decimals and the number of correct digits; None for an unknown column
 type Columns = list[tuple[list[str], int] | None]
 
 
 def exact_state(scene: Scene, t: Arithmetic, xp: Namespace) -> AnyState:
-    """Return the state of a scene's closed form at t; an error inside is raised as a `UserError`."""
+    """Return the closed form of a scene at t; raise an error inside as a `UserError`."""
     assert scene.exact is not None
     with their_code(f"scene {scene.name!r}: its closed form"):
         state: AnyState = scene.exact(scene, t, xp)
@@ -217,15 +217,15 @@ def closed_form(
 def closed_form_columns(
     scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER, whole: bool = False
 ) -> Columns | None:
-    """Return decimals and digits of every column of the closed form, by two precisions; None for a column it lacks.
+    """Return decimals and digits of every column of the closed form, by two precisions; None for a missing column.
 
-    None where there is no closed form that solves the equations, as after a change of a parameter it leaves out, or,
-    if `whole`, where it lacks a column.
+    Return None if no closed form solves the equations (for example after a change of a parameter that it ignores), or,
+    if `whole`, if a column is missing.
     """
     if scene.exact is None or not solves_equations(scene, carry, float(t.max()), deadline):
         return None
     if whole and None in closed_form_rows(scene, t[:1], carry, CLOSED_FORM_DIGITS)[0]:
-        return None  # before elliptic functions at every time, which are slow
+        return None  # known from one time: elliptic functions are slow
     low, high = (closed_form_rows(scene, t, carry, CLOSED_FORM_DIGITS + extra) for extra in (0, 15))
     columns: Columns = []
     for a, b in zip(zip(*low, strict=True), zip(*high, strict=True), strict=True):
@@ -239,7 +239,7 @@ def closed_form_columns(
 
 
 def closed_form_rows(scene: Scene, t: np.ndarray, carry: tuple[str, ...], digits: int) -> Rows:
-    """Return the closed form in mpmath numbers of so many digits, None for what it does not know."""
+    """Return the closed form in mpmath numbers of so many digits, None for missing components."""
     context = decimal_context(digits)
     twin = with_decimals(scene, context.mpf)
     start = twin.initial(carry)
@@ -255,9 +255,9 @@ def closed_form_rows(scene: Scene, t: np.ndarray, carry: tuple[str, ...], digits
 
 
 def solves_equations(scene: Scene, carry: tuple[str, ...], end: float, deadline: float = NEVER) -> bool:
-    """Return whether the closed form starts at the initial data and obeys the right-hand side, by differences.
+    """Return whether the closed form starts at the initial data and satisfies the equations, by differences.
 
-    A user's of a scene with time is looked at wherever the motion changes: it may leave out a pulse.
+    A user's closed form for a scene with time is tested in all pieces of the motion: it may miss a pulse.
     """
     if scene.conformal_rate is None and scene.clock is None:
         return False  # κ ≠ 0 or a matrix D: no closed form of ours covers it
@@ -289,7 +289,7 @@ _surveys: Cache[Survey] = Cache(64)
 
 
 def surveyed(scene: Scene, carry: tuple[str, ...], end: float, deadline: float) -> Survey:
-    """Return the survey of a motion, whose stops are known."""
+    """Return the survey of a motion, with its stops computed."""
 
     def make() -> Survey:
         now, share = perf_counter(), SURVEY if scene.clock is None else 1.0
@@ -302,7 +302,7 @@ def surveyed(scene: Scene, carry: tuple[str, ...], end: float, deadline: float) 
     return survey
 
 
-#: digits at most of a motion with breaks, which are floats with another float on either side, or that was not surveyed
+#: most digits of a motion that has breaks, which are known to double precision, or that was not surveyed
 BROKEN = 14
 
 
@@ -310,8 +310,8 @@ BROKEN = 14
 def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> Stored:
     """Return decimals, digits and source from two precisions of heyoka or, without it, extrapolation.
 
-    20 digits of every column and of the smallest state are enough, neither counted as less than 10⁻⁶⁰ of the largest.
-    Where entries decay below 10⁻²⁰, columns known in closed form are taken from there, relative digits and all.
+    It needs 20 digits of every column and of the smallest state, relative to at least 10⁻⁶⁰ of the largest state.
+    If entries decay below 10⁻²⁰, columns with a closed form are taken from it.
     """
     unique, back = np.unique(t, return_inverse=True)
     survey = surveyed(scene, carry, float(unique[-1]), deadline)
@@ -351,16 +351,16 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
 def computations(
     scene: Scene, times: list[str], carry: tuple[str, ...], deadline: float, stops: Sequence[float]
 ) -> Iterator[tuple[Rows, Rows]]:
-    """Return pairs (more, less precise) of solutions, each pair more precise than the one before."""
+    """Yield pairs (more precise, less precise) of solutions with increasing precision."""
 
     def half() -> float:
-        """Return by when the first of a pair is over: the other takes about as long."""
+        """Return the deadline of the first solution of a pair: the other takes about as long."""
         return (perf_counter() + deadline) / 2
 
     def foresee() -> None:
-        """Raise `OutOfTime` where the first step alone, which nothing can interrupt, would take too long."""
+        """Raise `OutOfTime` if the first step, which cannot be interrupted, would take too long."""
         twin, begun, spent = with_decimals(scene, decimal_context(LIVE_DIGITS).mpf), perf_counter(), NEVER
-        for _ in range(2):  # the first may wait for the machine
+        for _ in range(2):  # the first one may be disturbed
             now = perf_counter()
             with suppress(ArithmeticError):
                 twin.rhs(twin.initial(carry))
@@ -389,7 +389,7 @@ def computations(
 
 
 def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
-    """Return the digits, at most 20, that extrapolation confirms; None without the time, or for its own result."""
+    """Return the number of digits (≤ 20) that extrapolation confirms; None if it is the source or takes too long."""
     if not found.decimals or (found.source == "live" and importlib.util.find_spec("heyoka") is None):
         return None
     scene = found.scene
@@ -407,14 +407,14 @@ def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
     return agreeing_digits(rows, own, digits)
 
 
-#: a step this small against the span tells the time of blow-up to as many digits, less a few
+#: relative size of a step at which the time of blow-up is known to about 45 digits
 BLOW_UP_COLLAPSE = 1e-45
 
 
 def blow_up_time(scene: Scene) -> tuple[str, int] | None:
-    """Return when the trajectory reaches infinity, as a decimal string, and its digits; None if it is finite to t_end.
+    """Return the time of blow-up as a decimal string and its digits; None if the trajectory is finite to t_end.
 
-    Frozen, or by heyoka's Taylor series at two precisions, whose steps shrink in proportion to the time that is left.
+    It is frozen, or found by Taylor series at two precisions, whose steps shrink in proportion to the remaining time.
     """
     if scene.exact is not None:
         return None

@@ -1,9 +1,9 @@
-"""Where a motion changes fast, found by looking everywhere along it: an engine of any order may step over a pulse.
+"""Find all places where a motion changes fast: an engine of any order may step over a pulse.
 
-A motion is followed by steps of DOP853.  On each, the slopes along its interpolant are sampled on a fine grid, and the
-step is cut, at the worst sample first, until a polynomial has them all.  Their integral is what the state should have
-changed by: a step that did not see what the samples show is taken again, in the pieces it was cut into.  Every
-component is looked at on its own scale at the time: what is small beside others, or beside what it was, may decide.
+DOP853 follows the motion.  On each step the slopes along the interpolant are sampled on a fine grid, and the step is
+cut, first at the worst sample, until polynomials fit all samples.  The integral of the slopes must agree with the
+change of the state: a step that missed a feature is repeated in the pieces.  Every component is compared on its own
+scale at that time, since a small component may decide on the motion.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ from contactbench.truth.engines import (
 if TYPE_CHECKING:
     from scipy.integrate import DenseOutput
 
-#: relative tolerance of a step, and by how much its change may be off the integral of the slopes, against the motion
+#: relative tolerance of a step, and of its change against the integral of the slopes
 STEP, OFF = 1e-10, 1e-7
 EPSILON = np.finfo(float).eps
-#: samples of a motion: numbers at most, of a function that takes arrays or not; and on a step at least
+#: most samples of a motion: numbers for a function of arrays, calls for one of floats; least samples on a step
 SAMPLES, ONE_BY_ONE, LEAST = 2**19, 2**14, 16
-#: how far samples may be off a polynomial, against the slopes on the step and what the state has in them
+#: allowed deviation of samples from the polynomial, relative to the slopes and to their change with the state
 RESOLVED = 1e-8
-#: the same at a fixed state, against rounding, and the shortest piece that is cut for it, against the span
+#: rounding of times and states; the shortest piece, relative to the span, that is cut at a fixed state
 ROUNDING, FINEST = 1e-14, 1e-7
-#: how often the scale of a component that has been large is halved along the motion, and the least, against the largest
+#: halvings along the motion of the scale of a component that was large; the least scale relative to the largest
 HALVINGS, FAINT = 100, 1e-24
-#: what rounding of a force changes the motion by, at most, against the largest
+#: largest change of the motion by rounding of its force, relative to the largest component
 LOST = 1e-10
-#: times at which slopes are compared with those a rounding later
+#: number of times at which slopes are compared with slopes one rounding later
 BLURRED = 64
-#: slopes below it, against the largest, are none: their squares are not among floats
+#: slopes below this part of the largest count as zero: their squares underflow
 NONE = 1e-100
-#: pieces of a motion at most, and the shortest of them against the span
+#: most pieces of a motion; the shortest piece relative to the span
 PIECES, SHORTEST = 20_000, 1e-13
-#: a stop comes before an engine could take a step so many times as long as a piece in it
+#: largest ratio of the distance of two stops to the shortest piece between them
 LONGER = 2.0
-#: by how much a distance between stops is longer than one beside it
+#: largest ratio of neighbouring distances between stops
 GRADED = 2.0
 
 _angles = math.pi * (np.arange(12) + 0.5) / 12
@@ -68,7 +68,7 @@ Slopes = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def of_many_times(scene: Scene, carry: tuple[str, ...]) -> tuple[Slopes, bool]:
-    """Return f(t, y) for k times and states (d, k), and whether it takes them all at once."""
+    """Return f(t, y) for k times and states (d, k), and whether it is vectorised."""
     one, start, origin = initial_value_problem(scene, carry)
 
     def together(t: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -81,7 +81,7 @@ def of_many_times(scene: Scene, carry: tuple[str, ...]) -> tuple[Slopes, bool]:
     try:
         if np.array_equal(together(np.zeros(2), np.array([start, start]).T)[:, 0], one(0.0, start)):
             return together, True
-    except Exception:  # whatever a function of floats says of arrays
+    except Exception:  # a function of floats only
         pass
     return one_by_one, False
 
@@ -103,7 +103,7 @@ class Survey:
         self.slope, self.start, self.origin = initial_value_problem(self.scene, self.carry)
         self.slopes, arrays = of_many_times(self.scene, self.carry)
         self.samples = SAMPLES // len(self.start) if arrays else ONE_BY_ONE
-        # how much of the slopes comes and goes with time
+        # range of the slopes over time at a fixed state
         self.varying = np.zeros_like(self.start)
         self.largest = max(np.abs(self.start).max(), np.abs(self.slope(0.0, self.start)).max())
         if self.scene.clock is not None:
@@ -123,7 +123,7 @@ class Survey:
 
     @cached_property
     def blur(self) -> float:
-        """Return by how much slopes differ between times next to each other, far from 0, against the motion."""
+        """Return the relative change of the slopes over one rounding of the time, which matters far from 0."""
         if not float(self.origin):
             return 0.0
         t = np.linspace(0.0, self.end, BLURRED)
@@ -134,14 +134,14 @@ class Survey:
 
     @cached_property
     def stops(self) -> list[float]:
-        """Times that no step of an engine is to straddle, the end not among them.
+        """Return times that no step of an engine may straddle, without the end.
 
-        None where there is no time to find them, unless a force depends on it.
+        The list is empty if there is no time to find them; `OutOfTime` is raised if a force depends on the time.
         """
         ends = [0.0]
         try:
             self.follow([self.end], None, ends)
-        except DoublesOnly as why:  # perhaps a singularity, whose time other engines know
+        except DoublesOnly as why:  # perhaps a singularity, which other engines resolve
             self.ended = why
         except OutOfTime:
             if self.scene.clock is not None:
@@ -150,7 +150,7 @@ class Survey:
         return sorted({*stops_between(ends), *self.sides})
 
     def check(self, times: Sequence[float], states: np.ndarray) -> None:
-        """Raise `BadInput` unless states (k, d) at increasing times, the stops among them, lead to each other."""
+        """Raise `BadInput` unless states (k, d) at increasing times, stops included, agree with the motion."""
         if self.ended:
             raise self.ended
         if self.scene.clock is not None:
@@ -161,7 +161,7 @@ class Survey:
         self.follow(times, states, [0.0])  # piece by piece: the motion may be sensitive
 
     def follow(self, times: Sequence[float], states: np.ndarray | None, ends: list[float]) -> None:
-        """Add to the ends of the pieces; raise `BadInput` where one of the states (k, d) does not lead to the next."""
+        """Append the ends of the pieces; raise `BadInput` if one of the states (k, d) does not lead to the next."""
         watch, y = Stopwatch(self.scene, self.end, self.deadline), self.start
         given = {} if states is None else dict(zip(times, states, strict=True))
         self.recent = self.scale = np.maximum(np.abs(y), FAINT * self.largest)
@@ -178,12 +178,12 @@ class Survey:
     def motion(self, t: float, y: np.ndarray) -> np.ndarray:
         try:
             slope = self.slope(t, y)
-        except OverflowError:  # a stage beyond all numbers: the step is too long
+        except OverflowError:  # the step is too long
             return np.full_like(y, np.inf)
         return np.where(np.abs(slope) < NONE * self.largest, 0.0, slope)
 
     def piece(self, ends: list[float], y: np.ndarray, bound: float, watch: Stopwatch) -> np.ndarray:
-        """Follow the motion from the last of `ends` to a bound, adding to them; return the state there."""
+        """Follow the motion from the last of `ends` to a bound, append the ends, and return the state there."""
         from scipy.integrate import DOP853
 
         due = [bound]
@@ -199,15 +199,15 @@ class Survey:
                     if np.all(self.least >= self.precision * self.largest):
                         raise DoublesOnly(no_reference(self.scene, "it cannot be followed"))
                     self.least = np.maximum(self.least, self.precision * self.largest)
-                    break  # again, over what is too rough for a motion that is small as yet
+                    break  # repeat with a coarser tolerance for small components
                 step, size = solver.t - solver.t_old, np.maximum(np.abs(y), np.abs(solver.y))
                 recent = np.maximum(size, self.recent * 2 ** (-HALVINGS * step / self.end))
                 cuts, integral, coupled = self.cut(solver.t_old, solver.t, solver.dense_output(), recent)
-                # what others, and a force that is rounding, change a component by
+                # includes the change of a component by others and by a force that is rounding
                 scale = np.maximum(recent, step * np.maximum(coupled, ROUNDING / self.off * self.varying))
                 if len(cuts) > 1 and np.any(np.abs(solver.y - y - integral) > self.off * scale):
                     due = sorted({*due, *cuts}, reverse=True)
-                    break  # again, in pieces
+                    break  # repeat in pieces
                 y, self.recent, self.scale = solver.y, np.maximum(recent, FAINT * self.largest), scale
                 self.lose(solver.t_old + step / 2, step, solver.dense_output())
                 self.known[solver.t] = y, 10 * self.off * scale + np.abs(self.lost)
@@ -221,7 +221,7 @@ class Survey:
         return y
 
     def lose(self, t: float, step: float, path: DenseOutput) -> None:
-        """Add to what the motion is off by because its force is rounded, to first order."""
+        """Add the error due to rounding of the force, to first order."""
         y = path(t)
         drift = self.slope(t, y + self.lost) - self.slope(t, y) + 4 * EPSILON * self.varying
         most = LOST * self.largest
@@ -230,9 +230,9 @@ class Survey:
     def cut(
         self, a: float, b: float, path: DenseOutput, sizes: np.ndarray
     ) -> tuple[list[float], np.ndarray, np.ndarray]:
-        """Return the ends of the pieces that a step is cut into, the integral of the slopes, and what sizes do to them.
+        """Return the ends of the pieces of a step, the integral of the slopes, and their change with the state.
 
-        Slopes are looked at along the path, and at a fixed state, where rounding alone hides what comes with time.
+        Slopes are sampled along the path, and at a fixed state, where only rounding hides an explicit time dependence.
         """
         ends, integral, left = list[float](), np.zeros_like(self.start), [(a, b)]
         steepest = coupled = np.zeros_like(self.start)
@@ -277,14 +277,14 @@ class Survey:
 
 @lru_cache(64)
 def samples_of(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes and so many samples on [0, 1], and the weights that take a polynomial from these to those."""
+    """Return the nodes and `count` samples on [0, 1], and the weights that interpolate from nodes to samples."""
     x = np.linspace(0.0, 1.0, count)
     weights = BARYCENTRIC / (x[:, None] - NODES + 1e-300)
     return np.concatenate([NODES, x]), (weights / weights.sum(axis=1)[:, None]).T
 
 
 def excess(values: np.ndarray, weights: np.ndarray, allowed: np.ndarray) -> np.ndarray:
-    """Return by how much of what is allowed samples are off the polynomial through the nodes, the worst component."""
+    """Return the deviation of samples from the polynomial through the nodes over the allowed one, worst component."""
     off = np.abs(values[:, : len(NODES)] @ weights - values[:, len(NODES) :])
     return np.where(off == 0, 0.0, off / allowed[:, None]).max(axis=0)
 
@@ -292,7 +292,7 @@ def excess(values: np.ndarray, weights: np.ndarray, allowed: np.ndarray) -> np.n
 def stops_between(ends: list[float]) -> list[float]:
     """Return some of the ends of pieces, so that no distance is much longer than the shortest piece in it.
 
-    Nor is one much longer than its neighbours: what is seen of a pulse has tails that are below rounding.
+    No distance is much longer than its neighbours either: the tails of a pulse are hidden by rounding.
     """
     stops, shortest = [0.0], math.inf
     for before, end in itertools.pairwise(ends):

@@ -1,7 +1,7 @@
 """The truth where high precision takes too long: two solvers in double precision.
 
-SciPy's DOP853 and extrapolation share nothing but the right-hand side, and run at their tightest: the truth is known
-as far as they agree.
+SciPy's DOP853 and extrapolation share only the right-hand side and run at their tightest tolerances: the truth is known
+to the digits on which they agree.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from contactbench.truth.engines import (
     no_reference,
 )
 
-#: of the two solvers in double precision
+#: tightest tolerance, and columns of extrapolation, in double precision
 TIGHTEST, COLUMNS = 1e-13, 12
-#: the least size of a state, as a part of that of the motion, to whose digits it is solved
+#: a state counts as at least this part of the largest state of the motion
 FAINT = 1e-3
-#: how close, as a part of the span, two times are on both sides of a jump, and what is none, relative to the slope
+#: distance of two times beside a jump relative to the span; relative change of the slope that is no jump
 BESIDE, CLEAR = 1e-11, 1e-6
-#: pairs of solvers: the second, implicit, of SciPy alone, where the motion is too stiff for the first
+#: pairs of solvers (blank: extrapolation); the implicit pair is used if the motion is too stiff for the first
 PAIRS = (("DOP853", ""), ("Radau", "LSODA"))
-#: how many they are, how much longer than foreseen one may take: it is seen at the beginning of the other only,
-#: and how many times its budget one may be foreseen to need: there is nobody to go on
+#: number of solvers; allowed ratio of a solver's time to the foreseen one; allowed ratio of the foreseen time to the
+#: budget: no other computation would follow
 SOLVERS, UNEVEN, PATIENCE = 2, 1.5, 4.0
 
 
@@ -51,13 +51,13 @@ def doubles(
     stops: Sequence[float] = (),
     blur: float = 0.0,
 ) -> tuple[np.ndarray, int]:
-    """Return states (k, size) at increasing times, and how many digits of them two solvers agree on.
+    """Return states (k, size) at increasing times, and the number of digits on which two solvers agree.
 
-    stops : times at which a step ends.  blur : how exact slopes are.
+    stops : times at which a step must end.  blur : relative uncertainty of the slopes.
     """
     tightest = max(TIGHTEST, blur)
     of_motion, start, origin = initial_value_problem(scene, carry)
-    #: both solvers know one scale for all components
+    #: both solvers use one scale for all components
     units = scene.scales(scene.initial(carry), float(t[-1]))
     start = start / units
 
@@ -67,7 +67,7 @@ def doubles(
     times = sorted({*t.tolist(), *stops})
     saved, breaks = np.searchsorted(times, t), scene.breaks_until(times[-1])
     with np.errstate(all="ignore"):
-        slope(0.0, start)  # the first records the functions: no part of the pace
+        slope(0.0, start)  # the first call records the functions and is not timed
     gragg = partial(extrapolate, most=COLUMNS, tolerance=tightest)
 
     def rows(solve: Callable[..., list[np.ndarray]]) -> np.ndarray:
@@ -91,7 +91,7 @@ def doubles(
                     if not found:
                         far = f"it cannot be followed to t = {t[-1]:g}"
                         raise BadInput(no_reference(scene, far)) from why
-                    # the digits of a state next to rest may be lost in those of the time
+                    # digits of a state near rest may be lost
                     found.append(rows(partial(solve, least=FAINT * np.abs(found[0]).max())))
             except OutOfTime as why:
                 raise OutOfTime(str(why), spent + left * UNEVEN * why.needed) from why
@@ -115,7 +115,7 @@ def doubles(
 
 
 def jumps(slope: Slope, y: np.ndarray, time: float, end: float) -> bool:
-    """Return whether a slope at a fixed state, y or one beside it, changes at once at a time."""
+    """Return whether the slope at a fixed state jumps at a time."""
     near = BESIDE * end * np.array([-2.0, -1.0, 1.0, 2.0])
     for state in (y, y + 1):
         with np.errstate(all="ignore"):
@@ -129,7 +129,7 @@ def jumps(slope: Slope, y: np.ndarray, time: float, end: float) -> bool:
 def by_scipy(
     slope: Slope, y: np.ndarray, times: list[float], watch: Stopwatch, begin: float, name: str, rtol: float
 ) -> list[np.ndarray]:
-    """Return the states at increasing times by SciPy's solver at its tightest, stopping at each; may raise `BlowUp`."""
+    """Return the states at increasing times by a solver of SciPy that stops at each; may raise `BlowUp`."""
     from scipy.integrate import solve_ivp
 
     reached = begin

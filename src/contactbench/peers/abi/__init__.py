@@ -1,4 +1,4 @@
-"""What is not public in the libraries of the peers: the symbols of CVODE, the C interface of CyRK.
+"""Private interfaces of the peers' libraries: the symbols of CVODE, the C interface of CyRK.
 
 A C signature is written as a word, a letter for the result and one for every argument; ctypes and numba read the
 same word.  Imported where a peer is first run, and only then: importing it loads numba.
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numba.core.typing import Signature
 
 #: v void, p pointer, a array of doubles, d double, b bool, i int, l long, q 64-bit int, z size_t
-#: as ctypes has them, and as numba does
+#: letter → types of ctypes and numba
 LETTERS: dict[str, tuple[type | None, types.Type]] = {
     "v": (None, types.none),
     "p": (ctypes.c_void_p, types.intp),
@@ -53,10 +53,10 @@ SOURCES = digest(
 
 
 class Kept:
-    """The cache of one function, in the place of numba's own, which fails for good on a file that is damaged.
+    """The cache of one function; numba's own cache fails for ever on a damaged file.
 
-    numba's form of a compiled function is a pickle, and it has no other: `read_kept` gives only what this user has
-    written, in a folder that nobody else can write to.
+    numba pickles compiled functions: `read_kept` reads only files of this user in a folder that no other user can write
+    to.
     """
 
     cache_path = property(lambda self: str(folder("programs") or ""))

@@ -63,7 +63,7 @@ SIGNATURES = {
 
 
 def library_file() -> Path:
-    """Return where CVODE is: beside the package in a repaired wheel, or among the environment's libraries."""
+    """Return the path of CVODE: beside the package in a repaired wheel, or among the environment's libraries."""
     package = importlib.util.find_spec("sksundae")
     if package is None or package.origin is None:
         raise ImportError(missing("sksundae"))
@@ -77,7 +77,7 @@ def library_file() -> Path:
 
 
 def load() -> tuple[ctypes.CDLL, Callable[[str], Any]]:
-    """Load the library; return it, and what gives its functions to compiled code by their names."""
+    """Load the library; return it, and a function from names to functions for compiled code."""
     path = library_file()
     from sksundae._cy_common import config  # how the library was built
 

@@ -1,2 +1,0 @@
-def test_decay_laws(measure):
-    measure()

@@ -1,0 +1,6 @@
+def test_run(measure):
+    measure()
+
+
+def test_times(measure):
+    measure()

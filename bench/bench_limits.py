@@ -1,0 +1,6 @@
+def test_borders(measure):
+    measure()
+
+
+def test_rates(measure):
+    measure()

@@ -1,0 +1,72 @@
+"""Answers: each counts by a line of pandas over the tables, which its document prints."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from functools import lru_cache
+
+import numpy as np
+import pandas as pd
+
+from contactbench.questions import contest
+from contactbench.report.chapters import Answer, Fold, Frames
+from contactbench.report.numbers import how_often
+from contactbench.tables.schema import TABLES
+
+#: what the lines may call beside pandas
+FUNCTIONS = {
+    name: getattr(contest, name)
+    for name in ("contests", "drawn", "families", "hard_runs", "random_contests", "ring_costs")
+}
+#: what is counted beside an answer, in words
+BESIDE = {"alone": ", alone on {}", "idle": "; {} do not tell"}
+WORD = re.compile(r"\b[a-z_]+\b")
+
+
+@lru_cache(256)
+def evaluate(query: str, frames: Frames) -> pd.Series:
+    """Return what a line of pandas finds; it knows the tables by their names, `FUNCTIONS`, pd and np."""
+    found = eval(query, {"pd": pd, "np": np, **FUNCTIONS, **frames})
+    assert isinstance(found, pd.Series), query
+    return found
+
+
+def count(frames: Frames, query: str) -> tuple[int, int]:
+    """Return of how many entries of a query's series it is true, and how many there are."""
+    found = evaluate(query, frames)
+    return int(found.sum()), len(found)
+
+
+def share(frames: Frames, question: str, what: str, query: str, **beside: str) -> Answer | None:
+    """Return the answer to a question by the share of what is counted; None where there is nothing to count.
+
+    query : gives a series of truth values.  beside : "alone" and "idle" are queries of what is counted beside it.
+    """
+    part, whole = count(frames, query)
+    if not whole:
+        return None
+    more = "".join(BESIDE[name].format(count(frames, own)[0]) for name, own in beside.items())
+    return Answer(
+        question, how_often(part, whole), f"{part} of {whole} {what}{more}", (query, *beside.values())
+    )
+
+
+def fold(answers: Iterable[Answer]) -> Fold | None:
+    """Return the lines that counted, with what they need to run."""
+    found = [(answer, query) for answer in answers for query in answer.queries]
+    if not found:
+        return None
+    words = {word for _, query in found for word in WORD.findall(query)}
+    tables, functions = ([name for name in names if name in words] for names in (TABLES, FUNCTIONS))
+    lines = ["import contactbench as cb"]
+    if functions:
+        lines.append(f"from contactbench.questions.contest import {', '.join(functions)}")
+    lines += [f'{name} = cb.results("{name}")' for name in tables]
+    last = ""
+    for answer, query in found:
+        if answer.question != last:
+            lines.append(f"\n# {answer.question} {answer.count}".replace("`", ""))
+            last = answer.question
+        lines.append(query)
+    return Fold("How each count is made", "\n".join(lines))

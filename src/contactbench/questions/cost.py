@@ -1,0 +1,197 @@
+"""Cost: what an error costs every method to the end alone, who is near the least, and what a tolerance gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from contactbench.questions.answers import share
+from contactbench.questions.contest import (
+    CONTACT,
+    Cost,
+    by_pilots,
+    comparable,
+    cost_rows,
+    ranked,
+    sides,
+)
+from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
+from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
+from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.numbers import DASH, count, duration, exact_power, names, power, scientific, times
+from contactbench.report.views import Cell, Mark, View, frame_of, grid, matrix
+
+#: the kinds of contest: whether times are compared, and what takes part, as in `comparable`
+KINDS: dict[str, tuple[bool, dict[str, bool]]] = {
+    "compiled": (True, {}),
+    "evaluations": (False, {}),
+    "callbacks": (True, {"callbacks": True}),
+    "tolerance": (True, {"tolerance": True}),
+    "tolerance_evaluations": (False, {"tolerance": True}),
+}
+ENTRIES: dict[str, dict[str, str]] = PROSE["cost"]["kinds"]
+#: what the contests by tolerance are judged by: looser tolerances are no wish, tighter ones are round-off
+ASKED = (1e-10, 1e-3)
+
+
+def which(frames: Frames, kind: str) -> tuple[tuple[pd.DataFrame, ...], dict[str, Any]]:
+    timed, given = KINDS[kind]
+    return ((frames["runs"], frames["times"]) if timed else (frames["runs"],)), given
+
+
+@lru_cache(16)
+def standings(frames: Frames, kind: str) -> pd.DataFrame:
+    tables, given = which(frames, kind)
+    return ranked(*tables, **given)
+
+
+def answer(frames: Frames, kind: str) -> Answer | None:
+    """Return how often a contact method is near the least time, and alone there; or needs the fewest evaluations."""
+    timed, given = KINDS[kind]
+    arguments = ", ".join(["runs", *["times"] * timed, *(f"{name}=True" for name in given)])
+    query, asked, what = f"contests({arguments})", ENTRIES[kind]["question"], "pairs of scene and error"
+    if not timed:
+        return share(frames, asked, what, f"{query}.ratio < 1")
+    alone = f"{query}.eval('ratio * margin < 1')"
+    return share(frames, asked, what, f"{query}.ratio <= 1.25", alone=alone)
+
+
+def answers(frames: Frames) -> Iterator[Answer]:
+    yield from filter(None, (answer(frames, kind) for kind in KINDS))
+
+
+# -- who is cheapest -------------------------------------------------------------------------------
+def error_label(error: float) -> str:
+    return f"error {power(error)}"
+
+
+def cost_text(row: Cost, timed: bool) -> str:
+    if math.isnan(row.cost):
+        return row.reason or DASH
+    return f"{'≤ ' if row.bound else ''}{duration(row.cost) if timed else count(row.cost)}"
+
+
+def leaders(rows: pd.DataFrame, timed: bool) -> Cell:
+    """Return all that are within a quarter of the least time, or who needs the fewest evaluations."""
+    first = cost_rows(rows.head(1))[0]
+    if math.isnan(first.cost):
+        return Cell(cost_text(first, timed))
+    near = rows[rows["verdict"].isin(["win", "tie", "undecided"])]
+    named = names(list(near["method"]))
+    contact = rows[rows["family"] == CONTACT]["ratio"].min()
+    ours = (near["family"] == CONTACT).any()
+    behind = f" (contact {times(contact)})" if contact > 1 and not ours else ""
+    mark = (Mark.best if (near["family"] == CONTACT).all() else Mark.tie) if ours else None
+    return Cell(f"{named} {cost_text(first, timed)}{behind}", mark=mark)
+
+
+def leaders_view(rows: pd.DataFrame, kind: str, name: str = "") -> View | None:
+    timed, title = KINDS[kind][0], ENTRIES[kind]["title"]
+    both = (rows["family"] == CONTACT).groupby(rows["scene"]).transform("nunique") == 2
+    reached = rows[both & (rows.groupby("scene")["cost"].transform("count") > 0)]
+    if not len(reached):
+        return None
+    table = matrix(reached, "scene", "error", lambda own: leaders(own, timed), error_label)
+    return View(name or f"leaders_{kind}", title, table, ENTRIES[kind]["about"])
+
+
+# -- what a tolerance gives ------------------------------------------------------------------------
+def tolerance_view(runs: pd.DataFrame) -> View:
+    own = runs[(runs["control"] == "rtol") & (runs["saved"] == 1) & (runs["status"] == "ok")]
+    own = own[own["setting"].between(*ASKED) & own["error"].notna()]
+    own = own.assign(over=own["error"] / own["setting"], pilots=by_pilots(runs)[own.index])
+    own = own.sort_values("pilots", ascending=False, kind="stable")
+    lines = []
+    for method, rows in own.groupby("method", sort=False):
+        worst = rows.loc[rows["over"].idxmax()]
+        where = f"{worst['scene']}, {exact_power(worst['setting'])}"
+        within = f"{int((rows['over'] <= 1).sum())} of {len(rows)}"
+        over = (scientific(rows["over"].median()), scientific(worst["over"]))
+        lines.append((method, "the run, by pilots" if worst["pilots"] else "a step", within, *over, where))
+    labels = ["method", "bounds", "runs within", "error/rtol, median", "worst", "scene and rtol"]
+    return view("tolerances", frame_of(lines, labels))
+
+
+# -- scene by scene --------------------------------------------------------------------------------
+def costs_view(frames: Frames, scene: str) -> View:
+    """Return compiled time and evaluations of each method and error in one cell."""
+    cells: dict[tuple[str, float], list[str]] = {}
+    best: set[tuple[str, float]] = set()
+    for kind in ("compiled", "evaluations"):
+        rows = standings(frames, kind)
+        for row in cost_rows(rows[rows["scene"] == scene].sort_values("method", kind="stable")):
+            text = cost_text(row, KINDS[kind][0])
+            cells.setdefault((row.method, row.error), [""] * (kind == "evaluations")).append(text)
+            if kind == "compiled" and row.verdict not in ("", "loss"):
+                best.add((row.method, row.error))
+
+    def cell(key: tuple[str, float], texts: list[str]) -> Cell:
+        return Cell(" · ".join(dict.fromkeys(filter(None, texts))), mark=Mark.best if key in best else None)
+
+    ordered = sorted(cells, key=lambda key: (key[0], -key[1]))
+    made = grid("method", {key: cell(key, cells[key]) for key in ordered}, error_label)
+    return View(f"cost_{scene}", "", made)
+
+
+@chapter("cost", answers)
+def parts(frames: Frames) -> list[Part | None]:
+    runs = frames["runs"]
+    scenes = runs["scene"][runs["saved"] == 1].unique()
+    tables = [leaders_view(standings(frames, kind), kind) for kind in KINDS]
+    each = [Section(scene, (figure(frames, scene), costs_view(frames, scene))) for scene in scenes]
+    return [
+        Section("Who is cheapest where", (Text(PROSE["cost"]["legend"]), *tables)),
+        tolerance_view(runs),
+        Section("Scene by scene", (Text(PROSE["cost"]["scenes"]), *each)),
+    ]
+
+
+# -- figures ---------------------------------------------------------------------------------------
+#: beyond an error of two there is nothing left of the motion, below round-off nothing is known
+ERROR = Axis("error of the solution (more accurate to the right)", "log", inverted=True, within=(1e-16, 2.0))
+#: the axis of each kind of cost that is drawn, and its scale
+AXES = {"compiled": ("time of a solve, µs", 1e6), "evaluations": ("evaluations", 1.0)}
+
+
+def compared(frames: Frames, scene: str, kind: str) -> pd.DataFrame:
+    tables, given = which(frames, kind)
+    rows = comparable(*tables, **given)
+    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok") & rows["spent"].notna()]
+    totals = rows.groupby(["method", "engine"])["spent"].transform("median")
+    best = rows.assign(total=totals).groupby("method")["total"].transform("min")
+    return rows[totals == best].drop_duplicates(["method", "control", "setting"])
+
+
+def figure(frames: Frames, scene: str) -> Figure | None:
+    title, named = message(frames, scene)
+    drawn: list[str] = []
+    panels = []
+    for kind, (label, size) in AXES.items():
+        curves = by_method(compared(frames, scene, kind), "error", "spent", size)
+        if curves:
+            drawn = drawn or choose(curves, cheapest, named)
+            cost = contest_end(Axis(label, "log"), curves)
+            panels.append(Panel(ENTRIES[kind]["title"], ERROR, cost, only(curves, drawn)))
+    return chart("cost", panels, f"cost_{scene}", title=title)
+
+
+def message(frames: Frames, scene: str) -> tuple[str, list[str]]:
+    """Return the title of a scene's figure, by the contest of compiled times, and the methods that it names."""
+    rows = standings(frames, "compiled")
+    table = sides(rows[rows["scene"] == scene])
+    table = table[np.isfinite(table["ratio"]) & (table["ratio"] > 0)].sort_values("error", ascending=False)
+    if not len(table):
+        return f"{scene}: cost against error", []
+    row = table.iloc[(len(table) - 1) // 2]
+    at, both, ratio = f"at {power(row['error'])}", [row["ours"], row["other"]], row["ratio"]
+    if 1 / row["margin"] <= ratio <= row["margin"]:
+        found = "take the same time within 25 %" if row["margin"] <= 1.25 else "are too near for the clock"
+        return f"{scene}: {both[0]} and {both[1]} {found} {at}", both
+    if ratio > 1:
+        both, ratio = both[::-1], 1 / ratio
+    return f"{scene}: {both[0]} needs {100 * ratio:.0f} % of the time of {both[1]} {at}", both

@@ -1,0 +1,1 @@
+"""What is run, one file a table: cells, and the rows of each; ladders, journal, times."""

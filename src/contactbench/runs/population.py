@@ -1,0 +1,158 @@
+"""What does an error cost on problems nobody chose, and how do runs end on hard ones?  One cell: those of a family."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import numpy as np
+
+from contactbench.measure.clock import Call
+from contactbench.methods.base import CALLBACKS, METHODS, PACKAGES, Method, prepare
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.peers.heyoka import SHARED, TAYLOR
+from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
+from contactbench.runs.features import Features, features
+from contactbench.runs.problems import COUNT, FAMILIES, HARD, HARD_COUNT, SEED, Problem, draw
+from contactbench.runs.search import Attempt, Question
+from contactbench.runs.settings import carry_of
+from contactbench.runs.trial import CLEAR, ENDS, Trial, agreed
+from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
+from contactbench.tables.declared import POPULATION, PROBLEMS
+from contactbench.truth import Reference
+
+ERRORS = (1e-3, 1e-6, 1e-9)
+#: visits of a call, and how many times slower than the fastest it may be to be visited again
+VISITS, SLOWER = 3, 10.0
+#: of hard problems: the tolerance, by how much the error of a run may exceed it for there to be a truth, and steps in a
+#: period of what takes no tolerance
+TOLERANCE, WRONG, HARD_STEPS = 1e-6, 1e3, 1000
+#: the seed that `--seed` gives; empty: that of the repository
+OWN_SEED: list[int] = []
+
+
+# -- the truth ---------------------------------------------------------------------------------------
+#: pairs are tried until one is refused by neither
+TIGHT = (("rkn12-10", 1e-14), ("rk8-7", 1e-14))
+
+
+def truth_of(problem: Problem) -> Reference | None:
+    """Return what two solvers agree on at the ends; None where either fails."""
+    scene, carry = problem.scene, carry_of(problem.scene)
+    ends = [part * scene.t_end for part in ENDS]
+    method, rtol = next(each for each in TIGHT if METHODS[each[0]].refuses(scene) is None)
+    solvers: list[tuple[Method | str, float]] = [(SHARED, SHARED.rtol_range[0])]
+    solvers.append((method, max(rtol, METHODS[method].rtol_range[0])))
+    found = [prepare(scene, one, save_at=Elapsed(ends), carry=carry, rtol=tight)() for one, tight in solvers]
+    return agreed(scene, carry, *found) if all(one.ok for one in found) else None
+
+
+# -- who is run ----------------------------------------------------------------------------------------
+#: from this order on methods lead on problems without a structure of their own
+HIGH = 8
+
+
+def raced(scene: Scene) -> list[Method]:
+    """Return who leads on some such problems, and what the mission has of compiled solvers, or what stands for it.
+
+    Of our methods with a step, one-step or not, of each family and order the one whose step is cheapest, of contact
+    methods from order 2 on, of others from `HIGH`; exact ones, pairs of high order, and the Taylor method.
+    """
+    stand_ins = {method.like for method in METHODS.values() if method.mission}
+    compiled = [m for m in METHODS.values() if m.engines[0] not in (*CALLBACKS, *PACKAGES)]
+    able = [m for m in compiled if not (m.stiff or m.iterates or m.follows or m.refuses(scene))]
+    theirs = [m for m in able if m.package and (m.mission or m.name in stand_ins or m is TAYLOR)]
+    ours = [m for m in able if not m.package and (m.contact or m.mission or (m.order or HIGH) >= HIGH)]
+    steps: dict[object, FixedStep] = {}
+    for method in ours:
+        if isinstance(method, FixedStep) and method.order > 1:
+            alike = method.contact, method.order, method.one_step
+            both = method, steps.get(alike, method)
+            steps[alike] = min(both, key=lambda own: (own.per_step(scene), not own.mission))
+    # first those by whose cost others are given up
+    ranked = sorted(
+        [*steps.values(), *(m for m in ours if not isinstance(m, FixedStep))], key=lambda m: -(m.order or 0)
+    )
+    return [*ranked, *(SHARED if method is TAYLOR else method for method in theirs)]
+
+
+# -- rows ----------------------------------------------------------------------------------------------
+def examine(problem: Problem) -> tuple[Row, Features, Reference | None]:
+    """Return the row of a problem, what a pilot finds, and the truth."""
+    scene, known = problem.scene, features(problem.scene)
+    truth = truth_of(problem)
+    row = {"seed": problem.seed, "scene": scene.name, "structure": problem.family, "hard": problem.hard}
+    row |= {"t_end": scene.t_end, "digits": truth.digits if truth else 0}
+    return row | asdict(known), known, truth
+
+
+def named(problem: Problem, method: Method) -> Row:
+    return {"seed": problem.seed, "scene": problem.scene.name, "method": method.name}
+
+
+def cost_rows(problem: Problem) -> Recorded:
+    row, known, truth = examine(problem)
+    yield PROBLEMS, row
+    if truth is None:
+        return
+    targets = [error for error in ERRORS if error >= CLEAR * 10.0**-truth.digits]
+    question = Question(problem.scene, truth, ERRORS, math.inf)
+    trials = [Trial(question, method, known) for method in raced(problem.scene)]
+    least: dict[float, float] = {}
+    with np.errstate(all="ignore"):
+        for trial in trials:
+            trial.search(targets, least)
+        seconds = visited([a for trial in trials for error in targets if (a := trial.best(error))])
+    for trial in trials:
+        yield from ((POPULATION, named(problem, trial.method) | row) for row in trial.rows(targets, seconds))
+
+
+def visited(tried: Sequence[Attempt]) -> dict[int, float]:
+    """Return the least time of the bare call of each setting, all visited in turns; of slow ones that of its run."""
+    seconds = {id(one): one.seconds for one in tried}
+    most = SLOWER * min(seconds.values(), default=0.0)
+    runs = {id(one): one.run for one in tried if one.run and one.seconds <= most}
+    calls = {name: Call(run.bare_call(), round_seconds=1e-4) for name, run in runs.items()}
+    for _ in range(VISITS):
+        for call in calls.values():
+            call.visit(1)
+    return seconds | {name: call.once for name, call in calls.items()}
+
+
+def hard_rows(problem: Problem) -> Recorded:
+    """Yield how each method ends that is given a tolerance, or a step where it takes none."""
+    row, known, truth = examine(problem)
+    yield PROBLEMS, row
+    if truth is None or 10.0**-truth.digits * CLEAR > TOLERANCE * WRONG:
+        return
+    question = Question(problem.scene, truth, ERRORS, math.inf)
+    for method in raced(problem.scene):
+        steps = method.control == "step" and not (method.one_step or method.follows)
+        control = "exact" if method.exact else "step" if steps else "rtol"
+        value = 2 * math.pi / known.omega / HARD_STEPS if steps else TOLERANCE
+        with np.errstate(all="ignore"):
+            one = Trial(question, method, known).attempt(0.0 if method.exact else value, control)
+        row = named(problem, method) | {"error": TOLERANCE, "status": str(one.status), "note": one.message}
+        yield POPULATION, row | {"reached": one.error, "evaluations": one.evaluations}
+
+
+# -- cells ---------------------------------------------------------------------------------------------
+def cells(profile: Profile) -> list[Cell]:
+    """Return (family, seed, kind of hard problems or blank); smoke has one family."""
+    seeds = OWN_SEED or [SEED]
+    easy = [(family, "") for family in FAMILIES]
+    hard = [(family, kind) for kind in HARD for family in HARD[kind].families]
+    chosen = easy[:1] if profile.brief else easy + hard
+    return [(family, seed, kind) for seed in seeds for family, kind in chosen]
+
+
+@experiment(cells)
+def population(cell: Cell, profile: Profile) -> Recorded:
+    family, seed, kind = cell
+    families = HARD[kind].families if kind else (family,)
+    count = HARD_COUNT if kind else 1 if profile.brief else COUNT
+    for number in range(count):
+        if families[number % len(families)] == family:
+            yield from (hard_rows if kind else cost_rows)(draw(seed, family, number, kind))

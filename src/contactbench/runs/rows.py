@@ -1,0 +1,170 @@
+"""A run as a row of runs.csv: how it ended, what it cost, its error, and how far it is from each law.
+
+A run to the end alone is what is timed: packed initial state in, packed final state out.  Its error is the largest over
+five end times, each the end of a run of its own: no interpolation plays a part.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Sequence
+from functools import cache
+from time import perf_counter
+
+import numpy as np
+
+import contactbench as cb
+from contactbench.blame import UserError
+from contactbench.measure.clock import Call
+from contactbench.measure.laws import row as law_columns
+from contactbench.measure.stability import is_processed
+from contactbench.methods.base import Method
+from contactbench.methods.prepared import Prepared
+from contactbench.runs.experiment import Row
+from contactbench.runs.settings import ENDS, SAVES, carry_of, setting_to, times
+from contactbench.scene import Scene
+from contactbench.scene.base import Elapsed
+from contactbench.scene.scales import errors
+from contactbench.solution import Solution
+from contactbench.tables.declared import RUNS
+from contactbench.truth import Reference, blow_up_time, condition_number
+
+#: scene, method, engine, control, setting: what names a run but for its saved times
+type Question = tuple[str, str, str, str, float]
+
+#: right-hand sides that a solver may call back from Python in a run over a span up to `LONG`; longer ones get more, but
+#: not without end, and hard scenes three times as many
+CALLBACKS, LONG, LONGEST, HARD = 40_000, 800.0, 2000.0, 3
+
+
+class SolverError(Exception):
+    """A solver raised; whatever else raises in here is a fault of the experiment."""
+
+
+@contextlib.contextmanager
+def blamed_on_solver() -> Iterator[None]:
+    try:
+        yield
+    except UserError as error:  # a plug-in's solver
+        raise SolverError(str(error)) from error
+    except cb.BadInput:  # a question nobody should have asked
+        raise
+    except Exception as error:
+        raise SolverError(f"{type(error).__name__}: {error}") from error
+
+
+def step_budget(scene: Scene, method: Method, engine: str) -> int | None:
+    """Return the steps that keep one run of callbacks about below a second; a longer one ends as `budget`."""
+    if method.refuses(scene) or (each := method.step_cost(scene, engine)) is None:
+        return None
+    share = max(1.0, min(scene.t_end, LONGEST) / LONG) * (HARD if scene.hard else 1)
+    return int(round(CALLBACKS * share) // each)
+
+
+def prepared(question: Question, saves: Sequence[float], carry: Sequence[str] | None) -> Prepared:
+    """Return the run to the last of some times, saved at each of them."""
+    name, method, engine, control, value = question
+    scene = cb.SCENES[name]
+    given: Row = {
+        "engine": engine,
+        "carry": carry,
+        "max_steps": step_budget(scene, cb.METHODS[method], engine),
+    }
+    setting = setting_to(saves[-1], scene, control, value)
+    with blamed_on_solver():
+        return cb.prepare(scene, method, save_at=Elapsed(saves), **setting, **given)
+
+
+@cache
+def truth_at(scene: str, carry: tuple[str, ...], count: int) -> Reference:
+    return cb.reference(scene, Elapsed(times(cb.SCENES[scene], count)), carry)
+
+
+@cache
+def truth_of(scene: str) -> Row:
+    """Return the columns that all runs of a scene share."""
+    ends = "diverged" if blow_up_time(cb.SCENES[scene]) else "ok"
+    return {"truth": ends, "condition": condition_number(cb.SCENES[scene]) or math.nan}
+
+
+def key(question: Question, saved: int) -> Row:
+    scene, method, engine, control, value = question
+    own = {"scene": scene, "method": method, "family": cb.METHODS[method].family, "engine": engine}
+    return own | {"control": control, "setting": value, "saved": saved}
+
+
+def outcome(question: Question, saved: int, solution: Solution) -> Row:
+    """Return the columns of what a run came to and what it cost."""
+    counts, method = solution.counts, cb.METHODS[solution.method]
+    row = key(question, saved) | {"engine": solution.engine}
+    row |= {"status": str(solution.status), "message": solution.message, "end_time": solution.end_time}
+    row |= {"steps": counts.steps, "evaluations": counts.rhs_equivalents, "jacobians": counts.jacobians}
+    row |= {"rejected": counts.rejected if method.adaptive else None}
+    supported = solution.status is not cb.Status.unsupported
+    return row | (truth_of(solution.scene.name) if supported else {})
+
+
+# -- to the end alone ------------------------------------------------------------------------------
+def passes_through(method: Method, engine: str, control: str) -> bool:
+    """Return whether one run saved at all ends is, but for roundings, the runs to each, and slow enough to matter.
+
+    Not of a processed method, which brings a state to its own coordinates and back wherever it is saved, nor of one
+    that starts afresh there.
+    """
+    return engine == "python" and control == "step" and method.one_step and not is_processed(method)
+
+
+def ended(question: Question) -> Row:
+    """Return the row of a run to the end alone."""
+    scene, method = cb.SCENES[question[0]], cb.METHODS[question[1]]
+    *earlier, end = times(scene, ENDS).tolist()
+    carry = carry_of(scene)
+
+    def solve(saves: Sequence[float]) -> Solution:
+        run = prepared(question, saves, carry)
+        with blamed_on_solver():
+            return run()
+
+    solution = solve([end])
+    row = outcome(question, 1, solution)
+    if solution.ok:
+        whole = passes_through(method, *question[2:4])
+        others = [solve(ends) for ends in ([earlier] if whole else [[t] for t in earlier])]
+        if all(each.ok for each in others):
+            found = np.vstack([each.y for each in (*others, solution)])
+            true = truth_at(scene.name, solution.carry, ENDS).y
+            row["error"] = float(errors(scene, found, true, solution.y0, solution.carry).max())
+    return row
+
+
+def bare(question: Question) -> tuple[Row, Call]:
+    """Return how long a run to the end takes to prepare and to be called first, and what is timed of it."""
+    scene = cb.SCENES[question[0]]
+    run = prepared(question, [scene.t_end], carry_of(scene))
+    start = perf_counter()
+    run()
+    first = perf_counter() - start
+    # arrays that an engine has moved to its device ahead of the call
+    return {"compile_s": run.compile_s, "first_s": first}, Call(run.bare_call())
+
+
+# -- along the motion --------------------------------------------------------------------------------
+def along(question: Question, without: str = "", most: float = math.inf) -> Row:
+    """Return the row of a run saved at 25 times, with all laws.
+
+    without : why no derivative is taken.  most : evaluations of a run that is differentiated.
+    """
+    scene = cb.SCENES[question[0]]
+    run = prepared(question, times(scene).tolist(), None)
+    with blamed_on_solver():
+        solution = run()
+    row = outcome(question, SAVES, solution)
+    if not solution.ok or row["truth"] == "diverged":
+        return row
+    solution.truth = truth_at(scene.name, solution.carry, SAVES)
+    if (row["evaluations"] or 0) > most:
+        without = f"of a run of more than {most:.0f} evaluations"
+    found = law_columns(solution, without)
+    row |= {name: value for name, value in found.items() if name in RUNS.columns}
+    return row | {"error": found["solution_error"]}

@@ -1,0 +1,168 @@
+"""The timed part of an experiment: all calls are prepared first, then visited in turns, contenders more often."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from math import isqrt
+
+import numpy as np
+from tqdm import tqdm
+
+from contactbench.measure.clock import ROUNDS, Call, Race, Visit, least, ratio_column, time_columns
+from contactbench.measure.isolation import Worker, usable_cores
+from contactbench.methods.base import ENGINES
+from contactbench.runs.experiment import Row, Timing
+from contactbench.tables.cells import Cell
+
+#: visits to every call, after which it shows who contends; and to those that do not
+FIRST, OTHERS = 2, 3
+#: a contender takes no longer than so many times the fastest of those with no larger error
+NEAR = 2.0
+#: sweeps from a call's visit to its next, by the seconds that it lasts more than: what lasts so long is rarely
+#: interrupted all along
+SPARED = {0.1: 4, 0.02: 2}
+#: the calls that a second process has prepared
+PREPARED: list[Call] = []
+
+
+def prepare(function: Callable[..., tuple[Row, Call]], *arguments: object) -> int:
+    PREPARED.append(function(*arguments)[1])
+    return len(PREPARED) - 1
+
+
+def warm_up(number: int, cores: Iterable[int]) -> float:
+    for thread in os.listdir("/proc/self/task") if cores else ():
+        os.sched_setaffinity(int(thread), cores)
+    return PREPARED[number].warm_up()
+
+
+def visit(number: int, rounds: int) -> Visit:
+    return PREPARED[number].visit(rounds)
+
+
+def sweeps_between(lasts: float) -> int:
+    return next((sweeps for seconds, sweeps in SPARED.items() if lasts > seconds), 1)
+
+
+@dataclass(frozen=True)
+class Remote:
+    """A call that another process prepares, without being waited for, and times."""
+
+    worker: Worker
+    prepared: Future[int]
+    cores: Sequence[int]
+
+    def warm_up(self) -> float:
+        return self.worker.submit(warm_up, self.prepared.result(), self.cores).result()
+
+    def visit(self, rounds: int = ROUNDS) -> Visit:
+        return self.worker.submit(visit, self.prepared.result(), rounds).result()
+
+
+@dataclass
+class Entry:
+    """A row to be timed: its call, perhaps the same call in a second process, and who takes its columns.
+
+    known : the columns of its row that are known before.  told : takes its columns too.
+    """
+
+    timing: Timing
+    known: Row
+    call: Call
+    again: Remote | None
+    record: Callable[[Row], None]
+    told: Row = field(default_factory=dict)
+
+    @property
+    def beside(self) -> tuple[object, ...]:
+        """Return who is timed beside whom: on one scene, compiled or called back."""
+        return self.timing.key["scene"], ENGINES.get(self.timing.key["engine"])
+
+    def finish(self, visits: Sequence[Visit], again: Sequence[Visit]) -> None:
+        columns = time_columns(visits) | (ratio_column("process", least, visits, again) if again else {})
+        self.told |= columns
+        self.record(self.timing.key | self.known | columns)
+
+
+@dataclass
+class Timetable(AbstractContextManager["Timetable"]):
+    """The timed rows of an experiment, in the order in which they were prepared.
+
+    ahead : the cells that are yet to be prepared.  visits : to each contender.
+    """
+
+    ahead: set[Cell]
+    visits: int
+    entries: list[Entry] = field(default_factory=list)
+    #: how many rows of an engine there are so far
+    numbers: Counter[str] = field(default_factory=Counter)
+    #: the second process
+    other: Worker | None = None
+
+    def add(self, timing: Timing, record: Callable[[Row], None]) -> Entry:
+        """Prepare a call.  Those of an engine whose numbers are squares are timed in a second process too."""
+        number = self.numbers[timing.key["engine"]]
+        self.numbers[timing.key["engine"]] += 1
+        again = self.second(timing) if isqrt(number) ** 2 == number else None
+        known, call = timing.prepare(*timing.arguments)
+        call.warm_up()
+        self.entries.append(Entry(timing, known, call, again, record))
+        return self.entries[-1]
+
+    def second(self, timing: Timing) -> Remote:
+        """Let a second process prepare a call on another core than this one's, and time it on the same."""
+        cores = usable_cores()
+        mine = sorted(os.sched_getaffinity(0)) if cores else []
+        beside = [core for core in cores if core not in mine][:1] or mine
+        self.other = self.other or Worker(beside)
+        return Remote(self.other, self.other.submit(prepare, timing.prepare, *timing.arguments), mine)
+
+    def go(self) -> None:
+        """Visit all of them in turns, contenders and short ones more often; each is recorded after its last visit."""
+        lasts = [entry.call.warm_up() for entry in self.entries]
+        between, wanted = [sweeps_between(each) for each in lasts], [self.visits] * len(lasts)
+        pairs = [(n, call) for n, e in enumerate(self.entries) for call in (e.call, e.again) if call]
+        race = Race([call for _, call in pairs])
+        for sweep in tqdm(range(self.visits), "timing", unit="sweep", disable=None):
+            if sweep == FIRST:
+                wanted = self.shared_out([own for own, _ in self.visited(race)])
+            due = [i for i, (n, _) in enumerate(pairs) if sweep < wanted[n] and sweep % between[n] == 0]
+            for _ in race.sweep(some=due):
+                pass
+            for entry, visits, end in zip(self.entries, self.visited(race), wanted, strict=True):
+                if end == sweep + 1:
+                    entry.finish(*visits)
+
+    def visited(self, race: Race) -> Iterator[tuple[list[Visit], list[Visit]]]:
+        """Yield the visits to each call, and to the same in the second process."""
+        made = iter(race.visits)
+        for entry in self.entries:
+            yield next(made), next(made) if entry.again else []
+
+    def shared_out(self, visits: Sequence[Sequence[Visit]]) -> list[int]:
+        """Return how many visits each is to have: contenders all of them.
+
+        They are told among those timed beside each other, and those given a tolerance among themselves.
+        """
+        times = np.array([least(own) for own in visits])
+        errors = np.array([entry.timing.error for entry in self.entries])
+        by_tolerance = np.array([entry.timing.key["control"] == "rtol" for entry in self.entries])
+        wanted = np.full(len(times), min(OTHERS, self.visits))
+        fields: dict[object, list[int]] = {}
+        for n, entry in enumerate(self.entries):
+            fields.setdefault(entry.beside, []).append(n)
+        for which in map(np.array, fields.values()):
+            rivals = errors[which][None] <= errors[which][:, None]
+            rivals &= by_tolerance[which][None] | ~by_tolerance[which][:, None]
+            least_of = np.where(rivals, times[which][None], np.inf).min(axis=1)
+            wanted[which[times[which] <= NEAR * least_of]] = self.visits
+        return [int(n) for n in wanted]
+
+    def __exit__(self, *_: object) -> None:
+        if self.other is not None:
+            self.other.close()
