@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from contactbench.measure.statistics import WIDEST
 from contactbench.questions.answers import share
 from contactbench.questions.contest import (
     CONTACT,
@@ -81,7 +82,7 @@ def leaders(rows: pd.DataFrame, timed: bool) -> Cell:
     first = cost_rows(rows.head(1))[0]
     if math.isnan(first.cost):
         return Cell(cost_text(first, timed))
-    near = rows[rows["verdict"].isin(["win", "tie", "undecided"])]
+    near = rows[rows["ratio"] <= (WIDEST if timed else 1.0)]
     named = names(list(near["method"]))
     contact = rows[rows["family"] == CONTACT]["ratio"].min()
     ours = (near["family"] == CONTACT).any()
@@ -127,7 +128,7 @@ def costs_view(frames: Frames, scene: str) -> View:
         for row in cost_rows(rows[rows["scene"] == scene].sort_values("method", kind="stable")):
             text = cost_text(row, KINDS[kind][0])
             cells.setdefault((row.method, row.error), [""] * (kind == "evaluations")).append(text)
-            if kind == "compiled" and row.verdict not in ("", "loss"):
+            if kind == "compiled" and row.ratio <= WIDEST:
                 best.add((row.method, row.error))
 
     def cell(key: tuple[str, float], texts: list[str]) -> Cell:

@@ -49,7 +49,7 @@ def answers(frames: Frames) -> Iterator[Answer]:
         where = (
             f"after T = {power(end)}, γ = {power(gamma)}, within {100 * ALLOWED:g} % (median of the starts)"
         )
-        text = "; ".join(filter(None, [show(found.iloc[0]) + unit, beside]))
+        text = "; others than contact methods: ".join(filter(None, [show(found.iloc[0]) + unit, beside]))
         question = f"Which {asked} to have the energy left in a chaotic ring {where}?"
         yield Answer(question, names(list(found.index[ratio <= within]), 3), text, (query,))
 

@@ -229,7 +229,7 @@ def beginning(method: str, setting: dict[str, float]) -> tuple[Row, Call]:
 
 @timed(ring_energy)
 def ring_time(row: Row) -> Timing | None:
-    if is_lost(row) or (row["gamma"], row["t_end"]) != (GAMMA, SPAN):
+    if is_lost(row) or row["gamma"] != GAMMA or row["t_end"] not in (SPAN, LONG_SPAN):
         return None
     engine = cb.METHODS[row["method"]].engines[0]
     key = {name: row[name] for name in ("scene", "method", "control", "setting")}
