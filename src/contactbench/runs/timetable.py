@@ -161,6 +161,8 @@ class Timetable(AbstractContextManager["Timetable"]):
             rivals &= by_tolerance[which][None] | ~by_tolerance[which][:, None]
             least_of = np.where(rivals, times[which][None], np.inf).min(axis=1)
             wanted[which[times[which] <= NEAR * least_of]] = self.visits
+        # what two processes differ by is the margin of every contest
+        wanted[[entry.again is not None for entry in self.entries]] = self.visits
         return [int(n) for n in wanted]
 
     def __exit__(self, *_: object) -> None:
