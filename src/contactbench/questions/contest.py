@@ -37,7 +37,7 @@ CUT = ("budget", "timeout")
 ENOUGH = 8
 #: what a row of runs.csv and one of times.csv have in common
 KEY = ["scene", "method", "engine", "control", "setting", "saved"]
-#: so many results are kept of each function that many questions call
+#: results kept for each function that several questions call
 KEPT = 16
 #: how far the energy left in the ring may be off, and the part of its run that is timed
 ALLOWED, TIMED_SPAN = 0.01, 500.0

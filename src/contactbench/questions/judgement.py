@@ -15,7 +15,7 @@ from contactbench.tables.schema import Column, Rule
 SAVED = 25
 #: numbers of evaluations at which methods are compared
 COSTS = tuple(part * 10.0**k for k in range(1, 7) for part in (1, 2, 5))
-#: smaller deviations are none
+#: in logarithms a smaller deviation counts as this one
 NOTHING = 1e-17
 
 

@@ -71,7 +71,7 @@ class Timing:
 class Experiment:
     """Cells of one kind, and how each is measured.
 
-    question : its module; when all cells of a question are done, other rows of its tables go.  rows : of a cell in a
+    question : its module.  rows : of a cell in a
     profile, each with its table.  timing : instead, what is timed of a row that the experiment `of` has made.
     """
 

@@ -28,12 +28,12 @@ FEW = 3
 DEAREST_CALLBACKS = 2**12
 #: evaluations that a run may cost whose map is differentiated: what it keeps shows in the coarser ones
 DIFFERENTIATED = {"compiled": 2**16, "callbacks": 1000}
-#: an error that no contest asks for; a rung lessens the error by this factor at least, or two in a row are the last;
-#: and an error that is about as large as the motion, of which a smaller one may come late
+#: a ladder ends below the error SMALLEST, or after PATIENCE rungs that do not lower the error by the factor
+#: STILL_BETTER; it does not end while every error is above LOST, about as large as the motion
 SMALLEST, STILL_BETTER, PATIENCE, LOST = 1e-12, 0.7, 2, 0.1
 #: contact methods from this order on are given tolerances too
 PILOTED_ORDER = 4
-#: components from which on the map of a solver by tolerance is not differentiated, by runs for each of them
+#: with more components the map of a solver by tolerance is not differentiated: it takes runs for each of them
 MANY = 32
 #: seconds after which a call on a hard scene hangs; the dearest takes about twenty
 LIMIT = 900.0
@@ -86,7 +86,7 @@ def takes_pilots(scene: Scene, method: Method) -> bool:
 
 
 def no_derivative(scene: Scene, method: Method) -> str:
-    """Return why the map of a run is not differentiated: of a solver by tolerance it takes runs for each component."""
+    """Return why the map of a run is not differentiated, or "" if it is: solvers by tolerance need many runs for it."""
     if not method.adaptive or method.family == "contact":
         return ""
     if scene.motion > MANY:

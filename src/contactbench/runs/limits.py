@@ -71,7 +71,7 @@ MOST_STEPS, MOST_CALLS = 1_000_000, 120_000
 
 
 def rate_cells(profile: Profile) -> list[Cell]:
-    """Return (rate, method, span): creep of what is soon compiled or meant for it, weak damping of what is compiled."""
+    """Return (rate, method, span): creep for stiff solvers and what compiles quickly, weak damping if compiled."""
     creep = cb.SCENES["overdamped"].t_end
     if profile.brief:
         first = next(iter(cb.METHODS))

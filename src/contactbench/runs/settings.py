@@ -17,15 +17,15 @@ from contactbench.solution import EXACT, GROWING, keywords
 SAVES = 25
 #: end times over whose runs the largest error is taken
 ENDS = 5
-#: coarsest step; below it a ladder halves, and from this order on falls by √2
+#: the coarsest step; ladders halve it, and divide it by about √2 from order HIGH_ORDER on
 COARSEST, HIGH_ORDER = 0.8, 6
 #: evaluations that a run of a ladder may cost below its last step
 DEAREST = 2**18
-#: of runs along the motion the coarsest time for an evaluation, in parts of the span; the others, in parts of it; and
-#: the tolerances, beside the finest
+#: runs along the motion: the coarsest rung takes t_end/PARTS per evaluation, the others BY_FOUR of it, and orders up
+#: to LOW_ORDER have one more; the tolerances are ALONG and the finest that a method takes
 PARTS, BY_FOUR, LOW_ORDER = 400, (1.0, 1 / 4, 1 / 16, 1 / 64), 2
 ALONG = (1e-4, 1e-7, 1e-10)
-#: the tolerances of what chooses its steps by pilots
+#: tolerances of methods that choose their step by pilots
 PILOTED = [10.0**-k for k in range(3, 13)]
 RTOLS = [10.0**-k for k in range(3, 15)]
 #: beside the tolerances of `RTOLS`: some methods are a thousand times more accurate than asked

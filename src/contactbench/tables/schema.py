@@ -39,7 +39,6 @@ class Rule(Enum):
     )
     error = "may move by a factor of two above round-off"
     structure = "an error; if it is round-off it must stay round-off"
-    slope = "the slope of an error, compared in its asymptotic range (column in_fit)"
     order = "a fitted order: within 0.05"
     value = "a quantity that is no error: within a hundredth"
     measured = "what a claim measured: a factor of two or a hundredth, above round-off and far from its bound"
