@@ -10,19 +10,7 @@ from contactbench.runs.runner import Run, Task
 from contactbench.tables.cells import Cells
 from contactbench.tables.declared import RUNS
 from contactbench.tables.store import read
-
-
-def row(method):
-    made = {
-        "scene": "particle",
-        "method": method,
-        "engine": "llvm",
-        "control": "step",
-        "setting": 0.1,
-        "saved": 1,
-    }
-    return made | {"status": "ok", "message": ""}
-
+from made_up import row
 
 TASK = Task(experiments()["run"], ("particle_long", "cvode-adams"), "particle_long-cvode-adams")
 

@@ -13,25 +13,13 @@ from contactbench.tables.declared import ORDERS, RUNS, TIMES
 from contactbench.tables.provenance import runs
 from contactbench.tables.schema import TABLES
 from contactbench.tables.store import read
+from made_up import row
 
 SMALL = "bench_grid and particle and (strang or cvode-adams) and not long"
 #: both by two engines, at three settings
 TIMED = 12
 #: runs and times of both
 CELLS = 4
-
-
-def row(method="rk4", **more):
-    """A row of runs.csv; the same makes one of orders.csv."""
-    made = {
-        "scene": "particle",
-        "method": method,
-        "engine": "llvm",
-        "control": "step",
-        "setting": 0.1,
-        "saved": 1,
-    }
-    return made | {"status": "ok", "profile": "smoke"} | more
 
 
 def order(**more):
