@@ -22,14 +22,13 @@ import numpy as np
 from contactbench.methods import dates
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive
 from contactbench.methods.dates import division
-from contactbench.methods.loops import Loop
+from contactbench.methods.loops import Loop, watch_of
 from contactbench.methods.prepared import (
     NO_NUMBER,
     Outcome,
     Pilot,
     Prepared,
     Request,
-    RunByTolerance,
     stopwatch,
 )
 from contactbench.methods.runge_kutta import (
@@ -50,6 +49,7 @@ from contactbench.methods.runge_kutta import (
     undamped,
     undamped_twin,
 )
+from contactbench.methods.scaled import RunByTolerance
 from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
 from contactbench.numbers.dual import leaves, rebuild, value
 from contactbench.numbers.protocol import (
@@ -67,7 +67,7 @@ from contactbench.scene import Cache, Mechanical, Scene, State, key
 from contactbench.scene.algebra import DrivenState, scaled
 from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damped_time
-from contactbench.solution import DIVERGENCE, Counts, Status
+from contactbench.solution import DIVERGENCE, Counts, Solution, Status
 from contactbench.trace.form import Assign, Element, Statement, Update, execute
 from contactbench.trace.program import Program, record
 
@@ -387,7 +387,8 @@ def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: in
         return statement
 
     clock = scene.clock if scene.keeps_dates else None
-    program = record(advance, given + settings, d + method.beside(d), scene.motion, DIVERGENCE, clock=clock)
+    watch = watch_of(scene, carry)
+    program = record(advance, given + settings, d + method.beside(d), scene.motion, DIVERGENCE, watch, clock)
     return program._replace(run=replace(program.run, body=tuple(map(started, program.run.body))))
 
 
@@ -463,7 +464,33 @@ class ToleranceRun(RunByTolerance):
             return self.dated(y0, y[-d - beside : -beside])
 
         self.bare = first  # type: ignore
+        if loop.program.watched:
+            self.at_once = self.shortened(
+                loop.on(d, self.rows(loop, short), (d, d + end), flagged=True), beside
+            )
         return states
+
+    def shortened(
+        self, states: Callable[[np.ndarray], tuple[np.ndarray, int]], beside: int
+    ) -> Callable[[np.ndarray], Solution]:
+        """Return the whole call for the common case, a run that reaches its end."""
+        of, date, clock, rows = Solution.of, self._dated, self._clock, len(self.spans)
+        saved, d, first = self.saved, len(self.start), self.saves_start
+        kind, evaluations = self.method_.kind, self.method_.evaluations
+        ended = self.attributes(Status.ok, "", Counts(), self._end, self.steps_taken)
+
+        def at_once(y0: np.ndarray) -> Solution:
+            found, bad = states(y0)
+            tried, rejected, lag = found[-3:].tolist()
+            if bad >= 0 or lag != 0:
+                return self.solved(y0, self.integrate)
+            y = found.reshape(rows, d + beside)[saved, :d]
+            y = np.concatenate([y0[None], y]) if first else y
+            counts = Counts(int(tried - rejected), evaluations(int(tried), rows), 0, int(rejected), kind)
+            more = {"counts": counts} if clock is None else {"counts": counts, "t": self.times_from(y0)}
+            return of(ended | more, y if clock is None else date(y0, y), y0)
+
+        return at_once
 
     def in_python(self) -> Callable[[np.ndarray], np.ndarray]:
         """Return `states` by the recorded loop in Python, or by the source if it cannot be recorded or overflows."""

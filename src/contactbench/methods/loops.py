@@ -174,19 +174,26 @@ def program_of(
             return [*end, y[d] + spent]
         return [*map(value, end), *map(slope, end)] if tangent else end
 
-    def slope_at(numbers: Sequence[Arithmetic], y: Sequence[Arithmetic]) -> list[Arithmetic]:
-        twin = scene.with_numbers(numbers)
-        return twin.pack(twin.rhs(twin.unpack(y[:d], carry)))
-
-    def energy_at(numbers: Sequence[Arithmetic], y: Sequence[Arithmetic]) -> tuple[Arithmetic, Arithmetic]:
-        twin = scene.with_numbers(numbers)
-        x = twin.unpack(y[:d], carry)
-        return twin.energy(x), twin.energy_terms(x)
-
-    watch = None if tangent else Watch(slope_at, energy_at if scene.bounds_energy else None)
+    watch = None if tangent else watch_of(scene, carry)
     size = d * (1 + tangent) + counted
     clock = scene.clock if scene.keeps_dates else None
     return record(interval, len(scene.numbers()), size, scene.motion, DIVERGENCE, watch, clock)
+
+
+def watch_of(scene: Scene, carry: tuple[str, ...]) -> Watch:
+    """Return the tests of the states of a run, of numbers that begin with the scene's own."""
+    d, given = len(scene.labels(carry)), len(scene.numbers())
+
+    def slope_at(numbers: Sequence[Arithmetic], y: Sequence[Arithmetic]) -> list[Arithmetic]:
+        twin = scene.with_numbers(numbers[:given])
+        return twin.pack(twin.rhs(twin.unpack(y[:d], carry)))
+
+    def energy_at(numbers: Sequence[Arithmetic], y: Sequence[Arithmetic]) -> tuple[Arithmetic, Arithmetic]:
+        twin = scene.with_numbers(numbers[:given])
+        x = twin.unpack(y[:d], carry)
+        return twin.energy(x), twin.energy_terms(x)
+
+    return Watch(slope_at, energy_at if scene.bounds_energy else None)
 
 
 def advanced(

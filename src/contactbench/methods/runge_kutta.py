@@ -17,7 +17,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from itertools import combinations_with_replacement
 from math import prod
 from pathlib import Path
@@ -72,7 +72,7 @@ class Tableau:
         """Return the number of stages of the step without the embedded formula."""
         return max(i for row in self.weights for i, w in enumerate(row) if w) + 1
 
-    @property
+    @cached_property
     def first_same_as_last(self) -> bool:
         return self.matrix[-1] == self.weights[0][:-1]
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.methods.base import Adaptive
-from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request, RunByTolerance
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
+from contactbench.methods.scaled import RunByTolerance
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import Arithmetic, CannotRecord
 from contactbench.scene import AnyState, Scene

@@ -29,7 +29,7 @@ from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace, V
 from contactbench.registry import Registry
 from contactbench.scene.algebra import AnyState, shifted
 from contactbench.scene.flow import Flow
-from contactbench.scene.scales import at_least, in_order, known
+from contactbench.scene.scales import at_least, known, larger, scale_of
 from contactbench.trace.formula import Formula, formula
 
 #: allowed relative difference between a function of floats and its formula, which computes powers by products
@@ -45,7 +45,7 @@ Numeric = Any
 #: a packed state: a sequence of numbers, or an array with one component after the other along its first axis
 Packed = Any
 #: the sizes of the components of a motion, and of the action
-Sizes = tuple[Sequence[float], float]
+Sizes = tuple[Sequence[Any], Any]
 #: parameters of a kind of scene that takes none
 NO_PARAMETERS: Mapping[str, float] = {}
 #: a function of the name and the given value of a field that returns the value to keep, or raises `BadInput`
@@ -653,16 +653,27 @@ class Scene(metaclass=Kind):
         If components share a unit, a scale of order one counts as 1.
         """
         with np.errstate(all="ignore"):
-            found, action = self.sizes(x, end)
-            motion = np.array(found, dtype=float)
-            if self.mixed and hasattr(x, "p"):
-                motion = at_least(self, x, motion)
-            attitude = [1.0] * 4 if getattr(x, "R", None) is not None else []
-            sizes = np.array([*motion, *attitude, *([] if x.s is None else [np.fmax(abs(x.s), action)])])
-            sizes = known(sizes) if self.mixed else in_order(sizes)
+            if not self.mixed:
+                return np.array(self.scales_in(x, end, math), dtype=float)
+            motion, rest = self._sizes(x, end, math)
+            if hasattr(x, "p"):
+                motion = at_least(self, x, np.array(motion, dtype=float)).tolist()
+            sizes = known(np.array([*motion, *rest], dtype=float))
             if self.scale is not None:
                 sizes[: self.motion] = self.scale
             return sizes
+
+    def scales_in(self, x: OwnState, end: Arithmetic, xp: Namespace) -> list[Arithmetic]:
+        """Return the scales of components that share units, in numbers of any kind."""
+        motion, rest = self._sizes(x, end, xp)
+        scales = [scale_of(size, xp) for size in (*motion, *rest)]
+        return scales if self.scale is None else [*self.scale, *scales[self.motion :]]
+
+    def _sizes(self, x: OwnState, end: Any, xp: Namespace) -> tuple[Sequence[Any], list[Any]]:
+        """Return the sizes of the motion, and those of R and s where they are carried."""
+        motion, action = self.sizes(x, end)
+        attitude = [1.0] * 4 if getattr(x, "R", None) is not None else []
+        return motion, attitude if x.s is None else [*attitude, larger(abs(x.s), action, xp)]
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
         defaults = self.state._field_defaults

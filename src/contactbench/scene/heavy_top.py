@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
-import numpy as np
-
 from contactbench.checks import finite, function, require_number, vector
 from contactbench.errors import BadInput
+from contactbench.numbers.functions import namespace
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import BodyState, Vector, conjugate, cross, dot, norm, rotate
 from contactbench.scene.base import Check, Numeric, Sizes, as_formula, optional
 from contactbench.scene.flow import Flow, plain
 from contactbench.scene.mechanical import derived_gradient
 from contactbench.scene.rigid_body import BODY, RigidBody, one_rate
+from contactbench.scene.scales import larger
 
 
 def top_kick(scene: HeavyTop, x: BodyState, h: Arithmetic, xp: Namespace) -> BodyState:
@@ -138,7 +138,7 @@ class HeavyTop(RigidBody):
     def sizes(self, x: BodyState, end: float) -> Sizes:
         _, most = super().sizes(x, end)
         fall: Any = (2 * max(self.inertia) * (abs(self.potential_at(x)) + norm(self.torque(x)))) ** 0.5
-        most = float(np.fmax(most, fall))
+        most = larger(most, fall, namespace(fall))
         return [most] * 3, most
 
     def rhs(self, x: BodyState) -> BodyState:

@@ -15,13 +15,14 @@ from contactbench.blame import is_ours, their_code
 from contactbench.checks import finite, function, positive, switch, vector
 from contactbench.errors import BadInput, excerpt
 from contactbench.numbers.control import choose, settle
+from contactbench.numbers.functions import namespace
 from contactbench.numbers.protocol import Arithmetic, CannotRecord, Namespace
 from contactbench.scene.algebra import State, Vector, dot, norm, scaled, times
 from contactbench.scene.base import Check, Numeric, OwnState, Sizes, as_formula, optional
 from contactbench.scene.canonical import Canonical, angular_momentum
 from contactbench.scene.contact_system import on_metric
 from contactbench.scene.flow import Constants, Flow, damped_time, damping, plain
-from contactbench.scene.scales import in_order, reach
+from contactbench.scene.scales import reach, scale_of
 from contactbench.trace.formula import Formula
 
 #: most components with a derived Hessian
@@ -378,13 +379,14 @@ class Mechanical(Canonical):
         return State(self.velocity(x.p), force, s)
 
     def sizes(self, x: OwnState, end: float) -> Sizes:
-        far, fast = reach(self, x, end, self.alike[: len(self.alike) // 2])
+        xp = namespace(x.q[0])
+        far, fast = reach(self, x, end, self.alike[: len(self.alike) // 2], xp)
         if self.mixed:
-            momenta = fast / np.array(self.velocity((1.0,) * len(x.p)))
-            return [*far, *momenta], float(np.nanmax(far * momenta))
+            momenta = np.array(fast) / np.array(self.velocity((1.0,) * len(x.p)))
+            return [*far, *momenta], float(np.nanmax(np.array(far) * momenta))
         over_mass: Any = self.velocity((1.0,) * len(x.p))[0]
-        q, p = float(far[0]), float(fast[0]) * (1 / over_mass)
-        return [q] * len(x.q) + [p] * len(x.p), float(in_order(q) * in_order(p))
+        q, p = far[0], fast[0] * (1 / over_mass)
+        return [q] * len(x.q) + [p] * len(x.p), scale_of(q, xp) * scale_of(p, xp)
 
     @property
     def mixed(self) -> bool:  # type: ignore[override]

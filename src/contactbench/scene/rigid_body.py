@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any, ClassVar, Self
 
@@ -232,7 +233,7 @@ class RigidBody(Scene):
     checks: ClassVar[dict[str, Check]] = {
         **Scene.checks,
         "inertia": moments,
-        "M": lambda name, value: vector(name, value, 3),
+        "M": partial(vector, length=3),
         "R": lambda name, value: quaternion_of(value),
         "attitude": switch,
         "gamma": optional(one_rate),
@@ -320,7 +321,7 @@ class RigidBody(Scene):
         return [3]
 
     def sizes(self, x: BodyState, end: float) -> Sizes:
-        most = float(np.linalg.norm(np.array(x.M, dtype=float), axis=0))
+        most: Any = norm(x.M)
         return [most] * 3, most
 
     def angular_velocity(self, M: Vector) -> Vector:

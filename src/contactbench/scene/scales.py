@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import reduce
 from itertools import accumulate
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from contactbench.numbers.control import choose, repeat_while
 from contactbench.numbers.dual import Dual, slope
-from contactbench.numbers.protocol import Vector
+from contactbench.numbers.protocol import Arithmetic, Namespace, Vector, abilities
 from contactbench.scene.algebra import rotation_matrix
 
 #: a size between these counts as 1 if components share a unit
@@ -31,21 +33,28 @@ def known(sizes: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
 
 
-def in_order(sizes: object) -> np.ndarray:
-    """Return sizes, with 1 for sizes of order one and unknown ones."""
-    sizes = np.asarray(sizes, dtype=float)
-    other = np.isfinite(sizes) & (sizes > 0) & ~((sizes >= LEAST) & (sizes <= MOST))
-    return np.where(other, sizes, 1.0)
+def scale_of(size: Arithmetic, xp: Namespace) -> Arithmetic:
+    """Return a size, with 1 for a size of order one and an unknown one."""
+    of_order_one, unknown = (
+        (size >= LEAST) & (size <= MOST),
+        (size <= 0) | (size == math.inf) | (size != size),
+    )
+    return choose(of_order_one | unknown, 1.0, size, xp)
 
 
-def size(vector: Vector) -> float:
+def larger(a: Arithmetic, b: Arithmetic, xp: Namespace) -> Arithmetic:
+    """Return the larger number, the other one if one is nan."""
+    return choose((a >= b) | (b != b), a, b, xp)
+
+
+def size(vector: Vector, xp: Namespace) -> Arithmetic:
     """Return the largest magnitude among some numbers; nan if one of them is nan."""
     total: Any = sum(vector)
-    largest: Any = max(map(abs, vector))
-    return float(largest) if total == total else math.nan
+    largest = reduce(lambda a, b: larger(a, b, xp), map(abs, vector))
+    return choose(total == total, largest, math.nan, xp)
 
 
-def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+def reach(scene: Any, x: Any, end: Any, lengths: Sequence[int], xp: Any) -> tuple[list[Any], list[Any]]:
     """Estimate the largest sizes of parts of the coordinates, with given lengths, and of their velocities.
 
     The estimate is a throw from x with the initial acceleration over the longest span up to `end` in which the change
@@ -55,37 +64,45 @@ def reach(scene: Any, x: Any, end: float, lengths: Sequence[int]) -> tuple[np.nd
     ends = [*accumulate(lengths)]
     cuts = [slice(end - n, end) for n, end in zip(lengths, ends, strict=True)]
 
-    def sizes(v: Vector) -> list[float]:
-        return [size(v[cut]) for cut in cuts]
+    def sizes(v: Vector) -> list[Arithmetic]:
+        return [size(v[cut], xp) for cut in cuts]
 
-    def pull(after: float, q: Vector) -> Vector:
+    def pull(after: Arithmetic, q: Vector) -> Vector:
         there = x._replace(q=q) if scene.clock is None else x._replace(q=q, t=x.t + after)
         try:
             accelerations: Vector = scene.velocity(tuple(-g for g in scene.gradient_at(there)))
         except Exception:  # a user's function is not defined there
-            return tuple(np.nan * c for c in q)
+            if not abilities(xp).branch:
+                raise
+            return tuple(math.nan * c for c in q)
         return accelerations
 
     v, a = scene.velocity(x.p), pull(0.0, x.q)
     far, fast, force = map(sizes, (x.q, v, a))
-    spans = [end / RATIO**k for k in reversed(range(SPANS))]
+    first = end / RATIO ** (SPANS - 1)
     if scene.clock is not None:  # a later force
-        force = np.fmax.reduce([force, *(sizes(pull(span, x.q)) for span in spans)]).tolist()
-    longest, fits = [0.0] * len(cuts), [True] * len(cuts)
-    for span in spans:
+        for k in range(SPANS):
+            force = [
+                larger(*both, xp) for both in zip(force, sizes(pull(first * RATIO**k, x.q)), strict=True)
+            ]
+
+    def longer(tried: tuple[Any, ...]) -> tuple[Any, ...]:
+        span, fits, longest = tried
         thrown = tuple(c + span * (d + span / 2 * e) for c, d, e in zip(x.q, v, a, strict=True))
         here = a if scene.clock is None else pull(span, x.q)
         change = sizes(tuple(there - c for there, c in zip(pull(span, thrown), here, strict=True)))
         seen = zip(fits, change, fast, force, strict=True)
-        fits = [fit and bool(c * span <= was + f * span / 2) for fit, c, was, f in seen]
-        if not any(fits):
-            break
-        longest = [span if fit else before for fit, before in zip(fits, longest, strict=True)]
-    most, faster = np.fmax(far, 0.0), np.array(fast)
+        fits = [choose((fit > 0) & (c * span <= was + f * span / 2), 1.0, 0.0, xp) for fit, c, was, f in seen]
+        longest = [choose(fit > 0, span, before, xp) for fit, before in zip(fits, longest, strict=True)]
+        return RATIO * span, fits, longest
+
+    begin = first, [1.0 + 0 * end] * len(cuts), [0 * end] * len(cuts)
+    _, _, longest = repeat_while(lambda tried: (tried[0] <= end) & (sum(tried[1]) > 0), longer, begin, xp)
+    most, faster = [larger(c, 0.0, xp) for c in far], list(fast)
     for i, span in enumerate(longest):
-        if span > 0:
-            most[i] = np.fmax(far[i], span * (fast[i] + span / 2 * force[i]))
-            faster[i] = fast[i] + span * force[i]
+        thrown = larger(far[i], span * (fast[i] + span / 2 * force[i]), xp)
+        most[i] = choose(span > 0, thrown, most[i], xp)
+        faster[i] = choose(span > 0, fast[i] + span * force[i], fast[i], xp)
     return most, faster
 
 
