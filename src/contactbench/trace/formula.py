@@ -7,10 +7,12 @@ recorded.  It is compared and hashed by its operations, pickled, run on every ki
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import mul
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,7 @@ from contactbench.numbers.protocol import Arithmetic, CannotRecord, has_digits
 from contactbench.numbers.series import LongSeries
 from contactbench.trace import form
 from contactbench.trace.form import FORMS, Assign, Operand, Operation, Results, Statement, execute
-from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt, operand_of
+from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt
 
 # -- how formulas are written, for numbers that may be arrays or traced ------------------------------
 WRITTEN = FORMS | {
@@ -123,7 +125,10 @@ class Formula(form.Digested):
         tape, moved = Tape(), dict[Operand, Operand]()
         for target, operation in self.body:
             assert isinstance(operation, Operation)
-            there = Operation(operation.function, tuple(moved.get(x, x) for x in operation.operands))
+            operands = [moved.get(x, x) for x in operation.operands]
+            if operation.function in ("add", "mul"):
+                operands.sort(key=form.text)
+            there = Operation(operation.function, tuple(operands))
             moved[target] = tape.assign(there, "f", tape.root).name
         results = [moved.get(x, x) for x in leaves(self.results)]
         along = argument_names(self.arguments[:1], ())
@@ -135,10 +140,14 @@ class Formula(form.Digested):
 # -- reverse mode ------------------------------------------------------------------------------------
 #: a constant times a number, which is 1 where there is none: constants are multiplied ahead of the run
 Amount = tuple[float | Fraction, Arithmetic]
+#: a constant times a product of values on the tape, in the order in which they are multiplied
+Term = tuple[float | Fraction, tuple[str, ...]]
+#: terms by their factors in alphabetical order
+Sum = dict[tuple[str, ...], Term]
 #: float, or Fraction where no constant is rounded
 Kind = Callable[[float], float | Fraction]
-#: floats that a constant is the sum of, at most
-FLOATS = 8
+#: floats that a constant is the sum of, at most; terms of an adjoint that are not added before they are multiplied
+FLOATS, FEW = 8, 4
 
 
 def all_digits_count(x: object) -> bool:
@@ -159,84 +168,188 @@ def derivatives(
     Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2.
     """
     operations, rows = list(tape.root.statements), []
-    # the last factor has all digits, and so has a constant alone
-    unit = 1.0 if kind is float else Recorded(tape, along[0], "f", tape.root) * 0.0 + 1.0
+    sums = Sums(tape, kind, along[0])
     for result in results:
-        found: dict[Operand, Amount] = {result: (kind(1), unit)}
+        found: dict[Operand, Sum] = {result: {(): (kind(1), ())}}
         for target, (function, operands) in reversed(operations):
             adjoint = found.pop(target, None)
             if adjoint is None:
                 continue
-            parts = slopes(tape, function, operands, target, adjoint, kind)
-            for operand, slope in zip(operands, parts, strict=True):
-                if isinstance(operand, str) and slope[0]:
-                    share = slope if function == "where" else times(adjoint, slope)
-                    found[operand] = plus(found[operand], share) if operand in found else share
-        rows.append([number(found[name]) if name in found else 0.0 for name in along])
+            shared = function in ("add", "sub") and all(isinstance(x, str) for x in operands)
+            if len(adjoint) > (1 if shared else FEW):
+                adjoint = sums.settled(adjoint)
+            for operand, terms in sums.shares(function, operands, target, adjoint):
+                if isinstance(operand, str):
+                    own = found.setdefault(operand, {})
+                    for term in terms:
+                        sums.add(own, term)
+        rows.append([number(sums.total(found[name])) if found.get(name) else 0.0 for name in along])
     return rows
 
 
-def slopes(
-    tape: Tape,
-    function: str,
-    operands: Sequence[Operand],
-    target: str,
-    adjoint: Amount,
-    kind: Kind,
-) -> Sequence[Amount]:
-    """Return the derivatives of an operation along its operands; of a choice, of the result."""
+class Sums:
+    """Sums of products of values on a tape, without common factors computed twice.
 
-    def constant(x: Arithmetic) -> Amount:
-        return (kind(1), x) if isinstance(x, Recorded) else (kind(float(x)), 1.0)
+    Adjoints are kept as such sums: products that the tape has already are found, equal terms are collected, and what
+    is common to several terms is multiplied once.
+    """
 
-    xp, y = RecordedNumbers(tape), Recorded(tape, target, "f", tape.root)
-    x: list[Any] = [Recorded(tape, o, "f", tape.root) if isinstance(o, str) else o for o in operands]
-    one, minus = (kind(1), 1.0), (kind(-1), 1.0)
-    match function:
-        case "add":
-            return one, one
-        case "sub":
-            return one, minus
-        case "neg":
-            return [minus]
-        case "mul":
-            return constant(x[1]), constant(x[0])
-        case "div" if isinstance(operands[1], str):
-            inverse = 1.0 / x[1]
-            return (kind(1), inverse), (kind(-1), y * inverse)
-        case "div":
-            return (1 / kind(x[1]), 1.0), one
-        case "sqrt":
-            return [(kind(0.5), 1.0 / y)]
-        case "pow":
-            known = not isinstance(operands[1], str)
-            rounded = known and kind(x[1]) - 1 != x[1] - 1
-            exponent, below = constant(x[1]), constant(y / x[0] if rounded else x[0] ** (x[1] - 1))
-            return times(exponent, below), one if known else (kind(1), y * xp.log(x[0]))
-        case "atan2":
-            square = x[0] * x[0] + x[1] * x[1]
-            return (kind(1), x[1] / square), (kind(-1), x[0] / square)
-        case "hypot":
-            return (kind(1), x[0] / y), (kind(1), x[1] / y)
-        case "where":
-            amount = number(adjoint)
-            return (
-                (kind(0), 1.0),
-                (kind(1), xp.where(x[0], amount, 0.0)),
-                (kind(1), xp.where(x[0], 0.0, amount)),
-            )
-    if function not in DERIVATIVES:
-        raise CannotRecord(f"no derivative of {function} is known")
-    return [constant(DERIVATIVES[function](xp, x[0], y))]
+    def __init__(self, tape: Tape, kind: Kind, argument: str) -> None:
+        self.tape, self.kind = tape, kind
+        # the last factor has all digits, and so has a constant alone
+        self.unit: Arithmetic = 1.0 if kind is float else self.value(argument) * 0.0 + 1.0
+        self.made: dict[str, Operation] = dict(tape.root.statements)
+        self.inverses: dict[Operand, str] = {}
+        self.powers: dict[Operand, tuple[Operand, int]] = {}
+        for name, (function, operands) in self.made.items():
+            if function == "div" and operands[0] == 1:
+                self.inverses[operands[1]] = name
+            if function == "mul":
+                (base, n), (other, m) = (self.powers.get(x, (x, 1)) for x in operands)
+                if base == other:
+                    self.powers[name] = base, n + m
 
+    def value(self, name: str) -> Recorded:
+        return Recorded(self.tape, name, "f", self.tape.root)
 
-def times(a: Amount, b: Amount) -> Amount:
-    return a[0] * b[0], a[1] * b[1]
+    def inverse(self, name: str) -> str:
+        if name not in self.inverses:
+            self.inverses[name] = (1.0 / self.value(name)).name
+        return self.inverses[name]
+
+    def term(self, x: Arithmetic | Operand) -> Term:
+        """Return a value as a constant times a value that is no multiple of another one by a constant."""
+        name = x.name if isinstance(x, Recorded) else x
+        self.made.update(self.tape.root.statements[len(self.made) :])
+        if not isinstance(name, str):
+            return self.kind(float(name)), ()  # type: ignore[arg-type]
+        function, operands = self.made.get(name, ("", ()))
+        match function, operands:
+            case "neg", (a,):
+                return self.times((self.kind(-1), ()), self.term(a))
+            case "mul", (float() as c, a) | (a, float() as c):
+                return self.times((self.kind(c), ()), self.term(a))
+            case "div", (str() as a, float() as c):
+                return self.times((1 / self.kind(c), ()), self.term(a))
+            case "div", (-1.0, str() as b):
+                return self.kind(-1), (self.inverse(b),)
+        return self.kind(1), (name,)
+
+    def times(self, a: Term, b: Term) -> Term:
+        factors = list(a[1])
+        for new in b[1]:  # a product that is known replaces its factors
+            for i, old in enumerate(factors):
+                product = self.tape.root.known.get(("mul", *sorted((old, new))))
+                if product is not None:
+                    factors[i] = product
+                    break
+            else:
+                factors.append(new)
+        return a[0] * b[0], tuple(factors)
+
+    def add(self, into: Sum, term: Term) -> None:
+        place = tuple(sorted(term[1]))
+        before, factors = into.pop(place, (self.kind(0), term[1]))
+        if coefficient := before + term[0]:
+            into[place] = coefficient, factors
+
+    def settled(self, terms: Sum) -> Sum:
+        """Return a sum as one value."""
+        # one value for a sum and its negative, with a constant term of 1, which needs no product
+        unit = terms[()][0] if () in terms else self.kind(math.copysign(1, terms[min(terms)][0]))
+        coefficient, x = self.total({place: (c / unit, factors) for place, (c, factors) in terms.items()})
+        coefficient = coefficient * unit
+        factor = self.term(x) if isinstance(x, Recorded) else (self.kind(1), ())
+        term = coefficient * factor[0], factor[1]
+        return {term[1]: term}
+
+    def total(self, terms: Sum) -> Amount:
+        """Compute a sum, by Horner's scheme in the factor that most terms have."""
+        if not terms:
+            return self.kind(0), self.unit
+        counts = Counter(factor for place in terms for factor in {*place})
+        common, count = max(counts.items(), key=lambda each: each[1], default=("", 0))
+        if len(terms) > 1 and count > 1:
+            inside: Sum = {}
+            rest: Sum = {}
+            for place, (coefficient, factors) in terms.items():
+                if common in place:
+                    at = factors.index(common)
+                    self.add(inside, (coefficient, (*factors[:at], *factors[at + 1 :])))
+                else:
+                    rest[place] = coefficient, factors
+            coefficient, x = self.total(inside)
+            product = coefficient, x * self.value(common)
+            return plus(product, self.total(rest)) if rest else product
+        sizes: dict[Any, list[Amount]] = {}
+        for coefficient, factors in terms.values():
+            x = reduce(mul, map(self.value, factors)) if factors else self.unit
+            sizes.setdefault(abs(coefficient), []).append((coefficient, x))
+        alike = (sorted(amounts, key=lambda amount: amount[0] < 0) for amounts in sizes.values())
+        return reduce(plus, [reduce(plus, amounts) for amounts in alike])
+
+    def shares(
+        self, function: str, operands: Sequence[Operand], target: str, adjoint: Sum
+    ) -> Iterator[tuple[Operand, list[Term]]]:
+        """Yield the operands of an operation with the terms that it adds to their adjoints."""
+        if function == "where":
+            amount = number(self.total(adjoint))
+            for i, operand in enumerate(operands[1:]):
+                chosen = RecordedNumbers(self.tape).where(
+                    self.value(str(operands[0])), *((amount, 0.0) if i == 0 else (0.0, amount))
+                )
+                yield operand, [self.term(chosen)]
+            return
+        for operand, slope in zip(operands, self.slopes(function, operands, target), strict=True):
+            if (
+                function == "div" and operand in self.powers and operand is operands[1]
+            ):  # as a power of its base
+                base, n = self.powers[operand]
+                y = self.times(self.term(target), (self.kind(-n), (self.inverse(str(base)),)))
+                yield base, [self.times(term, y) for term in adjoint.values()]
+            elif slope[0]:
+                yield operand, [self.times(term, slope) for term in adjoint.values()]
+
+    def slopes(self, function: str, operands: Sequence[Operand], target: str) -> Sequence[Term]:
+        """Return the derivatives of an operation along its operands."""
+        kind, term, times = self.kind, self.term, self.times
+        xp, y = RecordedNumbers(self.tape), self.value(target)
+        x: list[Any] = [self.value(o) if isinstance(o, str) else o for o in operands]
+        one, minus = (kind(1), ()), (kind(-1), ())
+        match function:
+            case "add":
+                return one, one
+            case "sub":
+                return one, minus
+            case "neg":
+                return [minus]
+            case "mul":
+                return term(x[1]), term(x[0])
+            case "div" if isinstance(operands[1], str):
+                inverse = kind(1), (self.inverse(operands[1]),)
+                return inverse, times(minus, times(term(y), inverse))
+            case "div":
+                return (1 / kind(x[1]), ()), one
+            case "sqrt":
+                return [(kind(0.5), (self.inverse(target),))]
+            case "pow":
+                known = not isinstance(operands[1], str)
+                rounded = known and kind(x[1]) - 1 != x[1] - 1
+                below = term(y / x[0] if rounded else x[0] ** (x[1] - 1))
+                return times(term(x[1]), below), one if known else term(y * xp.log(x[0]))
+            case "atan2":
+                square = x[0] * x[0] + x[1] * x[1]
+                return term(x[1] / square), times(minus, term(x[0] / square))
+            case "hypot":
+                return term(x[0] / y), term(x[1] / y)
+        if function not in DERIVATIVES:
+            raise CannotRecord(f"no derivative of {function} is known")
+        return [term(DERIVATIVES[function](xp, x[0], y))]
 
 
 def plus(a: Amount, b: Amount) -> Amount:
-    if operand_of(a[1]) == operand_of(b[1]):
-        return a[0] + b[0], a[1]
+    if a[0] < 0 < b[0]:
+        a, b = b, a
     if abs(a[0]) == abs(b[0]):
         return a[0], a[1] + b[1] if a[0] == b[0] else a[1] - b[1]
     one = Fraction(1) if isinstance(a[0], Fraction) else 1.0
