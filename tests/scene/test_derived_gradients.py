@@ -77,7 +77,7 @@ def test_a_derived_gradient_takes_hardly_more_operations_than_one_by_hand(name):
 
 @pytest.mark.parametrize("name", POTENTIALS)
 def test_a_derived_gradient_is_right_to_round_off(name):
-    potential, gradient, n = POTENTIALS[name]
+    potential, _, n = POTENTIALS[name]
     derived = as_formula(potential, (n,)).gradient()
     for q in np.random.default_rng(5).uniform(0.5, 2.0, (20, n)).tolist():
         with mpmath.workdps(60):

@@ -17,10 +17,14 @@ from contactbench.tables.schema import TABLES
 #: what the lines may call beside pandas
 FUNCTIONS = {
     name: getattr(contest, name)
-    for name in ("contests", "drawn", "families", "hard_runs", "random_contests", "ring_costs")
+    for name in ("contests", "credited", "drawn", "families", "hard_runs", "random_contests", "ring_costs")
 }
 #: what is counted beside an answer, in words
-BESIDE = {"alone": ", alone on {}", "idle": "; {} do not tell"}
+BESIDE = {
+    "alone": ", alone on {}",
+    "credited": "; {} without fixed costs and with calls by address credited",
+    "idle": "; {} do not tell",
+}
 WORD = re.compile(r"\b[a-z_]+\b")
 
 
@@ -41,7 +45,7 @@ def count(frames: Frames, query: str) -> tuple[int, int]:
 def share(frames: Frames, question: str, what: str, query: str, **beside: str) -> Answer | None:
     """Return the answer to a question by the share of what is counted; None where there is nothing to count.
 
-    query : gives a series of truth values.  beside : "alone" and "idle" are queries of what is counted beside it.
+    query : gives a series of truth values.  beside : queries by the keys of `BESIDE` of what is counted beside it.
     """
     part, whole = count(frames, query)
     if not whole:

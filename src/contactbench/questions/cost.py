@@ -58,8 +58,10 @@ def answer(frames: Frames, kind: str) -> Answer | None:
     query, asked, what = f"contests({arguments})", ENTRIES[kind]["question"], "pairs of scene and error"
     if not timed:
         return share(frames, asked, what, f"{query}.ratio < 1")
-    alone = f"{query}.eval('ratio * margin < 1')"
-    return share(frames, asked, what, f"{query}.ratio <= 1.25", alone=alone)
+    beside = {"alone": f"{query}.eval('ratio * margin < 1')"}
+    if not given:  # the headline
+        beside["credited"] = "contests(runs, credited(times, runs)).ratio <= 1.25"
+    return share(frames, asked, what, f"{query}.ratio <= 1.25", **beside)
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
