@@ -102,17 +102,23 @@ def read_tableau(name: str) -> Tableau:
 
 
 def combine(
-    weights: Sequence[Fraction | Arithmetic], slopes: Sequence[Sequence[Arithmetic]], xp: Namespace
+    weights: Sequence[Fraction | Arithmetic],
+    slopes: Sequence[Sequence[Arithmetic]],
+    xp: Namespace,
+    h: Arithmetic = 1.0,
+    start: Sequence[Arithmetic] | None = None,
 ) -> list[Arithmetic]:
-    """Return Σ w k, entry by entry, over the stages that have a weight."""
+    """Return Σ hw k, entry by entry, over the stages that have a weight; start : the first term of the sum."""
     used = [
-        (number(w, xp) if isinstance(w, Fraction) else w, k)
+        ((number(w, xp) if isinstance(w, Fraction) else w) * h, k)
         for w, k in zip(weights, slopes, strict=False)
         if w
     ]
-    first, *others = used
-    total = [first[0] * c for c in first[1]]
-    for w, k in others:
+    if start is None:
+        (w, k), *used = used
+        start = [w * c for c in k]
+    total = list(start)
+    for w, k in used:
         total = [a + w * c for a, c in zip(total, k, strict=True)]
     return total
 
@@ -133,20 +139,23 @@ def run_stages(
     xp: Any,
     loop: Repeat | None = None,
     first: tuple[Sequence[Arithmetic], Own] | None = None,
+    h: Arithmetic = 1.0,
+    start: Sequence[Arithmetic] | None = None,
 ) -> tuple[Slopes, Own]:
     """Return the function that sums the slopes of all stages by weights, and the values of the last stage.
 
     ``evaluate(i, Σ a k)`` returns the slope and the values of stage i; its argument is None at the first stage.
     first : the result of the first stage, if it is known.  loop : run the stages as one loop over rows, whose code is
-    short and fast for large states; then Σ a k includes `base`, rows like a slope with a weight for every stage.
+    short and fast for large states; then Σ a k includes `base`, rows like a slope with a weight for every stage.  Else
+    it is start + Σ ha k, in which nothing but one product and one sum waits for the last slope.
     """
     if loop is None or loop.rows is None:
         slope, own = evaluate(0, None) if first is None else first
         known = [slope]
         for i, row in enumerate(tableau.matrix[1:stages], start=1):
-            slope, own = evaluate(i, combine(row, known, xp))
+            slope, own = evaluate(i, combine(row, known, xp, h, start))
             known.append(settle(slope, xp))
-        return lambda weights: combine(weights, known, xp), own
+        return lambda weights: combine(weights, known, xp, h), own
     given, none = len(base), (Fraction(0),)
     size, begin = given + stages, Carried(0, base[-1][1], None)
     rows = loop.rows(size, begin.last)
@@ -205,14 +214,14 @@ def explicit_step[X](
     y = leaves(x)
 
     def evaluate(i: Count, moved: Sequence[Arithmetic] | None) -> tuple[list[Arithmetic], None]:
-        at = x
-        if moved is not None:
-            at = rebuild(x, moved if loop else [a + d for a, d in zip(y, moved, strict=True)])
-        return [h * c for c in leaves(scene.rhs(at))], None
+        return slope_of(leaves(scene.rhs(x if moved is None else rebuild(x, moved)))), None
 
-    start = None if first is None else ([h * c for c in first], None)
+    def slope_of(rate: Sequence[Arithmetic]) -> list[Arithmetic]:
+        return [h * c for c in rate] if loop else list(rate)
+
+    known = None if first is None else (slope_of(first), None)
     base = [((Fraction(1),) * stages, y)]
-    slopes, _ = run_stages(tableau, stages, evaluate, base, xp, loop, start)
+    slopes, _ = run_stages(tableau, stages, evaluate, base, xp, loop, known, 1.0 if loop else h, y)
     return rebuild(x, [a + d for a, d in zip(y, slopes(tableau.weights[0]), strict=True)]), slopes
 
 
