@@ -119,7 +119,7 @@ def combine(
         start = [w * c for c in k]
     total = list(start)
     for w, k in used:
-        total = [a + w * c for a, c in zip(total, k, strict=True)]
+        total = [a + w * c for a, c in zip(total, k, strict=False)]
     return total
 
 
@@ -141,6 +141,7 @@ def run_stages(
     first: tuple[Sequence[Arithmetic], Own] | None = None,
     h: Arithmetic = 1.0,
     start: Sequence[Arithmetic] | None = None,
+    begins: Callable[[int], tuple[Arithmetic, Sequence[Arithmetic]]] | None = None,
 ) -> tuple[Slopes, Own]:
     """Return the function that sums the slopes of all stages by weights, and the values of the last stage.
 
@@ -153,7 +154,8 @@ def run_stages(
         slope, own = evaluate(0, None) if first is None else first
         known = [slope]
         for i, row in enumerate(tableau.matrix[1:stages], start=1):
-            slope, own = evaluate(i, combine(row, known, xp, h, start))
+            factor, begun = (h, start) if begins is None else begins(i)
+            slope, own = evaluate(i, combine(row, known, xp, factor, begun))
             known.append(settle(slope, xp))
         return lambda weights: combine(weights, known, xp, h), own
     given, none = len(base), (Fraction(0),)
@@ -380,12 +382,15 @@ def nystrom_step(
     def evaluate(i: Count, moved: Sequence[Arithmetic] | None) -> tuple[list[Arithmetic], list[Arithmetic]]:
         q, t = y.q, y.t
         if moved is not None:
-            _, _, shrunk, way, far, passed = stage(i)
-            parts = zip(y.q, y.u, moved, strict=False)
-            q = tuple(way * c if loop else shrunk * a + far * b + way * c for a, b, c in parts)
+            *_, way, _, passed = stage(i)
+            q = tuple(way * c if loop else c for c in moved[:d])
             t = None if t is None else t + passed
         own = pull(scene, q, t, acts)
         return scale(i, own), own
+
+    def begins(i: int) -> tuple[Arithmetic, list[Arithmetic]]:
+        _, _, shrunk, way, far, _ = stage(i)
+        return way, [shrunk * a + far * b for a, b in zip(y.q, y.u, strict=True)]
 
     base = []
     if loop:
@@ -393,7 +398,7 @@ def nystrom_step(
         beside: list[Any] = [*([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
         base = [((Fraction(1),) * stages, [over * c for c in y.q] + beside), (tableau.nodes, [*y.u, *beside])]
     known = None if first is None else (scale(0, first), first)
-    slopes, own = run_stages(tableau, stages, evaluate, base, xp, loop, known)
+    slopes, own = run_stages(tableau, stages, evaluate, base, xp, loop, known, begins=begins)
     position, change = map(slopes, tableau.weights)
     z = (a + h * (b + c) for a, b, c in zip(y.q, y.u, position[:d], strict=True))
     velocity = (a + b for a, b in zip(y.u, change[:d], strict=True))
