@@ -105,22 +105,26 @@ def combine(
     weights: Sequence[Fraction | Arithmetic],
     slopes: Sequence[Sequence[Arithmetic]],
     xp: Namespace,
-    h: Arithmetic = 1.0,
-    start: Sequence[Arithmetic] | None = None,
+    begin: Begin | None = None,
 ) -> list[Arithmetic]:
-    """Return Σ hw k, entry by entry, over the stages that have a weight; start : the first term of the sum."""
-    used = [
-        ((number(w, xp) if isinstance(w, Fraction) else w) * h, k)
-        for w, k in zip(weights, slopes, strict=False)
-        if w
-    ]
-    if start is None:
-        (w, k), *used = used
-        start = [w * c for c in k]
-    total = list(start)
-    for w, k in used:
-        total = [a + w * c for a, c in zip(total, k, strict=False)]
+    """Return Σ w k, entry by entry, over the stages that have a weight; begin : see `run_stages`."""
+    used = [(j, number(w, xp) if isinstance(w, Fraction) else w) for j, w in enumerate(weights) if w]
+    if begin is None:
+        (j, w), *used = used
+        total = [w * c for c in slopes[j]]
+    else:
+        total = list(begin.start)
+        used = [(j, w * begin.factors[j]) for j, w in used]
+    for j, w in used:
+        total = [a + w * c for a, c in zip(total, slopes[j], strict=False)]
     return total
+
+
+class Begin(NamedTuple):
+    """The first term of the sum that a stage starts from, and the factors of the values of the stages before."""
+
+    start: Sequence[Arithmetic]
+    factors: Sequence[Arithmetic]
 
 
 class Carried(NamedTuple):
@@ -136,28 +140,27 @@ def run_stages(
     stages: int,
     evaluate: Callable[[Count, Sequence[Arithmetic] | None], tuple[Sequence[Arithmetic], Own]],
     base: Sequence[tuple[Row, Sequence[Arithmetic]]],
+    begins: Callable[[int], Begin],
     xp: Any,
     loop: Repeat | None = None,
     first: tuple[Sequence[Arithmetic], Own] | None = None,
-    h: Arithmetic = 1.0,
-    start: Sequence[Arithmetic] | None = None,
-    begins: Callable[[int], tuple[Arithmetic, Sequence[Arithmetic]]] | None = None,
 ) -> tuple[Slopes, Own]:
     """Return the function that sums the slopes of all stages by weights, and the values of the last stage.
 
     ``evaluate(i, Σ a k)`` returns the slope and the values of stage i; its argument is None at the first stage.
     first : the result of the first stage, if it is known.  loop : run the stages as one loop over rows, whose code is
     short and fast for large states; then Σ a k includes `base`, rows like a slope with a weight for every stage.  Else
-    it is start + Σ ha k, in which nothing but one product and one sum waits for the last slope.
+    the sums begin as `begins` says, so that nothing but one product and one sum waits for the last values.
     """
     if loop is None or loop.rows is None:
         slope, own = evaluate(0, None) if first is None else first
         known = [slope]
+        values: list[Any] = [own]
         for i, row in enumerate(tableau.matrix[1:stages], start=1):
-            factor, begun = (h, start) if begins is None else begins(i)
-            slope, own = evaluate(i, combine(row, known, xp, factor, begun))
-            known.append(settle(slope, xp))
-        return lambda weights: combine(weights, known, xp, h), own
+            slope, own = settle(evaluate(i, combine(row, values, xp, begins(i))), xp)
+            known.append(slope)
+            values.append(own)
+        return lambda weights: combine(weights, known, xp), own
     given, none = len(base), (Fraction(0),)
     size, begin = given + stages, Carried(0, base[-1][1], None)
     rows = loop.rows(size, begin.last)
@@ -215,15 +218,15 @@ def explicit_step[X](
     """Return the state after a step, and the sums of h times the slopes; first : the slope at the start."""
     y = leaves(x)
 
-    def evaluate(i: Count, moved: Sequence[Arithmetic] | None) -> tuple[list[Arithmetic], None]:
-        return slope_of(leaves(scene.rhs(x if moved is None else rebuild(x, moved)))), None
+    def evaluate(i: Count, moved: Sequence[Arithmetic] | None) -> tuple[list[Arithmetic], Own]:
+        return both(leaves(scene.rhs(x if moved is None else rebuild(x, moved))))
 
-    def slope_of(rate: Sequence[Arithmetic]) -> list[Arithmetic]:
-        return [h * c for c in rate] if loop else list(rate)
+    def both(rate: Sequence[Arithmetic]) -> tuple[list[Arithmetic], Own]:
+        return [h * c for c in rate], None if loop else rate
 
-    known = None if first is None else (slope_of(first), None)
-    base = [((Fraction(1),) * stages, y)]
-    slopes, _ = run_stages(tableau, stages, evaluate, base, xp, loop, known, 1.0 if loop else h, y)
+    begin, base = Begin(y, [h] * stages), [((Fraction(1),) * stages, y)]
+    known = None if first is None else both(first)
+    slopes, _ = run_stages(tableau, stages, evaluate, base, lambda _: begin, xp, loop, known)
     return rebuild(x, [a + d for a, d in zip(y, slopes(tableau.weights[0]), strict=True)]), slopes
 
 
@@ -388,9 +391,12 @@ def nystrom_step(
         own = pull(scene, q, t, acts)
         return scale(i, own), own
 
-    def begins(i: int) -> tuple[Arithmetic, list[Arithmetic]]:
+    def begins(i: int) -> Begin:
         _, _, shrunk, way, far, _ = stage(i)
-        return way, [shrunk * a + far * b for a, b in zip(y.q, y.u, strict=True)]
+        return Begin(
+            [shrunk * a + far * b for a, b in zip(y.q, y.u, strict=True)],
+            [way * stage(j)[1] for j in range(i)],
+        )
 
     base = []
     if loop:
@@ -398,7 +404,7 @@ def nystrom_step(
         beside: list[Any] = [*([y.action] if acts else []), *([y.t] if scene.rate_changes else [])]
         base = [((Fraction(1),) * stages, [over * c for c in y.q] + beside), (tableau.nodes, [*y.u, *beside])]
     known = None if first is None else (scale(0, first), first)
-    slopes, own = run_stages(tableau, stages, evaluate, base, xp, loop, known, begins=begins)
+    slopes, own = run_stages(tableau, stages, evaluate, base, begins, xp, loop, known)
     position, change = map(slopes, tableau.weights)
     z = (a + h * (b + c) for a, b, c in zip(y.q, y.u, position[:d], strict=True))
     velocity = (a + b for a, b in zip(y.u, change[:d], strict=True))
