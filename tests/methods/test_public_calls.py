@@ -14,6 +14,7 @@ from cases import ALL_SCENES, mine
 from chains import chain
 from contactbench.methods.loops import LONG
 from contactbench.methods.prepared import Prepared
+from contactbench.methods.scaled import compiled_scales
 
 PARTICLE = cb.SCENES["particle"]
 SHORT = {"step": PARTICLE.t_end / 12, "carry": (), "save_at": [PARTICLE.t_end]}
@@ -131,3 +132,32 @@ def test_a_packed_state_of_another_length_is_refused(method, setting):
     run = cb.prepare("oscillator", method, **setting)
     with pytest.raises(cb.BadInput, match="y0 has 2 numbers: must be 3, those of q1, p1, s"):
         run.integrate(run.start[:2])
+
+
+@pytest.mark.parametrize("size", [1e-5, 1.0, 1e5])
+@pytest.mark.parametrize("name", ["oscillator", "particle", "central", "kepler", "rigid_body", "heavy_top"])
+def test_compiled_scales_are_those_of_python(name, size):
+    run = cb.prepare(name, "rk8-7", rtol=1e-6)
+    scene, carry = run.request.scene, run.request.carry
+    scales = compiled_scales(run.request)
+    assert scales is not None
+    y0 = run.start * size
+    wanted = scene.scales(scene.unpack(y0.tolist(), carry), float(run.request.save_at[-1]))
+    assert scales(y0) == pytest.approx(wanted, rel=1e-14)
+
+
+@pytest.mark.parametrize("name", ["oscillator", "particle", "rigid_body"])
+def test_a_short_call_gives_all_that_a_long_one_gives(name):
+    run = cb.prepare(name, "rk8-7", rtol=1e-6, save_at=[0.0, 1.0, 2.0])
+    short, long = run(), run.solved(run.start, run.integrate)
+    assert run.at_once is not None
+    assert short.counts == long.counts
+    assert (short.y == long.y).all()
+    assert (short.t == long.t).all()
+
+
+def test_a_call_from_a_start_of_another_size_has_its_own_tolerance():
+    run = cb.prepare("oscillator", "rk8-7", rtol=1e-6, save_at=[1.0])
+    q, p = (1e5,), (0.0,)
+    wanted = cb.prepare(cb.SCENES["oscillator"].with_(q=q, p=p), "rk8-7", rtol=1e-6, save_at=[1.0])()
+    assert (run(q=q, p=p).y == wanted.y).all()

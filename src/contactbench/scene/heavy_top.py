@@ -15,7 +15,7 @@ from contactbench.scene.base import Check, Numeric, Sizes, as_formula, optional
 from contactbench.scene.flow import Flow, plain
 from contactbench.scene.mechanical import derived_gradient
 from contactbench.scene.rigid_body import BODY, RigidBody, one_rate
-from contactbench.scene.scales import larger
+from contactbench.scene.scales import larger, size
 
 
 def top_kick(scene: HeavyTop, x: BodyState, h: Arithmetic, xp: Namespace) -> BodyState:
@@ -137,8 +137,9 @@ class HeavyTop(RigidBody):
 
     def sizes(self, x: BodyState, end: float) -> Sizes:
         _, most = super().sizes(x, end)
-        fall: Any = (2 * max(self.inertia) * (abs(self.potential_at(x)) + norm(self.torque(x)))) ** 0.5
-        most = larger(most, fall, namespace(fall))
+        xp = namespace(most)
+        turned: Any = abs(self.potential_at(x)) + norm(self.torque(x))
+        most = larger(most, (2 * size(self.inertia, xp) * turned) ** 0.5, xp)
         return [most] * 3, most
 
     def rhs(self, x: BodyState) -> BodyState:
