@@ -486,9 +486,13 @@ class ToleranceRun(RunByTolerance):
                 return self.solved(y0, self.integrate)
             y = found.reshape(rows, d + beside)[saved, :d]
             y = np.concatenate([y0[None], y]) if first else y
-            counts = Counts(int(tried - rejected), evaluations(int(tried), rows), 0, int(rejected), kind)
-            more = {"counts": counts} if clock is None else {"counts": counts, "t": self.times_from(y0)}
-            return of(ended | more, y if clock is None else date(y0, y), y0)
+            solution = of(ended, y if clock is None else date(y0, y), y0)
+            solution.counts = Counts(
+                int(tried - rejected), evaluations(int(tried), rows), 0, int(rejected), kind
+            )
+            if clock is not None:
+                solution.t = self.times_from(y0)
+            return solution
 
         return at_once
 

@@ -293,21 +293,20 @@ class Sums:
     ) -> Iterator[tuple[Operand, list[Term]]]:
         """Yield the operands of an operation with the terms that it adds to their adjoints."""
         if function == "where":
-            amount = number(self.total(adjoint))
-            for i, operand in enumerate(operands[1:]):
-                chosen = RecordedNumbers(self.tape).where(
-                    self.value(str(operands[0])), *((amount, 0.0) if i == 0 else (0.0, amount))
-                )
-                yield operand, [self.term(chosen)]
+            condition, amount = self.value(str(operands[0])), number(self.total(adjoint))
+            for operand, both in zip(operands[1:], ((amount, 0.0), (0.0, amount)), strict=True):
+                yield operand, [self.term(RecordedNumbers(self.tape).where(condition, *both))]
             return
-        for operand, slope in zip(operands, self.slopes(function, operands, target), strict=True):
-            if (
-                function == "div" and operand in self.powers and operand is operands[1]
-            ):  # as a power of its base
+        for i, (operand, slope) in enumerate(
+            zip(operands, self.slopes(function, operands, target), strict=True)
+        ):
+            if function == "div" and i == 1 and operand in self.powers:
                 base, n = self.powers[operand]
-                y = self.times(self.term(target), (self.kind(-n), (self.inverse(str(base)),)))
-                yield base, [self.times(term, y) for term in adjoint.values()]
-            elif slope[0]:
+                operand, slope = (
+                    base,
+                    self.times(self.term(target), (self.kind(-n), (self.inverse(str(base)),))),
+                )
+            if slope[0]:
                 yield operand, [self.times(term, slope) for term in adjoint.values()]
 
     def slopes(self, function: str, operands: Sequence[Operand], target: str) -> Sequence[Term]:
