@@ -161,3 +161,11 @@ def test_a_call_from_a_start_of_another_size_has_its_own_tolerance():
     q, p = (1e5,), (0.0,)
     wanted = cb.prepare(cb.SCENES["oscillator"].with_(q=q, p=p), "rk8-7", rtol=1e-6, save_at=[1.0])()
     assert (run(q=q, p=p).y == wanted.y).all()
+
+
+def test_a_start_is_thrown_as_long_as_its_force_changes_little():
+    scene = cb.SCENES[
+        "oscillator"
+    ]  # q'' = −q from rest: the change h²/2 of the force times h is at most h/2 · 1
+    (q, p), _ = scene.sizes(scene.initial(()), scene.t_end)
+    assert (q, p) == (1.0, 20.0 / 64)  # of the spans 20/8^k the first one below 1
