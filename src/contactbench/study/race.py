@@ -54,9 +54,7 @@ def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
         ]
     late, folder = ", ".join(frame.attrs["unbegun"]), shipped_folder()
     missing = [f"Not begun, for want of time (--budget): {late}."] if late else []
-    further = (
-        [f"Which method led on random problems of each kind: {folder / 'problems.md'}"] if folder else []
-    )
+    further = [f"Which method led on random problems of each kind: {folder / 'which.md'}"] if folder else []
     lines = (missing, tables, [reference, *others], [*recommended, how_to_run(frame, scene)], further)
     blocks = ["\n".join(map(wrap, block)) if block is not tables else "\n\n".join(tables) for block in lines]
     return "\n\n".join(filter(None, blocks))
