@@ -415,6 +415,12 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     return solution
 
 
+#: what `help` and notebooks show: the keywords of `prepare` with their defaults
+solve.__signature__ = inspect.signature(prepare).replace(  # type: ignore[attr-defined]
+    return_annotation="Solution"
+)
+
+
 def instead(option: str, scene: Scene) -> str:
     """Return what to write for an option that `solve` does not take."""
     if option in {"events", "dense_output", "t_eval"}:

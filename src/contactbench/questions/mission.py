@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import islice
 
 import numpy as np
 import pandas as pd
@@ -43,6 +44,8 @@ LABELS: dict[str, str] = PROSE[NAME]["labels"]
 PICTURES: dict[str, str] = PROSE[NAME]["pictures"]
 #: rows of a table of the story at most, the errors of its costs, and the error of a hard scene that is solved
 MOST, STORY_ERRORS, RIGHT = 10, (1e-3, 1e-6, 1e-9), 1e-3
+#: findings in the README of the project
+FINDINGS = 4
 #: laws of the table in the README of the project, by their columns
 KEPT = {"momentum_law": "J decays as e^{−γt}", "contact_drift": "contact form"}
 #: errors at which costs stand in its tables; the last decides who is the best contact method, and who the fastest
@@ -66,7 +69,7 @@ def slower(frames: Frames) -> Answer | None:
 
 
 def findings(frames: Frames) -> Iterator[tuple[str, Answer]]:
-    """Yield the answers that stand in the README of the project, each with its document."""
+    """Yield the answers that stand in the README of the project, each with its document, the first few there are."""
     law = "contact_drift"
     found = [
         ("laws.md", laws.kept(frames, law, f"Does a method keep {PROMISED[law]} wherever it claims to?"))
@@ -74,7 +77,8 @@ def findings(frames: Frames) -> Iterator[tuple[str, Answer]]:
     found += [("random.md", each) for each in list(problems.answers(frames))[-1:]]
     found += [("random.md", each) for each in list(ring.answers(frames))[:1]]
     found += [("claims.md", each) for each in claims.answers(frames)]
-    yield from ((file, answer) for file, answer in found if answer is not None)
+    found += [("laws.md", each) for each in orders.answers(frames)]
+    yield from islice(((file, answer) for file, answer in found if answer is not None), FINDINGS)
 
 
 def steps(frames: Frames) -> dict[str, list[Answer]]:
@@ -173,40 +177,48 @@ def cost_cell(frames: Frames, kind: str, scene: str, method: str, error: float) 
 type Row = tuple[str, dict[str, str]]
 
 
+def leading(frames: Frames, label: str, scene: str, error: float) -> str | None:
+    """Return the fastest method on a scene at an error, of all or of the contact methods."""
+    rows = cost.standings(frames, "compiled").dropna(subset="cost")
+    rows = rows[(rows["scene"] == scene) & (rows["error"] == error)]
+    if label == LABELS["best"]:
+        rows = rows[rows["family"] == CONTACT]
+    return str(rows["method"].iloc[0]) if len(rows) else None
+
+
 def rows_of(frames: Frames) -> list[Row]:
     """Return the methods of the mission, the best contact method of each scene, and the fastest of all."""
     ran = set(frames["runs"]["scene"])
     scenes = [scene for scene in SCENES if scene in ran]
     rows = [(LABELS.get(m, m), {s: m for s in scenes if able(frames, s, m)}) for m in METHODS]
-    ranked = cost.standings(frames, "compiled").dropna(subset="cost")
-    ranked = ranked[ranked["error"] == ERRORS[-1]]
-    for label, some in (("best", ranked[ranked["family"] == CONTACT]), ("fastest", ranked)):
-        first = some.drop_duplicates("scene").set_index("scene")["method"]
-        rows.append((LABELS[label], {s: str(first[s]) for s in scenes if s in first.index}))
+    for label in (LABELS["best"], LABELS["fastest"]):
+        first = {s: leading(frames, label, s, ERRORS[-1]) for s in scenes}
+        rows.append((label, {s: m for s, m in first.items() if m is not None}))
     return [row for row in rows if row[1]]
 
 
 def time_cell(frames: Frames, row: Row, scene: str, error: float) -> Cell:
-    """Return the compiled time of a row; it names the method where the row has others on other scenes."""
+    """Return the compiled time of a row; it names the method where the row has others elsewhere."""
     label, methods = row
-    if scene not in methods:
-        return Cell(DASH)
-    found = cost_cell(frames, "compiled", scene, methods[scene], error)
     if label not in (LABELS["best"], LABELS["fastest"]):
-        return found
-    return replace(found, text=f"{methods[scene]} {found.text}")
+        known = scene in methods
+        return cost_cell(frames, "compiled", scene, methods[scene], error) if known else Cell(DASH)
+    first = leading(frames, label, scene, error)
+    if first is None:
+        return Cell(DASH)
+    found = cost_cell(frames, "compiled", scene, first, error)
+    return replace(found, text=f"{first} {found.text}")
 
 
 def keeps(frames: Frames, methods: Mapping[str, str], law: str) -> str:
-    """Return whether methods keep a law at every setting that tells, on the scenes that have it."""
+    """Return whether methods promise a law, and keep it in every run that tells, on the scenes that have it."""
     runs = frames["runs"]
-    verdicts = pd.concat(
-        [
-            runs[f"{law}_kept"][(runs["scene"] == s) & (runs["method"] == m) & (runs["status"] == "ok")]
-            for s, m in methods.items()
-        ]
-    ).dropna()
-    return ("to round-off" if verdicts.all() else "to its error") if len(verdicts) else DASH
+    mine = [runs["method"].eq(m) & runs["scene"].eq(s) for s, m in methods.items()]
+    rows = runs[np.logical_or.reduce(mine) & runs["status"].eq("ok") & runs[f"{law}_kept"].notna()]
+    if not len(rows):
+        return DASH
+    promised = rows[f"{law}_claimed"].eq(True) & rows[f"{law}_kept"].eq(True)
+    return "to round-off" if promised.all() else "to its error"
 
 
 def overview(frames: Frames) -> View | None:

@@ -24,6 +24,8 @@ from contactbench.scenes import SCENES
 KINDS: dict[str, str] = PROSE["which"]["kinds"]
 #: the systems of the short table: of random problems the condition, of named scenes their kind
 SYSTEMS: dict[str, dict[str, str]] = PROSE["which"]["systems"]
+#: the condition of a potential with linear damping, which the map is of
+POTENTIAL: str = PROSE["which"]["potential"]
 #: the error at which the short table is made
 ERROR = 1e-6
 #: the edges of the map's columns, in damping over frequency
@@ -86,7 +88,7 @@ def damping_map(frames: Frames) -> Figure | None:
         fields = []
         for low, high in pairwise(EDGES):
             for error in problems.errors(frames):
-                condition = f"{low:g} < damping <= {high:g}"
+                condition = f"{POTENTIAL} and {low:g} < damping <= {high:g}"
                 rows = problems_of(frames, condition)
                 if not len(rows):
                     continue
@@ -142,8 +144,10 @@ def systems_view(frames: Frames) -> View:
 def system(frames: Frames, condition: str = "", kind: str = "") -> list[object]:
     """Return what a kind of system is measured on, and the best of all methods and of the contact methods."""
     if condition:
-        number, cells = pair(frames, condition, ERROR, "time_s") if len(problems.usual(frames)) else (0, [])
-        return [f"{number} random problems", *(cells or [Cell(DASH)] * 2)]
+        if not len(problems.usual(frames)):
+            return [DASH] * 3
+        number, cells = pair(frames, condition, ERROR, "time_s")
+        return [f"{number} random problems", *cells]
     table = named_regrets(frames, kind)
     ranked = np.log(table.dropna(axis=1)).mean().sort_values(kind="stable")
     cells = [best(table, ranked), best(table, ranked, contact_methods(frames))]

@@ -96,9 +96,12 @@ def with_answers(readme: Path, frames: Frames, results: str) -> str:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
     table = mission.overview(frames)
-    found = ["" if table is None else markdown.view(table, 2)]
+    found = [markdown.parts(shown([table]))]
     lines = [f"{mission.line(answer)} [→]({results}/{file})" for file, answer in mission.findings(frames)]
-    found += [markdown.text(Text(items=tuple(lines)), 2), markdown.view(which.systems_view(frames), 3)]
+    found += [
+        markdown.text(Text(items=tuple(lines)), 2),
+        markdown.parts(shown([which.systems_view(frames)]), 3),
+    ]
     return "\n".join([around[0], "\n\n".join(filter(None, found)), "", around[1]])
 
 
