@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive
-from contactbench.methods.prepared import Prepared, Request
+from contactbench.methods.prepared import Outcome, Prepared, Request
 from contactbench.scene.base import Scene
-from contactbench.solution import Counts, Solution, Status
+from contactbench.solution import Counts, Status
 
 type Slope = Callable[[float, np.ndarray], np.ndarray]
 #: f, the saved times (k,), y0 (d,) and rtol to the states at these times, (k, d)
@@ -28,7 +28,7 @@ class SolverRun(Prepared):
         super().__init__(method.name, request)
         self.solver, self.most = method.solver, method.evaluations_per_step * request.max_steps
 
-    def integrate(self, y0: np.ndarray) -> Solution:
+    def integrate(self, y0: np.ndarray) -> Outcome:
         request, scene, calls = self.request, self.request.scene, 0
         start, y = scene.split_clock(y0)
         last = (0.0, y)
@@ -40,11 +40,13 @@ class SolverRun(Prepared):
             calls, last = calls + 1, (float(t), y)
             return np.array(scene.slopes(start + t, scene.entries(y), request.carry))
 
-        states, status, message = np.empty((0, len(y))), Status.ok, ""
+        states: np.ndarray = np.empty((0, len(y)))
+        status, message = Status.ok, ""
         try:
-            found = np.asarray(self.solver(f, request.save_at, y, request.rtol), dtype=float)
-            states = found.reshape(len(request.save_at), len(y))
-            last = (float(request.save_at[-1]), states[-1])
+            found = self.solver(f, request.save_at, y, float(request.rtol or 0.0))
+            states = np.array(found, dtype=np.float64).reshape(-1, len(y))
+            if len(states) < len(request.save_at):
+                status, message = Status.failed, f"the solver gave up by t = {last[0]:.6g}"
         except Spent:
             status, message = Status.budget, f"max_steps = {request.max_steps} spent at t = {last[0]:.6g}"
         except (ArithmeticError, ValueError, RuntimeError) as error:
@@ -91,7 +93,8 @@ def adaptive(
     -------
     Callable
         Decorator of ``solver(f, t, y0, rtol) -> y``: right-hand side ``f(t, y)``, saved times (k,) since the start,
-        initial state (d,), tolerance; the states at these times, (k, d).  What it
+        initial state (d,), tolerance; the states at these times, (k, d), fewer where
+        it gives up.  What it
         raises is the message of a failed run.
 
     Raises
@@ -102,10 +105,11 @@ def adaptive(
     Examples
     --------
     >>> import contactbench as cb
+    >>> import numpy as np
     >>> from scipy.integrate import solve_ivp
     >>> @cb.adaptive("my-rk23", order=3, evaluations=3, about="Bogacki and Shampine's pair, by SciPy")
     ... def solver(f, t, y0, rtol):
-    ...     return solve_ivp(f, (0, t[-1]), y0, "RK23", t_eval=t, rtol=rtol, atol=rtol).y.T
+    ...     return np.transpose(solve_ivp(f, (0, t[-1]), y0, "RK23", t_eval=t, rtol=rtol, atol=rtol).y)
     >>> cb.solve("oscillator", "my-rk23", rtol=1e-6).success
     True
     >>> _ = cb.METHODS.pop("my-rk23")

@@ -387,8 +387,8 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     ----------
     scene, method
         As of `prepare`.
-    **options
-        The other keywords of `prepare`.
+    step, rtol, atol, save_at, carry, engine, max_steps
+        As of `prepare`.
 
     Returns
     -------

@@ -128,7 +128,7 @@ def saved_view(frames: Frames) -> View:
         ranked = stand(costs(frames["runs"], frames["times"], saved=saved), within=WIDEST)
         here = ranked[ranked["error"] == ERROR]
         for scene, rows in here.groupby("scene", sort=False):
-            lines.setdefault(str(scene), [str(scene)] + [DASH] * len(numbers))
+            lines.setdefault(str(scene), [scene, *[DASH] * len(numbers)])
             lines[str(scene)][1 + numbers.index(saved)] = cost.leaders(rows, True)
     heads = ["scene", *("the end alone" if saved == 1 else f"{saved} times" for saved in numbers)]
     both = [line for line in lines.values() if DASH not in line]

@@ -109,7 +109,8 @@ def seen(panel: Panel) -> list[tuple[float, float]]:
         low, high = axis.within
         return math.isfinite(v) and (v > 0 or axis.scale == "linear") and low <= v <= high
 
-    points = [point for one in (*panel.curves, *panel.fields) for point in zip(one.x, one.y, strict=True)]
+    drawn: list[Curve | Field] = [*panel.curves, *panel.fields]
+    points = [point for one in drawn for point in zip(one.x, one.y, strict=True)]
     return [(x, y) for x, y in points if inside(panel.x, x) and inside(panel.y, y)]
 
 
