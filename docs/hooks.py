@@ -24,6 +24,8 @@ ROOT = Path(__file__).parent.parent
 #: pages whose code is run, block after block
 RUN = ("tutorial.md", "gallery.md", "api.md")
 BLOCK = re.compile(r"^```python\n(.*?)^```\n", re.S | re.M)
+#: a link to a file that the site does not have
+OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+CONTRIBUTING\.md[^)]*\)")
 #: q += … as one sign
 ASSIGNED = re.compile(r"<mo><mrow><mo>([^<]*)</mo></mrow></mo><mo>&#x0003D;</mo>")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.S)
@@ -38,8 +40,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Return the text with the links between results/ and docs/, which is the root of the site, and its code run."""
+    """Return the text with the links between results/ and docs/, the root of the site, and its code run.
+
+    A link to a file that the site does not have is its words alone.
+    """
     markdown = markdown.replace("](../docs/", "](../").replace("](../results/", "](results/")
+    markdown = OUTSIDE.sub(r"\1", markdown)
     if page.file.src_uri not in RUN:
         return markdown
     scope: dict[str, Any] = {}

@@ -11,6 +11,7 @@ from contactbench import early, peers
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, fixed_step, prepare, solve
+from contactbench.methods.adaptive import adaptive
 from contactbench.methods.one_step import step_map
 from contactbench.methods.prescribed import geometric_steps
 from contactbench.numbers import functions as math
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from contactbench.study.compare import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "ContactSystem", "Counts", "Driven"]
+__all__ += ["adaptive"]
 __all__ += ["Equations", "GeneralDamping", "HeavyTop", "Mechanical"]
 __all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "compare", "composition"]
 __all__ += [
@@ -48,7 +50,7 @@ __all__ += [
     "results",
 ]
 __all__ += ["shifted", "solve", "step_map"]
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 
 #: public name → module; they are imported at the first access

@@ -151,8 +151,8 @@ class Solution:
         Packed states, (k, d), NaN after the end of a run that did not reach them, and the initial one, (d,).
     q, p, s, M, R
         Their parts, (k, n), (k, n), (k,), (k, 3) and (k, 3, 3); one the run did not carry is None.
-    status, message, end_time
-        How it ended, why, and how far it got, a time since the start.
+    status, success, message, end_time
+        How it ended, whether well, why, and how far it got, a time since the start.
     counts
         What it cost.
     step_chosen, step
@@ -202,6 +202,11 @@ class Solution:
     @property
     def ok(self) -> bool:
         return self.status is Status.ok
+
+    @property
+    def success(self) -> bool:
+        """Return whether the run reached its end with all saved states, as SciPy calls it."""
+        return self.ok
 
     @property
     def start_time(self) -> float:

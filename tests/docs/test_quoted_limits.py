@@ -16,7 +16,6 @@ PULSE = f"about {({2: 'two'})[round(1e6 / survey.SAMPLES)]} millionths of the"
 DOCS = Path(__file__).parents[2] / "docs"
 QUOTED = {
     "adding.md": [PULSE],
-    "references.md": [PULSE],
     "compare.md": [
         f"budget ({BUDGET:.0f} s by default)",
         f"{clock.VISITS} times or more",
@@ -29,6 +28,7 @@ QUOTED = {
         f"at most {1e3 * speed.LONGEST:.0f} ms",
     ],
     "reading.md": [
+        PULSE,
         f"more than {law.WRECKED:.0%}",
         f"no larger error {clock.VISITS} times",
         f"{clock.ROUNDS} rounds of at least {1e3 * clock.ROUND_SECONDS} ms",
@@ -49,5 +49,5 @@ def test_quoted_limits_are_those_of_the_code(page):
 
 
 def test_every_family_of_the_population_has_one_start():
-    starts = (DOCS / "population.md").read_text().split("| start | families |")[1].split("\n\n")[0]
+    starts = (DOCS.parent / "CONTRIBUTING.md").read_text().split("| start | families |")[1].split("\n\n")[0]
     assert sorted(starts.split("`")[1::2]) == sorted(FAMILIES)

@@ -52,7 +52,7 @@ def test_what_was_just_written_agrees(results, capsys):
     assert checked(results, capsys)[0] == 0
     text = (results.parent / "README.md").read_text()
     assert (text[:7], text[-6:], "outdated" in text) == ("before\n", "after\n", False)
-    assert "| Do the methods have the order they claim?" in text
+    assert "- Do the methods have the order they claim?" in text
 
 
 def test_documents_point_to_what_is_there_alone(results, capsys):

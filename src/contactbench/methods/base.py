@@ -387,8 +387,8 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     ----------
     scene, method
         As of `prepare`.
-    **options
-        The other keywords of `prepare`.
+    step, rtol, atol, save_at, carry, engine, max_steps
+        As of `prepare`.
 
     Returns
     -------
@@ -413,6 +413,12 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     if solution.scene.has_users_functions and solution.ok:
         verify_at(solution.scene, solution.y)
     return solution
+
+
+#: what `help` and notebooks show: the keywords of `prepare` with their defaults
+solve.__signature__ = inspect.signature(prepare).replace(  # type: ignore[attr-defined]
+    return_annotation="Solution"
+)
 
 
 def instead(option: str, scene: Scene) -> str:

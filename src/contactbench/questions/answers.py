@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from functools import lru_cache
+from itertools import groupby
 
 import numpy as np
 import pandas as pd
 
-from contactbench.questions import contest
+from contactbench.questions import contest, regret
 from contactbench.report.chapters import Answer, Fold, Frames
 from contactbench.report.numbers import how_often
 from contactbench.tables.schema import TABLES
@@ -18,7 +19,7 @@ from contactbench.tables.schema import TABLES
 FUNCTIONS = {
     name: getattr(contest, name)
     for name in ("contests", "credited", "drawn", "families", "hard_runs", "random_contests", "ring_costs")
-}
+} | {"mean_regrets": regret.mean_regrets}
 #: what is counted beside an answer, in words
 BESIDE = {
     "alone": ", alone on {}",
@@ -64,8 +65,8 @@ def fold(answers: Iterable[Answer]) -> Fold | None:
     words = {word for _, query in found for word in WORD.findall(query)}
     tables, functions = ([name for name in names if name in words] for names in (TABLES, FUNCTIONS))
     lines = ["import contactbench as cb"]
-    if functions:
-        lines.append(f"from contactbench.questions.contest import {', '.join(functions)}")
+    for module, some in groupby(functions, key=lambda name: FUNCTIONS[name].__module__):
+        lines.append(f"from {module} import {', '.join(some)}")
     lines += [f'{name} = cb.results("{name}")' for name in tables]
     last = ""
     for answer, query in found:

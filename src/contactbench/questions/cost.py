@@ -25,7 +25,7 @@ from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, T
 from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, exact_power, names, power, scientific, times
-from contactbench.report.views import Cell, Mark, View, frame_of, grid, matrix
+from contactbench.report.views import Cell, Mark, View, frame_of, matrix
 
 #: the kinds of contest: whether times are compared, and what takes part, as in `comparable`
 KINDS: dict[str, tuple[bool, dict[str, bool]]] = {
@@ -120,33 +120,12 @@ def tolerance_view(runs: pd.DataFrame) -> View:
     return view("tolerances", frame_of(lines, labels))
 
 
-# -- scene by scene --------------------------------------------------------------------------------
-def costs_view(frames: Frames, scene: str) -> View:
-    """Return compiled time and evaluations of each method and error in one cell."""
-    cells: dict[tuple[str, float], list[str]] = {}
-    best: set[tuple[str, float]] = set()
-    for kind in ("compiled", "evaluations"):
-        rows = standings(frames, kind)
-        for row in cost_rows(rows[rows["scene"] == scene].sort_values("method", kind="stable")):
-            text = cost_text(row, KINDS[kind][0])
-            cells.setdefault((row.method, row.error), [""] * (kind == "evaluations")).append(text)
-            if kind == "compiled" and row.ratio <= WIDEST:
-                best.add((row.method, row.error))
-
-    def cell(key: tuple[str, float], texts: list[str]) -> Cell:
-        return Cell(" · ".join(dict.fromkeys(filter(None, texts))), mark=Mark.best if key in best else None)
-
-    ordered = sorted(cells, key=lambda key: (key[0], -key[1]))
-    made = grid("method", {key: cell(key, cells[key]) for key in ordered}, error_label)
-    return View(f"cost_{scene}", "", made)
-
-
 @chapter("cost", answers)
 def parts(frames: Frames) -> list[Part | None]:
     runs = frames["runs"]
     scenes = runs["scene"][runs["saved"] == 1].unique()
     tables = [leaders_view(standings(frames, kind), kind) for kind in KINDS]
-    each = [Section(scene, (figure(frames, scene), costs_view(frames, scene))) for scene in scenes]
+    each = [Section(scene, (figure(frames, scene),)) for scene in scenes]
     return [
         Section("Who is cheapest where", (Text(PROSE["cost"]["legend"]), *tables)),
         tolerance_view(runs),

@@ -5,28 +5,49 @@ It makes results/README.md, and the computed part of the README of the project.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import islice
 
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import WIDEST
-from contactbench.questions import claims, cost, hard, laws, orders, problems, ring
+from contactbench.questions import claims, cost, hard, laws, orders, problems, ring, which
 from contactbench.questions.answers import evaluate
-from contactbench.questions.contest import CONTACT, cost_rows, families
+from contactbench.questions.contest import CONTACT, cost_rows, families, hard_runs
 from contactbench.questions.judgement import SAVED, at_cost, law_label, met_cost, structural_laws
-from contactbench.report.chapters import PROSE, Answer, Frames, Part, Text, chapter, chapters, chart, view
+from contactbench.report.chapters import (
+    PROSE,
+    Answer,
+    Frames,
+    Part,
+    Section,
+    Text,
+    chapter,
+    chapters,
+    chart,
+    every,
+    view,
+)
 from contactbench.report.curves import floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.numbers import DASH, count, duration, names, power, scientific
-from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
+from contactbench.report.numbers import DASH, names, power, scientific
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 
 NAME = "README"
 #: the mission's scenes and methods; the scene whose costs are drawn
-SCENES, METHODS = (PROSE[NAME][what] for what in ("scenes", "methods"))
-PICTURED = "particle"
+SCENES, METHODS, STEPS = (PROSE[NAME][what] for what in ("scenes", "methods", "printed"))
+LABELS: dict[str, str] = PROSE[NAME]["labels"]
+#: the picture of each step of the story: a chapter, and how the name of its figure begins
+PICTURES: dict[str, str] = PROSE[NAME]["pictures"]
+#: rows of a table of the story at most, the errors of its costs, and the error of a hard scene that is solved
+MOST, STORY_ERRORS, RIGHT = 10, (1e-3, 1e-6, 1e-9), 1e-3
+#: findings in the README of the project
+FINDINGS = 4
+#: laws of the table in the README of the project, by their columns
+KEPT = {"momentum_law": "J decays as e^{−γt}", "contact_drift": "contact form"}
 #: errors at which costs stand in its tables; the last decides who is the best contact method, and who the fastest
 ERRORS = (1e-3, 1e-6)
 #: laws of its tables, that of the map last; J stands where a method claims it
@@ -47,24 +68,43 @@ def slower(frames: Frames) -> Answer | None:
     return Answer(asked, names(scenes) or "nowhere", text, (SLOWER,)) if len(found) else None
 
 
-def findings(frames: Frames) -> Iterator[Answer]:
-    """Yield the answers that stand in the README of the project."""
-    for law, label in PROMISED.items():
-        yield from filter(
-            None, [laws.kept(frames, law, f"Does a method keep {label} wherever it claims to?")]
-        )
-    yield from orders.answers(frames)
-    yield from filter(None, [cost.answer(frames, ASKED[0])])
-    yield from list(problems.answers(frames))[-1:]
-    yield from list(ring.answers(frames))[:1]
-    yield from claims.answers(frames)
+def findings(frames: Frames) -> Iterator[tuple[str, Answer]]:
+    """Yield the answers that stand in the README of the project, each with its document, the first few there are."""
+    law = "contact_drift"
+    found = [
+        ("laws.md", laws.kept(frames, law, f"Does a method keep {PROMISED[law]} wherever it claims to?"))
+    ]
+    found += [("random.md", each) for each in list(problems.answers(frames))[-1:]]
+    found += [("random.md", each) for each in list(ring.answers(frames))[:1]]
+    found += [("claims.md", each) for each in claims.answers(frames)]
+    found += [("laws.md", each) for each in orders.answers(frames)]
+    yield from islice(((file, answer) for file, answer in found if answer is not None), FINDINGS)
+
+
+def steps(frames: Frames) -> dict[str, list[Answer]]:
+    """Return the answers to the mission's questions, by the step of the story in which they stand."""
+    kept = [
+        laws.kept(frames, law, f"Does a method keep {label} wherever it claims to?")
+        for law, label in PROMISED.items()
+    ]
+    costs = [cost.answer(frames, kind) for kind in ASKED]
+    found: dict[str, Iterable[Answer | None]] = {
+        "step": [*orders.answers(frames), *claims.answers(frames)],
+        "keeps": kept,
+        "costs": [costs[0], slower(frames), *costs[1:]],
+        "hard": hard.answers(frames),
+        "take": [*reversed(list(problems.answers(frames))), *ring.answers(frames)],
+    }
+    return {name: list(filter(None, own)) for name, own in found.items()}
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
-    first = list(findings(frames))
-    more = [slower(frames), *(cost.answer(frames, kind) for kind in ASKED[1:]), *hard.answers(frames)]
-    more += [*list(problems.answers(frames))[:-1], *list(ring.answers(frames))[1:]]
-    yield from [*first, *filter(None, more)]
+    for own in steps(frames).values():
+        yield from own
+
+
+def line(answer: Answer) -> str:
+    return f"{answer.question} **{answer.answer}** ({answer.count})"
 
 
 # -- the contestants -------------------------------------------------------------------------------
@@ -132,57 +172,98 @@ def cost_cell(frames: Frames, kind: str, scene: str, method: str, error: float) 
     return Cell(cost.cost_text(row, kind == "compiled"), mark=Mark.best if near else None)
 
 
-def scene_view(frames: Frames, scene: str) -> View | None:
-    """Return all that is asked of the contestants on a scene: a row each."""
+# -- the tables of the story -----------------------------------------------------------------------
+#: a row of the mission's table: its label, and its method on each scene
+type Row = tuple[str, dict[str, str]]
+
+
+def leading(frames: Frames, label: str, scene: str, error: float) -> str | None:
+    """Return the fastest method on a scene at an error, of all or of the contact methods."""
+    rows = cost.standings(frames, "compiled").dropna(subset="cost")
+    rows = rows[(rows["scene"] == scene) & (rows["error"] == error)]
+    if label == LABELS["best"]:
+        rows = rows[rows["family"] == CONTACT]
+    return str(rows["method"].iloc[0]) if len(rows) else None
+
+
+def rows_of(frames: Frames) -> list[Row]:
+    """Return the methods of the mission, the best contact method of each scene, and the fastest of all."""
+    ran = set(frames["runs"]["scene"])
+    scenes = [scene for scene in SCENES if scene in ran]
+    rows = [(LABELS.get(m, m), {s: m for s in scenes if able(frames, s, m)}) for m in METHODS]
+    for label in (LABELS["best"], LABELS["fastest"]):
+        first = {s: leading(frames, label, s, ERRORS[-1]) for s in scenes}
+        rows.append((label, {s: m for s, m in first.items() if m is not None}))
+    return [row for row in rows if row[1]]
+
+
+def time_cell(frames: Frames, row: Row, scene: str, error: float) -> Cell:
+    """Return the compiled time of a row; it names the method where the row has others elsewhere."""
+    label, methods = row
+    if label not in (LABELS["best"], LABELS["fastest"]):
+        known = scene in methods
+        return cost_cell(frames, "compiled", scene, methods[scene], error) if known else Cell(DASH)
+    first = leading(frames, label, scene, error)
+    if first is None:
+        return Cell(DASH)
+    found = cost_cell(frames, "compiled", scene, first, error)
+    return replace(found, text=f"{first} {found.text}")
+
+
+def keeps(frames: Frames, methods: Mapping[str, str], law: str) -> str:
+    """Return whether methods promise a law, and keep it in every run that tells, on the scenes that have it."""
     runs = frames["runs"]
-    if not (runs["status"][(runs["scene"] == scene)] == "ok").any():
-        return None
-    shown = [law for law in LAWS if claimed(frames, scene, law)]
-    lines = []
-    for method in contestants(frames, scene):
-        found = at_equal_cost(frames, scene, method)
-        line: list[object] = [method, orders.order_of(frames, scene, method)]
-        line += [as_cell(found["evaluations"], count), as_cell(found["error"], scientific)]
-        line += [laws.law_cell(found, law) for law in shown] + [as_cell(found["time"], duration)]
-        line += [
-            cost_cell(frames, kind, scene, method, e) for e in ERRORS for kind in ("evaluations", "compiled")
-        ]
-        lines.append(line)
-    labels = [
-        ("", name) for name in ("method", "order", "evaluations", "error", *map(law_label, shown), "time")
-    ]
-    labels += [(f"to {power(error)}", what) for error in ERRORS for what in ("evaluations", "time")]
-    made = view("mission", frame_of(lines, labels))
-    title = f"{scene}, at {count(equal_cost(frames, scene))} evaluations and to an error"
-    return replace(
-        made, name=f"mission_{scene}", title=title, legend=made.legend if scene == SCENES[0] else ""
-    )
+    mine = [runs["method"].eq(m) & runs["scene"].eq(s) for s, m in methods.items()]
+    rows = runs[np.logical_or.reduce(mine) & runs["status"].eq("ok") & runs[f"{law}_kept"].notna()]
+    if not len(rows):
+        return DASH
+    promised = rows[f"{law}_claimed"].eq(True) & rows[f"{law}_kept"].eq(True)
+    return "to round-off" if promised.all() else "to its error"
 
 
 def overview(frames: Frames) -> View | None:
-    """Return the mission in one table: a row for each contestant."""
-    ran = set(frames["runs"]["scene"])
-    scenes = [scene for scene in SCENES if scene in ran]
-    methods = dict.fromkeys(method for scene in scenes for method in contestants(frames, scene))
-    if not methods:
-        return None
-    lines = []
-    for method in [*(m for m in METHODS if m in methods), *(m for m in methods if m not in METHODS)]:
-        there = [scene for scene in scenes if able(frames, scene, method)]
-        found = {scene: at_equal_cost(frames, scene, method) for scene in there}
-        line: list[object] = [
-            method,
-            next(order for s in there for order in [orders.order_of(frames, s, method)]),
+    """Return the mission in one table: the time of a solve on each scene, and what is kept."""
+    rows = rows_of(frames)
+    scenes = [scene for scene in SCENES if any(scene in methods for _, methods in rows)]
+    lines = [
+        [
+            row[0],
+            *(time_cell(frames, row, scene, ERRORS[-1]) for scene in scenes),
+            *(keeps(frames, row[1], law) for law in KEPT),
         ]
-        line += [as_cell(found[s]["error"] if s in there else None, scientific) for s in scenes]
-        line += [worst(frames, found, law) for law in LAWS]
-        line += [cost_cell(frames, "compiled", s, method, ERRORS[-1]) for s in scenes]
-        lines.append(line)
-    labels = [("", "method"), ("", "order")]
-    labels += [(f"error at {count(equal_cost(frames, scene))}", scene) for scene in scenes]
-    labels += [("largest", law_label(law)) for law in LAWS]
-    labels += [(f"time to {power(ERRORS[-1])}", scene) for scene in scenes]
-    return view("overview", frame_of(lines, labels))
+        for row in rows
+    ]
+    heads = ["method", *scenes, *KEPT.values()]
+    return view("overview", frame_of(lines, heads), error=power(ERRORS[-1])) if lines else None
+
+
+def step_view(frames: Frames) -> View:
+    """Return the orders of the paper's step, as printed and as meant, and of the contestants."""
+    fitted = orders.fits(frames["orders"])
+    here = fitted[fitted["scene"].isin(SCENES)]
+    wanted = dict.fromkeys([*STEPS, *(m for s in SCENES for m in contestants(frames, s))])
+    here = here[here["method"].isin(wanted)].sort_values("method", key=lambda own: own.map([*wanted].index))
+    table = matrix(here, "method", "scene", orders.order_cell)
+    return view("story_step", table.head(MOST))
+
+
+def keeps_view(frames: Frames) -> View:
+    """Return error and laws of the contestants at equal cost, the largest of the scenes."""
+    lines = []
+    for method in [*METHODS, *(m for m in dict.fromkeys(contact_best(frames)) if m not in METHODS)]:
+        there = [s for s in SCENES if method in contestants(frames, s)]
+        found = {scene: at_equal_cost(frames, scene, method) for scene in there}
+        if there:
+            error = max(row["error"] for row in found.values())
+            laws_there = [worst(frames, found, law) for law in LAWS]
+            lines.append([method, as_cell(error, scientific), *laws_there])
+    return view("story_keeps", frame_of(lines[:MOST], ["method", "error", *map(law_label, LAWS)]))
+
+
+def contact_best(frames: Frames) -> list[str]:
+    ranked = cost.standings(frames, "compiled").dropna(subset="cost")
+    ranked = ranked[(ranked["error"] == ERRORS[-1]) & (ranked["family"] == CONTACT)]
+    return [str(m) for m in ranked[ranked["scene"].isin(SCENES)].drop_duplicates("scene")["method"]]
 
 
 def worst(frames: Frames, found: Mapping[str, pd.Series], law: str) -> Cell:
@@ -192,6 +273,30 @@ def worst(frames: Frames, found: Mapping[str, pd.Series], law: str) -> Cell:
         return Cell(DASH)
     kept = all(row.get(f"{law}_kept", False) for row in rows)
     return as_cell(max(row[law] for row in rows), scientific, Mark.kept if kept else None)
+
+
+def costs_view(frames: Frames) -> View:
+    """Return the compiled time of the contestants on each scene, to each error."""
+    rows = rows_of(frames)
+    heads = [(scene, power(error)) for scene in SCENES for error in STORY_ERRORS]
+    lines = [[row[0], *(time_cell(frames, row, s, e) for s in SCENES for e in STORY_ERRORS)] for row in rows]
+    return view("story_costs", frame_of(lines, [("", "method"), *heads]))
+
+
+def hard_view(frames: Frames) -> View:
+    """Return how often the contestants end as the true motion does, and how often they are right to 10⁻³."""
+    runs = hard_runs(frames["runs"])
+    lines = []
+    for method in METHODS:
+        own = runs[runs["method"] == method]
+        right = own[(own["status"] == own["truth"])]
+        small = own.groupby("scene")["error"].min() <= RIGHT
+        if len(own):
+            lines.append(
+                (method, f"{len(right)} of {len(own)}", f"{int(small.sum())} of {own['scene'].nunique()}")
+            )
+    labels = ["method", "runs that end as the true motion does", f"scenes solved to {power(RIGHT)}"]
+    return view("story_hard", frame_of(lines, labels))
 
 
 # -- a motion: its orbit after many turns, and its energy, by two methods at equal cost beside the truth --
@@ -219,15 +324,25 @@ def paths(rows: pd.DataFrame, line: bool) -> Iterator[Curve]:
 
 
 # -- results/README.md -----------------------------------------------------------------------------
+def picture(frames: Frames, name: str) -> Figure | None:
+    """Return the figure of a chapter by its name, which stands in the story too."""
+    for one in chapters(frames):
+        if one.name == name:
+            return next(
+                (f for f in every(Figure, one.fill(frames)) if f.name.startswith(PICTURES[name])), None
+            )
+    return None
+
+
 @chapter(NAME, answers)
 def parts(frames: Frames) -> list[Part | None]:
+    tables = (step_view, keeps_view, costs_view, hard_view, which.systems_view)
     found: list[Part | None] = [motion_figure(frames["motion"])]
-    found += [scene_view(frames, scene) for scene in SCENES]
-    drawn = cost.figure(frames, PICTURED)
-    found.append(drawn and replace(drawn, caption=""))
-    for kind in ("compiled", "evaluations"):
-        table = cost.leaders_view(cost.standings(frames, kind), kind, f"first_{kind}")
-        found.append(table and replace(table, legend=PROSE[NAME]["legend"] if kind == "compiled" else ""))
+    for (name, own), figure, table in zip(steps(frames).items(), PICTURES, tables, strict=True):
+        prose, drawn = PROSE[NAME]["steps"][name], picture(frames, figure)
+        shown = view_of(table, frames, f"story_{name}")
+        lines = Text(" ".join(prose["about"].split()), tuple(map(line, own)))
+        found.append(Section(prose["title"], (lines, drawn and replace(drawn, caption=""), shown)))
     questions: dict[str, list[str]] = {}
     for one in chapters(frames):
         questions.setdefault(one.file, []).append(one.question)
@@ -236,6 +351,10 @@ def parts(frames: Frames) -> list[Part | None]:
         (f"[{file}]({file})", " ".join(asked)) for file, asked in questions.items() if file != f"{NAME}.md"
     ]
     return [*found, view("documents", frame_of(rows, ["document", "question"]))]
+
+
+def view_of(make: Callable[[Frames], View], frames: Frames, name: str) -> View:
+    return replace(make(frames), name=name, title="")
 
 
 def machine(runs: Sequence[Mapping[str, object]]) -> Text:

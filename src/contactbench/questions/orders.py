@@ -57,7 +57,7 @@ def order_of(frames: Frames, scene: str, method: str) -> Cell:
 def order_cell(rows: pd.DataFrame) -> Cell:
     row = rows.iloc[0]
     if row["status"] == "unsupported":
-        return Cell("unsupported")
+        return Cell(DASH)
     if pd.isna(row["order"]):
         return Cell("no asymptotic range")
     spread = "" if pd.isna(row["order_uncertainty"]) else f" ± {row['order_uncertainty']:.2f}"

@@ -1,7 +1,8 @@
-"""What the methods cost on random problems over the least."""
+"""Regret: the cost of each method on each problem over the least cost of any."""
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 
 #: costs that are compared: evaluations, and compiled time
@@ -18,3 +19,8 @@ def regrets(rows: pd.DataFrame, error: float, cost: str) -> pd.DataFrame:
     found = found[found.notna().any(axis=1)]
     found = found.div(found.min(axis=1), axis=0).clip(upper=WORST)
     return found.mask(found.isna() & ran.loc[found.index], WORST)
+
+
+def mean_regrets(rows: pd.DataFrame, error: float, cost: str) -> pd.Series:
+    """Return the mean logarithm of the regrets of each method that runs on every problem, the least first."""
+    return np.log(regrets(rows, error, cost).dropna(axis=1)).mean().sort_values(kind="stable")

@@ -18,6 +18,8 @@ from contactbench.report.numbers import duration, names, power, scientific, time
 from contactbench.report.views import Mark, View, as_cell, frame_of, matrix
 
 FEW = "{:.2g}".format
+#: so many others are named beside the least
+BESIDE = 2
 #: the families of the methods that keep no structure
 THEIRS = ("established",)
 #: the kinds of cost: the question about the least one, the unit, how it is written, and the factor up to which two tie
@@ -45,7 +47,7 @@ def answers(frames: Frames) -> Iterator[Answer]:
         found = evaluate(query, frames)
         ratio = found / found.iloc[0]
         others = [m for m in found.index[ratio > within] if known.get(m) != CONTACT]
-        beside = ", ".join(f"{method} {times(ratio[method])}" for method in others)
+        beside = names([f"{method} {times(ratio[method])}" for method in others], BESIDE)
         where = (
             f"after T = {power(end)}, γ = {power(gamma)}, within {100 * ALLOWED:g} % (median of the starts)"
         )

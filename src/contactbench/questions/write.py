@@ -13,7 +13,7 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.files import replacing
-from contactbench.questions import mission
+from contactbench.questions import mission, which
 from contactbench.questions.answers import fold
 from contactbench.report import draw, markdown
 from contactbench.report.chapters import (
@@ -69,13 +69,18 @@ def documents(
         drawn |= {figure.name: figure for figure in every(Figure, parts)}
         if first.name == mission.NAME:
             parts.append(mission.machine(runs(results)))
-        pages[file] = markdown.document(first.title, answers, shown([fold(answers), *parts]))
+        if first.name == mission.NAME:  # its answers stand in the steps of the story
+            pages[file] = markdown.document(first.title, (), shown([*parts, fold(answers)]))
+        else:
+            pages[file] = markdown.document(first.title, answers, shown([fold(answers), *parts]))
     pages["glossary.md"] = markdown.document("Glossary", (), glossary(registries))
     if not (results.parent / "docs" / "reading.md").exists():  # as in a repository of one's own
         pages = {name: TO_DOCS.sub("", text) for name, text in pages.items()}
     pages |= {f"figures/{name}.svg": draw.svg(figure) for name, figure in drawn.items()}
     paths = {results / name: text for name, text in pages.items()}
-    return paths | ({readme: with_answers(readme, frames)} if readme else {}), list(drawn.values())
+    return paths | ({readme: with_answers(readme, frames, results.name)} if readme else {}), list(
+        drawn.values()
+    )
 
 
 def chapter_parts(chapter: Chapter, frames: Frames) -> tuple[Part, ...]:
@@ -85,13 +90,18 @@ def chapter_parts(chapter: Chapter, frames: Frames) -> tuple[Part, ...]:
     return tuple(shown([summary, fold(answers), *chapter.parts(frames)]))
 
 
-def with_answers(readme: Path, frames: Frames) -> str:
+def with_answers(readme: Path, frames: Frames, results: str) -> str:
     around = computed_part(readme)
     if around is None:
         begin, end = README_PART
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
     table = mission.overview(frames)
-    found = ["" if table is None else markdown.view(table, 2), markdown.answers(mission.findings(frames))]
+    found = [markdown.parts(shown([table]))]
+    lines = [f"{mission.line(answer)} [→]({results}/{file})" for file, answer in mission.findings(frames)]
+    found += [
+        markdown.text(Text(items=tuple(lines)), 2),
+        markdown.parts(shown([which.systems_view(frames)]), 3),
+    ]
     return "\n".join([around[0], "\n\n".join(filter(None, found)), "", around[1]])
 
 

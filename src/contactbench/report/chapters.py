@@ -155,7 +155,7 @@ def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
             part = replace(part, parts=tuple(shown(part.parts)))
             if part.parts:
                 yield part
-        elif part is not None and not (isinstance(part, View) and part.frame.empty):
+        elif part is not None and not (isinstance(part, View) and not part.rows):
             yield part
 
 

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.drawing import Axis, Curve, Field, Figure, Panel
 from contactbench.report.look import DASHES, LOOK, ROLES, look
 from contactbench.report.numbers import SUPERSCRIPTS
 
@@ -109,7 +109,8 @@ def seen(panel: Panel) -> list[tuple[float, float]]:
         low, high = axis.within
         return math.isfinite(v) and (v > 0 or axis.scale == "linear") and low <= v <= high
 
-    points = [point for curve in panel.curves for point in zip(curve.x, curve.y, strict=True)]
+    drawn: list[Curve | Field] = [*panel.curves, *panel.fields]
+    points = [point for one in drawn for point in zip(one.x, one.y, strict=True)]
     return [(x, y) for x, y in points if inside(panel.x, x) and inside(panel.y, y)]
 
 
@@ -128,11 +129,21 @@ def scale(axes: Axes, which: str, axis: Axis, values: Sequence[float]) -> None:
         getattr(axes, f"invert_{which}axis")()
 
 
+def draw_field(axes: Axes, field: Field) -> None:
+    color, (left, right), (low, high) = look(field.method).color, field.x, field.y
+    axes.fill([left, right, right, left], [low, low, high, high], color=color, alpha=0.1, linewidth=0)
+    axes.plot([left, right, right, left, left], [low, low, high, high, low], color="white", linewidth=2)
+    middle = math.sqrt(left * right), math.sqrt(low * high)
+    axes.text(*middle, field.words, color=color, fontsize=8, ha="center", va="center")
+
+
 def draw_panel(axes: Axes, panel: Panel) -> None:
     for curve in panel.curves:
         every = len(curve.x) // 8 if len(curve.x) > MARKED and curve.line else 1
         picture = not curve.line and len(curve.x) > MANY
         axes.plot(curve.x, curve.y, markevery=every, rasterized=picture, **properties(curve))
+    for field in panel.fields:
+        draw_field(axes, field)
     points = [] if panel.equal else seen(panel)  # the aspect decides
     scale(axes, "x", panel.x, [x for x, _ in points])
     scale(axes, "y", panel.y, [y for _, y in points])

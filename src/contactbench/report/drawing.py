@@ -45,8 +45,18 @@ class Span:
 
 
 @dataclass(frozen=True)
+class Field:
+    """A rectangle with words in it, in the colour of a method.  x, y : its sides."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    words: str
+    method: str
+
+
+@dataclass(frozen=True)
 class Panel:
-    """One pair of axes.  equal : one unit is as long on both."""
+    """One pair of axes.  equal : one unit is as long on both.  fields : of a map, in place of curves."""
 
     title: str
     x: Axis
@@ -54,6 +64,7 @@ class Panel:
     curves: tuple[Curve, ...]
     spans: tuple[Span, ...] = ()
     equal: bool = False
+    fields: tuple[Field, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,9 @@ import pandas as pd
 
 from contactbench.report.numbers import DASH, readable
 
+#: texts that say nothing: a row that has no other is left out
+SILENT = ("", DASH, "unsupported")
+
 #: how a number is written
 type Show = Callable[[float], str]
 
@@ -46,7 +49,7 @@ class Head:
 
 @dataclass(frozen=True)
 class View:
-    """A table to read; name : unique over all chapters.
+    """A table to read, without the rows in which nothing is said; name : unique over all chapters.
 
     frame : its entries are words, numbers or `Cell`s; the first column names the row.  Column names are labels, or
     pairs of a group and a label.  legend : one or two sentences under the title; says what marks and dashes mean.
@@ -63,7 +66,8 @@ class View:
     def rows(self) -> tuple[tuple[Cell, ...], ...]:
         shows = [self.show.get(label, self.show.get("", readable)) for _, label in self.labels]
         rows = self.frame.itertuples(index=False, name=None)
-        return tuple(tuple(map(as_cell, row, shows)) for row in rows)
+        cells = (tuple(map(as_cell, row, shows)) for row in rows)
+        return tuple(row for row in cells if any(cell.text not in SILENT for cell in row[1:]))
 
     @cached_property
     def columns(self) -> tuple[Head, ...]:

@@ -1,4 +1,4 @@
-"""Problems drawn at random: families of scenes whose numbers a seed gives; docs/population.md says which and why.
+"""Problems drawn at random: families of scenes whose numbers a seed gives; CONTRIBUTING.md says which and why.
 
 A family is one structure: its functions take their numbers as parameters, so that what a method compiles for one
 problem runs all others of the family.

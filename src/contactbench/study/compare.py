@@ -61,7 +61,7 @@ def compare(
     methods: Sequence[str] | str | None = None,
     errors: Iterable[float] = ERRORS,
     budget: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
     reference: Callable[[np.ndarray], ArrayLike] | None = None,
 ) -> pd.DataFrame:
     """Race methods on one scene: what each costs at each error, and what it keeps.
@@ -89,7 +89,7 @@ def compare(
         Seconds for everything, by default 15, and 50 where `methods` are given; the reference may take five
         whatever it is.
     progress :
-        Whether to show a bar on stderr, where that is a terminal.
+        Whether to show a bar on stderr, in a terminal and in a notebook.
     reference :
         ``reference(t) -> (k, d)``, the true states at k times where you know them: a row of q, then p (of a body of M,
         then the quaternion R) for each.  It is taken to be right to 15 digits.  By default it is computed.

@@ -16,6 +16,7 @@ from contactbench.methods.base import METHODS
 from contactbench.questions.contest import CONTACT, CUT
 from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
 from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.look import CONTESTANTS
 from contactbench.report.numbers import DASH, count, duration, exact_power, names, scientific, times
 from contactbench.tables.declared import shipped_folder
 
@@ -39,9 +40,11 @@ def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
     every : all rows, settings and notes; else of more than `ROWS` methods the best so many, and their times alone.
     scene : how a command names it, if not by its name.
     """
-    recommended, (reference, *others) = frame.attrs["recommendation"], notes(frame)
+    recommended, (reference, *more) = frame.attrs["recommendation"], notes(frame)
     order, named = ranked(frame), {word for line in recommended for word in re.findall(r"[\w-]+", line)}
-    first = [*filter(named.__contains__, order), *(name for name in order if name not in named)][:ROWS]
+    named |= {name for group in CONTESTANTS for name in [n for n in order if n in group][:1]}
+    others = [name for name in order if name not in named]
+    first = {*named, *others[: max(0, ROWS - len(named & {*order}))]}
     shown = order if every or len(order) <= ROWS else [name for name in order if name in first]
     own = frame[frame["method"].isin(shown)]
     tables = [times_table(own[own["kind"] == kind], kind, shown) for kind in TITLES if kind in {*own["kind"]}]
@@ -49,15 +52,13 @@ def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
         tables.append(settings_table(own, shown))
     else:
         hidden = len(order) - len(shown)
-        others = [
+        more = [
             f"{hidden} more methods, evaluations, settings, and why a method got no further: --csv, --all."
         ]
     late, folder = ", ".join(frame.attrs["unbegun"]), shipped_folder()
     missing = [f"Not begun, for want of time (--budget): {late}."] if late else []
-    further = (
-        [f"Which method led on random problems of each kind: {folder / 'problems.md'}"] if folder else []
-    )
-    lines = (missing, tables, [reference, *others], [*recommended, how_to_run(frame, scene)], further)
+    further = [f"Which method led on random problems of each kind: {folder / 'which.md'}"] if folder else []
+    lines = (missing, tables, [reference, *more], [*recommended, how_to_run(frame, scene)], further)
     blocks = ["\n".join(map(wrap, block)) if block is not tables else "\n\n".join(tables) for block in lines]
     return "\n\n".join(filter(None, blocks))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import accumulate, islice
@@ -51,6 +52,12 @@ LEFT_OUT = ("solution_error", "energy_increases")
 type Found = dict[int, dict[str, Any]]
 
 
+def watched() -> bool:
+    """Return whether somebody sees a bar: stderr is a terminal, or the kernel of a notebook shows it."""
+    kernel = sys.modules.get("ipykernel.kernelapp")
+    return sys.stderr.isatty() or (kernel is not None and kernel.IPKernelApp.initialized())
+
+
 class Budget:
     """The time that a race has, and what it had no time for.
 
@@ -60,7 +67,7 @@ class Budget:
     def __init__(self, seconds: float, begun: float, progress: bool) -> None:
         self.begun, self.seconds, self.interrupted = begun, seconds, False
         self.unrefined: list[str] = []
-        self.bar = tqdm(total=STAGES, disable=None if progress else True, unit="", leave=False)
+        self.bar = tqdm(total=STAGES, disable=not (progress and watched()), unit="", leave=False)
 
     def left(self, part: float = 1.0) -> float:
         return self.begun + part * self.seconds - perf_counter()
