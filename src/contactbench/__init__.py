@@ -11,6 +11,7 @@ from contactbench import early, peers
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, fixed_step, prepare, solve
+from contactbench.methods.contact_gauss import gauss
 from contactbench.methods.one_step import step_map
 from contactbench.methods.prescribed import geometric_steps
 from contactbench.numbers import functions as math
@@ -41,6 +42,7 @@ __all__ += ["Equations", "GeneralDamping", "HeavyTop", "Mechanical"]
 __all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "compare", "composition"]
 __all__ += [
     "fixed_step",
+    "gauss",
     "geometric_steps",
     "math",
     "prepare",
