@@ -19,6 +19,7 @@ are equations of the positions alone, whose iteration converges twice as fast.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -109,7 +110,9 @@ def added(x: Sequence[Arithmetic], move: Sequence[Arithmetic]) -> tuple[Arithmet
     return tuple(a + b for a, b in zip(x, move, strict=True))
 
 
-def per_size(values: Vector, moves: Vector, lengths: Sequence[int]) -> list[list[Arithmetic]]:
+def per_size(
+    values: Sequence[Arithmetic], moves: Sequence[Arithmetic], lengths: Sequence[int]
+) -> list[list[Arithmetic]]:
     """Return 1 over the size of the vector that each value belongs to, for the value and its derivatives.
 
     moves : how far the step takes the values, which adds to their size.  lengths : of the vectors.
@@ -353,6 +356,9 @@ class ContactGauss(FixedStep):
 
     def composed(self, scene: Scene) -> bool:
         return scene.is_contact
+
+    def kind_on(self, scene: Scene) -> str:
+        return "gradient" if in_positions(scene, scene.initial(()), math) else self.kind
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
         """Return a typical number of evaluations of n steps."""

@@ -25,8 +25,9 @@ TRIED, LOST = 12, 0.1
 MOST, CONVERGED = 200, 1e-10
 #: an increment larger than any that occurs
 LARGEST = 1e300
-#: moves of doubles below this are rounding, and below this none at all
-ROUNDING, SETTLED = 2.0**-46, 4.5e-16
+#: moves of doubles below the first are rounding; below the second an iteration ends, far from a unit in the last place
+#: since what is left of it has one sign, and adds up from step to step
+ROUNDING, SETTLED = 2.0**-46, 2e-17
 #: number of iterations of a typical step
 TYPICAL = 8
 
@@ -36,14 +37,12 @@ def fixed_point[K](
 ) -> tuple[K, Condition, Arithmetic]:
     """Return k with update(k) = k, whether the iteration converged, and the number of updates.
 
-    It ends when an increment moves the state by less than half a unit in the last place.  Increments above rounding may
-    grow for a while, as for oscillating errors.  The slopes of dual numbers must settle too.
+    It ends when an increment moves the state by a small part of a unit in the last place.  Increments above rounding
+    may grow for a while, as for oscillating errors.  The slopes of dual numbers must settle too.
 
     moves : how far a unit of every number in k moves the state, relative to the size of the state.
     """
-    exact = has_digits(xp)
-    settled = 10.0 ** (2 - xp.dps) if exact else SETTLED
-    rounding = 10.0 ** (6 - xp.dps) if exact else ROUNDING
+    settled, rounding = (10.0**-xp.dps, 10.0 ** (6 - xp.dps)) if has_digits(xp) else (SETTLED, ROUNDING)
     nothing: Arithmetic = 0 * leaves(k)[0]
 
     def going(carried: tuple[K, Arithmetic, Arithmetic, Arithmetic]) -> Condition:
