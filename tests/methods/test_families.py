@@ -104,7 +104,7 @@ def test_gauss_tableaus_are_collocation_of_the_highest_order_and_symplectic(stag
         assert max(gaps) < mp.mpf(10) ** -48
 
 
-@pytest.mark.parametrize("stages", [0, 1.5, -1, 1000, "2", True])
+@pytest.mark.parametrize("stages", [0, 1.5, -1, 1000, True])
 def test_a_number_of_stages_that_cannot_be_is_refused_in_one_line(stages):
     with pytest.raises(cb.BadInput, match=r"^stages = .*: must be a whole number ≥ 1, at most 32$"):
         cb.gauss(stages)
