@@ -12,6 +12,7 @@ from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, fixed_step, prepare, solve
 from contactbench.methods.adaptive import adaptive
+from contactbench.methods.contact_gauss import gauss
 from contactbench.methods.one_step import step_map
 from contactbench.methods.prescribed import geometric_steps
 from contactbench.numbers import functions as math
@@ -43,6 +44,7 @@ __all__ += ["Equations", "GeneralDamping", "HeavyTop", "Mechanical"]
 __all__ += ["RigidBody", "Solution", "Spheres", "Status", "UnknownName", "compare", "composition"]
 __all__ += [
     "fixed_step",
+    "gauss",
     "geometric_steps",
     "math",
     "prepare",

@@ -231,8 +231,8 @@ def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six
 
 # -- two libraries of numbers of many digits -------------------------------------------------------
 MANY = [
-    *(("particle", name) for name in ("contact-rkn8", "rkn12", "rk8", "contact-gauss6")),
-    *(("forced_pulsating", name) for name in ("contact-o8", "contact-gauss6")),
+    *(("particle", name) for name in ("contact-rkn8", "rkn12", "rk8", "contact-gauss8")),
+    *(("forced_pulsating", name) for name in ("contact-o8", "contact-gauss8")),
     *(
         ("thermostat", "rk8"),
         ("double_pendulum", "rk8"),

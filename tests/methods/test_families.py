@@ -10,7 +10,7 @@ from mpmath import mp
 
 import contactbench as cb
 from cases import USER, by_name, in_mp, random_state
-from contactbench.methods.implicit import gauss_tableau
+from contactbench.numbers.quadrature import rule
 from contactbench.scene import dot
 
 HERGLOTZ = [cb.METHODS["herglotz1"], cb.METHODS["herglotz2"]]
@@ -84,19 +84,38 @@ def test_a_damping_it_is_not_derived_for_is_refused(method):
 
 
 # -- implicit steps --------------------------------------------------------------------------------
-GAUSS = {"contact-gauss2": 1, "contact-gauss4": 2, "contact-gauss6": 3}
+GAUSS = {"contact-gauss2": 1, "contact-gauss4": 2, "contact-gauss8": 4, "contact-gauss16": 8}
 CENTRAL = cb.SCENES["central"]
 
 
-@pytest.mark.parametrize("stages", GAUSS.values())
+@pytest.mark.parametrize("stages", [*GAUSS.values(), 3, 32])
 def test_gauss_tableaus_are_collocation_of_the_highest_order_and_symplectic(stages, mp50):
-    A, b = gauss_tableau(stages, mp)
+    nodes, b, A, onward = rule(mp, stages)
     c, s = [mp.fsum(row) for row in A], range(stages)
+    assert max(abs(a - b) for a, b in zip(nodes, c, strict=True)) < mp.mpf(10) ** -48
     off = [mp.fsum(b[i] * c[i] ** k for i in s) - mp.mpf(1) / (k + 1) for k in range(2 * stages)]
     for k in s:
         off += [mp.fsum(A[i][j] * c[j] ** k for j in s) - c[i] ** (k + 1) / (k + 1) for i in s]
     off += [b[i] * A[i][j] + b[j] * A[j][i] - b[i] * b[j] for i in s for j in s]
     assert max(map(abs, off)) < mp.mpf(10) ** -48
+    for row, at in zip(onward, c, strict=True):  # sums that cancel
+        parts = [[w * each**k for w, each in zip(row, c, strict=True)] for k in s]
+        gaps = [abs(mp.fsum(part) - (1 + at) ** k) / mp.fsum(map(abs, part)) for k, part in enumerate(parts)]
+        assert max(gaps) < mp.mpf(10) ** -48
+
+
+@pytest.mark.parametrize("stages", [0, 1.5, -1, 1000, True])
+def test_a_number_of_stages_that_cannot_be_is_refused_in_one_line(stages):
+    with pytest.raises(cb.BadInput, match=r"^stages = .*: must be a whole number ≥ 1, at most 32$"):
+        cb.gauss(stages)
+
+
+def test_gauss_of_stages_that_are_not_registered():
+    assert cb.gauss(8) is cb.METHODS["contact-gauss16"]
+    runs = [cb.solve("particle", cb.gauss(5), step=h, save_at=[20.0]) for h in (2.0, 1.0)]
+    exact = cb.solve("particle", "contact-gauss16", step=0.5, save_at=[20.0]).y
+    errors = [np.abs(run.y - exact).max() for run in runs]
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(10, abs=1.0)
 
 
 @pytest.mark.parametrize("name", GAUSS)

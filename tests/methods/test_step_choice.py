@@ -79,7 +79,7 @@ def test_pilots_on_another_way_are_not_compared(method, rtol):
 
 
 @pytest.mark.parametrize(
-    ("method", "rtol"), [("contact-gauss2", 1e-3), ("contact-gauss4", 1e-6), ("contact-gauss6", 1e-8)]
+    ("method", "rtol"), [("contact-gauss2", 1e-3), ("contact-gauss4", 1e-6), ("contact-gauss8", 1e-8)]
 )
 @pytest.mark.parametrize("scene", [WALL, FALL], ids=["wall", "fall"])
 def test_where_steps_of_pilots_have_no_solution_finer_ones_follow(method, rtol, scene):

@@ -1,5 +1,6 @@
 """What the tables to read say, on small tables made by hand."""
 
+import math
 import re
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from contactbench.questions import cost, hard, mission, ring
 from contactbench.questions.contest import ranked
+from contactbench.report.numbers import DASH
 from contactbench.report.views import Mark
 from frames import frames, row, table, timed
 
@@ -68,9 +70,18 @@ def test_a_tolerance_is_compared_with_the_error_of_the_run():
     ]
     rows[-1] |= {"scene": "t"}
     rows.append(row("s", "contact-a", 0.1, saved=1, error=1.0))
-    found = texts(cost.tolerance_view(table("runs", rows)))
-    assert found["contact-a"] == ["the run, by pilots", "1 of 1", "5.0e-01", "5.0e-01", "s, 10⁻⁶"]
-    assert found["rk8-7"] == ["a step", "0 of 2", "1.6e+01", "3.0e+01", "t, 10⁻⁶"]
+    rows.append(
+        row("u", "rk8-7", 1e-6, control="rtol", saved=1, error=math.nan)
+    )  # another end was not reached
+    found = texts(cost.tolerance_view(frames(runs=rows)))
+    assert found["contact-a"] == [
+        "the run, by pilots",
+        "1 of 1",
+        "5.0e-01 [5.0e-01, 5.0e-01]",
+        "5.0e-01: s, 10⁻⁶",
+        DASH,
+    ]
+    assert found["rk8-7"] == ["a step", "0 of 3", "3.0e+01 [2.0e+00, inf]", "inf: u, 10⁻⁶", DASH]
 
 
 # -- the mission -----------------------------------------------------------------------------------

@@ -77,7 +77,7 @@ def test_integrals_of_the_damping_over_a_step_are_right_to_round_off(size, turn)
 def test_the_rule_integrates_polynomials_with_all_digits_of_its_numbers():
     """Weights up to degree 15, the matrix up to degree 7."""
     for xp, bound in ((math, 4e-16), (decimal_context(60), 1e-58)):
-        nodes, weights, matrix = quadrature.rule(xp)
+        nodes, weights, matrix = quadrature.rule(xp)[:3]
         for k in range(16):
             assert abs(quadrature.weigh(weights, [c**k for c in nodes]) * (k + 1) - 1) < 4 * bound
         for c, row_of in zip(nodes, matrix, strict=True):

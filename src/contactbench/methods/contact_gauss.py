@@ -10,7 +10,11 @@ with the linear scaling (P, r) ↦ (λP, λr), hence preserves r ds − P·dq = 
 
 If ∂H/∂s depends on the time alone, H = h(q, p, t) + γ(t) s, then r = e^{∫γ} is known.  In this case (q, P) and the
 action S = r s, S' = P·q' − r h, are integrated.  The conformal factor is then exact, and strong damping does not slow
-down the iteration.
+down the iteration.  If moreover h = T(p) + V(q, t), then P' = −r ∇V(q, t) is known at given positions, and
+
+    Q_i = q + h Σ_j a_ij r_j⁻¹ p/m + h² Σ_k (Σ_j a_ij r_j⁻¹ a_jk r_k) F(Q_k)/m,   F = −∇V,
+
+are equations of the positions alone, whose iteration converges twice as fast.
 """
 
 from __future__ import annotations
@@ -18,32 +22,38 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from itertools import accumulate, zip_longest
 from typing import Any, NamedTuple
 
+from contactbench.checks import whole
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.implicit import (
-    LOST,
     TYPICAL,
     bare,
     eliminated,
     fixed_point,
     found,
-    gauss_tableau,
     implicit,
     jacobian,
     otherwise,
     solved,
 )
 from contactbench.numbers.control import Repeat, choose, repeat
-from contactbench.numbers.dual import leaves, rebuild
+from contactbench.numbers.dual import leaves
 from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, Vector
+from contactbench.numbers.quadrature import Rule, rule
 from contactbench.scene import Scene
 from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damping
 
 #: most equations of Newton's iteration: more take seconds to compile
 ELIMINATED = 24
+#: most stages, whose coefficients need digits in proportion
+MOST_STAGES = 32
+#: what counts as the size of numbers at rest: this part of the size of the whole state, and not nothing
+REST, TINY = 4e-5, 1e-290
 
 
 class Lifted(NamedTuple):
@@ -55,9 +65,9 @@ class Lifted(NamedTuple):
     r: Any
 
 
-def components(z: Lifted) -> list[Arithmetic]:
-    """Return all components as a list; dual numbers stay whole."""
-    return [*z.q, *z.P, *(c for c in (z.s, z.r) if c is not None)]
+def components(z: Lifted) -> tuple[Arithmetic, ...]:
+    """Return all components; dual numbers stay whole."""
+    return (*z.q, *z.P, *(c for c in (z.s, z.r) if c is not None))
 
 
 def with_components(z: Lifted, values: Sequence[Arithmetic]) -> Lifted:
@@ -66,121 +76,240 @@ def with_components(z: Lifted, values: Sequence[Arithmetic]) -> Lifted:
     return Lifted(tuple(values[:n]), tuple(values[n : 2 * n]), s, r)
 
 
-def slope_at(scene: Any, x: OwnState, r: Arithmetic, known: bool) -> Lifted:
+#: the slopes of all stages, each a row of components
+Slopes = tuple[tuple[Arithmetic, ...], ...]
+
+
+class Equations(NamedTuple):
+    """The equations k_i = slope(i, Σ_j a_ij k_j) of the stages of a step.
+
+    coupling : a_ij.
+    near : the slope where the step begins, as a function of a move from there.
+    scales : for every stage the units of the components in which its Jacobian is that of `near`.
+    moves : how far a unit of each component of a slope moves the state in a step, relative to the size of the state.
+    end : from the slopes the state after the step, and for every component the factor of a slope in the next step.
+    """
+
+    coupling: Sequence[Sequence[Arithmetic]]
+    slope: Callable[[int, Sequence[Arithmetic]], Sequence[Arithmetic]]
+    near: Callable[[Sequence[Arithmetic]], Sequence[Arithmetic]]
+    scales: Sequence[Sequence[Arithmetic]]
+    moves: list[list[Arithmetic]]
+    end: Callable[[Slopes], tuple[OwnState, Sequence[Arithmetic]]]
+
+
+def combined(weights: Sequence[Arithmetic], rows: Sequence[Sequence[Arithmetic]]) -> tuple[Arithmetic, ...]:
+    """Return Σ w k, component by component."""
+    return tuple(
+        sum((w * k for w, k in zip(weights[1:], others, strict=True)), weights[0] * first)
+        for first, *others in zip(*rows, strict=True)
+    )
+
+
+def added(x: Sequence[Arithmetic], move: Sequence[Arithmetic]) -> tuple[Arithmetic, ...]:
+    return tuple(a + b for a, b in zip(x, move, strict=True))
+
+
+def per_size(
+    values: Sequence[Arithmetic], moves: Sequence[Arithmetic], lengths: Sequence[int]
+) -> list[list[Arithmetic]]:
+    """Return 1 over the size of the vector that each value belongs to, for the value and its derivatives.
+
+    moves : how far the step takes the values, which adds to their size.  lengths : of the vectors.
+    """
+    own, ends = [], [*accumulate(lengths)]
+    for begin, end in zip([0, *ends], ends, strict=False):
+        parts = zip_longest(*map(leaves, (*values[begin:end], *moves[begin:end])), fillvalue=0.0)
+        own.append([sum(map(abs, part)) for part in parts])
+    whole = [sum(part) for part in zip_longest(*own, fillvalue=0.0)]
+    over = [
+        [1 / (TINY + REST * all_ + part) for all_, part in zip(whole, each, strict=False)] for each in own
+    ]
+    return [each for each, length in zip(over, lengths, strict=True) for _ in range(length)]
+
+
+def stages_of_positions(scene: Any, x: Any, h: Arithmetic, xp: Namespace, rule: Rule) -> Equations:
+    """Return the equations of the forces F(Q_i), where r and P follow from them."""
+    nodes, stages = rule.nodes, range(len(rule.nodes))
+    grown = [xp.exp(scene.damped_within(x, c * h, xp)) for c in nodes]
+    shrunk = [1 / r for r in grown]
+    v, inverse_mass = scene.velocity(x.p), scene.velocity((1.0,) * len(x.p))
+
+    def twice(weights: Sequence[Arithmetic]) -> tuple[Arithmetic, list[Arithmetic]]:
+        """Return the time that a momentum is worth, and what each force is worth."""
+        kept = [h * w * c for w, c in zip(weights, shrunk, strict=True)]
+        pushes = [sum(kept[j] * rule.matrix[j][k] for j in stages) * (h * grown[k]) for k in stages]
+        return sum(kept), pushes
+
+    def force(q: Vector, c: Arithmetic) -> tuple[Arithmetic, ...]:
+        return tuple(-g for g in scene.gradient_at(moved(scene, x, c * h, q=q)))
+
+    ways, coupling = zip(*map(twice, rule.matrix), strict=True)
+    begins = [added(x.q, [way * c for c in v]) for way in ways]
+
+    def position(i: int, push: Sequence[Arithmetic]) -> Vector:
+        return added(begins[i], scene.velocity(push))
+
+    def end(forces: Slopes) -> tuple[OwnState, Sequence[Arithmetic]]:
+        way, push = twice(rule.weights)
+        impulses = [[h * r * f for f in row] for r, row in zip(grown, forces, strict=True)]
+        q = added(added(x.q, [way * c for c in v]), scene.velocity(combined(push, forces)))
+        s = x.s
+        if s is not None:
+            for i, w in enumerate(rule.weights):
+                p = tuple(shrunk[i] * c for c in added(x.p, combined(rule.matrix[i], impulses)))
+                there = moved(scene, x, nodes[i] * h, q=position(i, combined(coupling[i], forces)))
+                s = s + h * w * grown[i] * (scene.kinetic(p) - scene.potential_at(there))
+        P = added(x.p, combined(rule.weights, impulses))
+        return decayed(scene, x, h, q, P, s, xp), [1.0] * len(q)
+
+    over = per_size(x.q, [h * c for c in v], scene.vectors[: len(scene.vectors) // 2])
+    return Equations(
+        coupling,
+        lambda i, push: force(position(i, push), nodes[i]),
+        lambda push: force(added(x.q, scene.velocity(push)), 0),
+        [[1.0] * len(v)] * len(nodes),
+        [[h * h * c * part for part in row] for c, row in zip(inverse_mass, over, strict=True)],
+        end,
+    )
+
+
+def moved(scene: Any, x: Any, after: Arithmetic, **fields: Any) -> OwnState:
+    """Return the state with other fields, at a later time if the scene has one."""
+    y: OwnState = x._replace(**fields)
+    return y if scene.clock is None else y._replace(t=x.t + after)
+
+
+def decayed(scene: Any, x: Any, h: Arithmetic, q: Vector, P: Vector, S: Any, xp: Namespace) -> OwnState:
+    """Return the state after a step where r is known; a small loss is subtracted, whose rounding is small too."""
+    keep, lose = damping(scene.damped_within(x, h, xp), 1.0, xp)
+    p, s = tuple(keep * c - lose * c for c in P), None if S is None else keep * S - lose * S
+    return moved(scene, x, h, q=q, p=p, s=s)
+
+
+def lifted_slope(scene: Any, x: OwnState, r: Arithmetic, known: bool) -> tuple[Arithmetic, ...]:
     """Return the slope of the lifted equations at a state; known : r is a function of the time alone."""
     rate, k = scene.damping_at(x), scene.rhs(x)
     P = tuple(r * (f + rate * p) for f, p in zip(k.p, x.p, strict=True))
     if known:
-        return Lifted(k.q, P, None if x.s is None else r * (k.s + rate * x.s), None)
-    return Lifted(k.q, P, k.s, r * rate)
+        return components(Lifted(k.q, P, None if x.s is None else r * (k.s + rate * x.s), None))
+    return components(Lifted(k.q, P, k.s, r * rate))
 
 
-def combined(start: Lifted, weights: Sequence[Arithmetic], slopes: Sequence[Lifted], h: Arithmetic) -> Lifted:
-    """Return start + h Σ w k."""
-    columns = zip(leaves(start), *map(leaves, slopes), strict=True)
-    made: Lifted = rebuild(
-        start, [c + h * sum(w * k for w, k in zip(weights, ks, strict=True)) for c, *ks in columns]
+def stages_of_lift(
+    scene: Any, x: Any, h: Arithmetic, xp: Namespace, rule: Rule, first: Sequence[Arithmetic]
+) -> Equations:
+    """Return the equations of the slopes of (q, P, s, r); first : a slope like those of the step."""
+    nodes, known = rule.nodes, scene.damped_within(x, h, xp) is not None
+    start = Lifted(x.q, x.p, x.s, None if known else 1 + 0 * x.p[0])
+    values, n = components(start), len(x.q)
+    grown = [xp.exp(scene.damped_within(x, c * h, xp)) for c in nodes] if known else []
+    shrunk = [1 / r for r in grown]
+
+    def slope(move: Sequence[Arithmetic], c: Arithmetic, r: Any, over: Any) -> tuple[Arithmetic, ...]:
+        """Return the slope after a move and the part c of the step; over : 1/r."""
+        z = with_components(start, added(values, move))
+        r, over = (r, over) if known else (z.r, 1 / z.r)
+        # S' does not depend on s
+        y = moved(scene, x, c * h, q=z.q, p=tuple(over * c for c in z.P), s=x.s if known else z.s)
+        return lifted_slope(scene, y, r, known)
+
+    def end(slopes: Slopes) -> tuple[OwnState, Sequence[Arithmetic]]:
+        z = with_components(start, added(values, combined([h * w for w in rule.weights], slopes)))
+        if known:
+            over, after = xp.exp(-scene.damped_within(x, h, xp)), decayed(scene, x, h, z.q, z.P, z.s, xp)
+        else:
+            over, after = 1 / z.r, moved(scene, x, h, q=z.q, p=tuple(c / z.r for c in z.P), s=z.s)
+        return after, [1.0] * n + [over] * (len(values) - n)
+
+    lengths = [*scene.vectors, *[1] * (len(values) - 2 * n)]
+    over = per_size(values, [h * c for c in first], lengths)
+    return Equations(
+        [[h * a for a in row] for row in rule.matrix],
+        lambda i, move: slope(move, nodes[i], *((grown[i], shrunk[i]) if known else (None, None))),
+        lambda move: slope(move, 0, 1.0, 1.0),
+        [[1.0] * n + [r] * (len(values) - n) for r in (grown or (1.0,) * len(nodes))],
+        [[h * part for part in row] for row in over],
+        end,
     )
-    return made
 
 
-def extrapolated(slopes: Sequence[Lifted], nodes: Sequence[Arithmetic], r: Arithmetic) -> tuple[Lifted, ...]:
-    """Return the collocation polynomial's slopes at the nodes of the next step, where r is 1 again."""
-    nothing, found = rebuild(slopes[0], [0 * c for c in leaves(slopes[0])]), []
-    for c in nodes:
-        others = [[(1 + c - b) / (a - b) for b in nodes if b is not a] for a in nodes]
-        k = combined(nothing, [math.prod(row, start=c / c) for row in others], slopes, 1)
-        known = k.r is None
-        s = k.s / r if known and k.s is not None else k.s
-        found.append(Lifted(k.q, tuple(P / r for P in k.P), s, None if known else k.r / r))
-    return tuple(found)
+def in_positions(scene: Any, x: OwnState, xp: Namespace) -> bool:
+    """Return whether the stages are equations of the positions alone."""
+    return scene.separable and scene.damped_within(x, 0.0, xp) is not None
 
 
-Step = Callable[..., tuple[OwnState, Arithmetic, tuple[Lifted, ...]]]
+def newton(
+    equations: Equations, x: OwnState, h: Arithmetic, moves: Sequence[Arithmetic], xp: Namespace
+) -> tuple[Slopes, Condition, Arithmetic]:
+    """Solve by simplified Newton iteration with the Jacobian where the step begins."""
+    coupling, scales = equations.coupling, equations.scales
+    stages, size = range(len(scales)), len(scales[0])
+    still = [0 * c for c in x.q[:1] * size]
+    J = jacobian(equations.near, still)
+    factors = eliminated(
+        [
+            [
+                float(i == j and a == b)
+                - bare(coupling[i][j]) * (J[a][b] * bare(scales[i][a]) / bare(scales[i][b]))
+                for j in stages
+                for b in range(size)
+            ]
+            for i in stages
+            for a in range(size)
+        ]
+    )
+
+    def improved(slopes: Slopes) -> Slopes:
+        here = [c for row in updated(equations, slopes) for c in row]
+        there = [c for row in slopes for c in row]
+        change = solved(factors, [a - b for a, b in zip(there, here, strict=True)])
+        again = [a - d for a, d in zip(there, change, strict=True)]
+        return tuple(tuple(again[i * size : (i + 1) * size]) for i in stages)
+
+    first = (tuple(equations.near(still)),) * len(scales)
+    slopes, converged, turns = fixed_point(improved, first, moves, xp)
+    return slopes, converged, len(scales) * turns + (size + 2)
+
+
+def updated(equations: Equations, slopes: Slopes) -> Slopes:
+    return tuple(tuple(equations.slope(i, combined(row, slopes))) for i, row in enumerate(equations.coupling))
+
+
+Step = Callable[..., tuple[OwnState, Arithmetic, Slopes]]
 
 
 def collocation(stages: int) -> Step:
     """Return a step of so many stages: from x and initial slopes to x, evaluations and slopes for the next step."""
 
     def step(
-        scene: Any, x: OwnState, h: Arithmetic, xp: Namespace, slopes: tuple[Lifted, ...]
-    ) -> tuple[OwnState, Arithmetic, tuple[Lifted, ...]]:
-        A, b = gauss_tableau(stages, xp)
-        nodes = [sum(row[1:], row[0]) for row in A]
-        known = slopes[0].r is None
-        start = Lifted(x.q, x.p, x.s, None if known else 1 + 0 * x.p[0])
-        grown = [xp.exp(scene.damped_within(x, c * h, xp)) for c in nodes] if known else []
-
-        def state(z: Lifted, p: Vector, s: Any, c: Arithmetic) -> OwnState:
-            y = x._replace(q=z.q, p=p, s=s)
-            return y if scene.clock is None else y._replace(t=x.t + c * h)
-
-        def stage(slopes: Sequence[Lifted], i: int) -> tuple[OwnState, Arithmetic]:
-            z = combined(start, A[i], slopes, h)
-            r = grown[i] if known else z.r
-            s = x.s if known else z.s  # S' does not depend on s
-            return state(z, tuple(P / r for P in z.P), s, nodes[i]), r
-
-        def update(slopes: tuple[Lifted, ...]) -> tuple[Lifted, ...]:
-            if scene.separable:  # velocities of the new momenta: it converges faster
-                momenta = [stage(slopes, i)[0].p for i in range(stages)]
-                pairs = zip(slopes, momenta, strict=True)
-                slopes = tuple(k._replace(q=tuple(scene.velocity(p))) for k, p in pairs)
-            return tuple(slope_at(scene, *stage(slopes, i), known) for i in range(stages))
-
-        def newton() -> tuple[tuple[Lifted, ...], Condition, Arithmetic]:
-            """Solve by simplified Newton iteration with the Jacobian at the begin of the step."""
-
-            def slope(values: Sequence[Arithmetic]) -> Sequence[Arithmetic]:
-                z = with_components(start, values)
-                r = 1.0 if known else z.r
-                p = z.P if known else tuple(P / r for P in z.P)
-                return components(slope_at(scene, state(z, p, x.s if known else z.s, 0), r, known))
-
-            J, span = jacobian(slope, components(start)), bare(h)
-            scales = [[1.0] * len(x.q) + [bare(r)] * (size - len(x.q)) for r in grown or (1.0,) * stages]
-            matrix = [
-                [
-                    float(i == j and a == b) - span * bare(A[i][j]) * (J[a][b] * scale[a] / scale[b])
-                    for j in range(stages)
-                    for b in range(size)
-                ]
-                for i, scale in enumerate(scales)
-                for a in range(size)
-            ]
-            factors = eliminated(matrix)
-
-            def improved(slopes: tuple[Lifted, ...]) -> tuple[Lifted, ...]:
-                there = [c for k in slopes for c in components(k)]
-                here = [
-                    c for i in range(stages) for c in components(slope_at(scene, *stage(slopes, i), known))
-                ]
-                change = solved(factors, [a - b for a, b in zip(there, here, strict=True)])
-                again = [a - d for a, d in zip(there, change, strict=True)]
-                return tuple(
-                    with_components(k, again[i * size : (i + 1) * size]) for i, k in enumerate(slopes)
-                )
-
-            first = (slope_at(scene, x, 1.0, known),) * stages
-            slopes, converged, turns = fixed_point(improved, first, xp, moves=abs(h), lost=lost)
-            return slopes, converged, stages * turns + (size + 2)
-
-        size, lost = len(components(start)), LOST * sum(map(abs, leaves(start)))
-
-        def solve(slopes: tuple[Lifted, ...]) -> tuple[tuple[Lifted, ...], Condition, Arithmetic]:
-            slopes, converged, turns = fixed_point(update, slopes, xp, moves=abs(h), lost=lost)
-            found = slopes, converged, stages * turns
-            return otherwise(found, newton, xp) if stages * size <= ELIMINATED else found
-
-        slopes, converged, spent = implicit(update, solve, slopes, xp)
-        z = combined(start, b, slopes, h)
-        if known:  # a small loss is subtracted, whose rounding is small too
-            G = scene.damped_within(x, h, xp)
-            r, (keep, lose) = xp.exp(G), damping(G, 1.0, xp)
-            p, s = tuple(keep * P - lose * P for P in z.P), None if z.s is None else keep * z.s - lose * z.s
+        scene: Any, x: OwnState, h: Arithmetic, xp: Namespace, slopes: Slopes
+    ) -> tuple[OwnState, Arithmetic, Slopes]:
+        gauss = rule(xp, stages)
+        if in_positions(scene, x, xp):
+            equations = stages_of_positions(scene, x, h, xp, gauss)
         else:
-            r, p, s = z.r, tuple(P / z.r for P in z.P), z.s
-        return found(state(z, p, s, 1), converged, xp), spent, extrapolated(slopes, nodes, r)
+            equations = stages_of_lift(scene, x, h, xp, gauss, slopes[0])
+        parts = [[abs(part) for part in row] for row in equations.moves]
+        moves = [
+            w * parts[a][min(i, len(parts[a]) - 1)]
+            for w, row in zip(gauss.weights, slopes, strict=True)
+            for a, c in enumerate(row)
+            for i, _ in enumerate(leaves(c))
+        ]
+
+        def solve(slopes: Slopes) -> tuple[Slopes, Condition, Arithmetic]:
+            slopes, converged, turns = fixed_point(lambda k: updated(equations, k), slopes, moves, xp)
+            found = slopes, converged, stages * turns
+            if stages * len(slopes[0]) > ELIMINATED:
+                return found
+            return otherwise(found, lambda: newton(equations, x, h, moves, xp), xp)
+
+        slopes, converged, spent = implicit(lambda k: updated(equations, k), solve, slopes, xp)
+        after, over = equations.end(slopes)
+        ahead = (combined(row, slopes) for row in gauss.onward)
+        onward = tuple(tuple(a * c for a, c in zip(over, row, strict=True)) for row in ahead)
+        return found(after, converged, xp), spent, onward
 
     return step
 
@@ -200,9 +329,10 @@ class ContactGauss(FixedStep):
     def refuses(self, scene: Scene) -> str | None:
         return unfit(self, scene, scene.canonical, "canonical coordinates (q, p, s)")
 
-    def first(self, scene: Scene, x: OwnState, xp: Namespace) -> tuple[Lifted, ...]:
-        known = scene.damped_within(x, 0.0, xp) is not None
-        return (slope_at(scene, x, 1.0, known),) * self.each
+    def first(self, scene: Scene, x: OwnState, xp: Namespace) -> Slopes:
+        if in_positions(scene, x, xp):
+            return (tuple(-g for g in scene.gradient_at(x)),) * self.each  # type: ignore[attr-defined]
+        return (lifted_slope(scene, x, 1.0, scene.damped_within(x, 0.0, xp) is not None),) * self.each
 
     def advance(
         self, scene: Scene, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
@@ -227,22 +357,61 @@ class ContactGauss(FixedStep):
     def composed(self, scene: Scene) -> bool:
         return scene.is_contact
 
+    def kind_on(self, scene: Scene) -> str:
+        return "gradient" if in_positions(scene, scene.initial(()), math) else self.kind
+
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
         """Return a typical number of evaluations of n steps."""
         return n * TYPICAL * self.each + 1
 
 
-_about = "Gauss's collocation on the symplectisation, a contact map for every H; Arnold, Appendix 4.E"
-for _stages in (1, 2, 3):
-    METHODS.add(
-        ContactGauss(
-            f"contact-gauss{2 * _stages}",
-            2 * _stages,
-            collocation(_stages),
-            about=_about,
-            family="contact",
-            each=_stages,
-            contact=True,
-            symmetric=True,
-        )
+@cache
+def method_of(stages: int) -> ContactGauss:
+    return ContactGauss(
+        f"contact-gauss{2 * stages}",
+        2 * stages,
+        collocation(stages),
+        about="Gauss's collocation on the symplectisation, a contact map for every H; Arnold, Appendix 4.E",
+        family="contact",
+        each=stages,
+        contact=True,
+        symmetric=True,
     )
+
+
+def gauss(stages: int) -> ContactGauss:
+    """Return Gauss's collocation method of any number of stages, a contact map for every contact Hamiltonian.
+
+    Its order is twice the number of stages.  `METHODS` has those of 1, 2, 4 and 8 stages.
+
+    Parameters
+    ----------
+    stages
+        From 1 to 32.
+
+    Returns
+    -------
+    ContactGauss
+        The method, to be given to `solve` and `prepare` in place of a name.
+
+    Raises
+    ------
+    BadInput
+        For a number of stages that is not whole, or not from 1 to 32.
+
+    Notes
+    -----
+    The nodes are the roots of Legendre's polynomial and the coefficients integrals of Lagrange's basis, at 50 digits
+    or more: Hairer, Lubich, Wanner, Geometric Numerical Integration, §II.1.3, doi:10.1007/3-540-30666-8.
+
+    Examples
+    --------
+    >>> import contactbench as cb
+    >>> cb.gauss(5).order
+    10
+    """
+    return method_of(whole("stages", stages, MOST_STAGES))
+
+
+for _stages in (1, 2, 4, 8):
+    METHODS.add(method_of(_stages))

@@ -7,7 +7,7 @@ Integration, §VIII.6.2); a step that is too long for convergence has no result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from contactbench.numbers.control import choose, repeat_while
@@ -19,58 +19,48 @@ from contactbench.xla import jax, jnp, lax
 
 #: number of first iterations whose increments may grow
 FIRST = 3
-#: number of iterations after which the increment must be below half of the iterate
-TRIED = 12
-#: largest number of iterations, and the largest final increment relative to the iterate
+#: number of iterations after which an increment must move the state by less than this part of its size
+TRIED, LOST = 12, 0.1
+#: largest number of iterations, and the largest move by a final increment
 MOST, CONVERGED = 200, 1e-10
 #: an increment larger than any that occurs
 LARGEST = 1e300
-#: increments of doubles below this part of the iterate are rounding
-ROUNDING = 2.0**-46
-#: increments below this part of the state change nothing: at rest, slopes are rounding and may oscillate for ever
-LOST = 4e-15
+#: moves of doubles below the first are rounding; below the second an iteration ends, far from a unit in the last place
+#: since what is left of it has one sign, and adds up from step to step
+ROUNDING, SETTLED = 2.0**-46, 2e-17
 #: number of iterations of a typical step
 TYPICAL = 8
 
 
 def fixed_point[K](
-    update: Callable[[K], K],
-    k: K,
-    xp: Namespace,
-    moves: Arithmetic = 1.0,
-    lost: Arithmetic = 0.0,
+    update: Callable[[K], K], k: K, moves: Sequence[Arithmetic], xp: Namespace
 ) -> tuple[K, Condition, Arithmetic]:
     """Return k with update(k) = k, whether the iteration converged, and the number of updates.
 
-    Increments above rounding may grow for a while, as for oscillating errors.  The slopes of dual numbers must settle
-    too.  moves : factor by which an increment of k moves the state.  lost : a move of this size has no effect.
+    It ends when an increment moves the state by a small part of a unit in the last place.  Increments above rounding
+    may grow for a while, as for oscillating errors.  The slopes of dual numbers must settle too.
+
+    moves : how far a unit of every number in k moves the state, relative to the size of the state.
     """
-    rounding = 10.0 ** (6 - xp.dps) if has_digits(xp) else ROUNDING
+    settled, rounding = (10.0**-xp.dps, 10.0 ** (6 - xp.dps)) if has_digits(xp) else (SETTLED, ROUNDING)
     nothing: Arithmetic = 0 * leaves(k)[0]
 
-    def size(components: Iterable[Arithmetic]) -> Arithmetic:
-        numbers = list(components)
-        numbers += [Dual(slope_of(c), 0.0) for c in numbers if isinstance(c, Dual)]
-        return sum(map(abs, numbers), nothing)
-
     def going(carried: tuple[K, Arithmetic, Arithmetic, Arithmetic]) -> Condition:
-        k, turns, gap, before = carried
-        more, whole = (gap < before) | (turns < FIRST), size(leaves(k))
-        more = (more | (gap > rounding * whole)) & ((gap < whole / 2) | (turns < TRIED))
-        return (gap > 0) & more & (turns < MOST)
+        _, turns, gap, before = carried
+        more = (gap < before) | (turns < FIRST) | (gap > rounding)
+        return (gap > settled) & more & ((gap < LOST) | (turns < TRIED)) & (turns < MOST)
 
     def turn(
         carried: tuple[K, Arithmetic, Arithmetic, Arithmetic],
     ) -> tuple[K, Arithmetic, Arithmetic, Arithmetic]:
         k, turns, gap, _ = carried
         new = update(k)
-        increments = (a - b for a, b in zip(leaves(new), leaves(k), strict=True))
-        return new, turns + 1, size(increments), gap
+        pairs = zip(moves, leaves(new), leaves(k), strict=True)
+        return new, turns + 1, sum((move * abs(a - b) for move, a, b in pairs), nothing), gap
 
     start = k, nothing + 0.0, nothing + LARGEST, nothing + math.inf
     k, turns, gap, _ = repeat_while(going, turn, start, xp)
-    small = (gap <= CONVERGED * size(leaves(k))) & (turns < MOST)  # what still moves is not settled
-    return k, (small | (gap * moves <= lost)) & (gap < LARGEST), turns
+    return k, (gap <= CONVERGED) & (turns < MOST), turns
 
 
 def implicit[K](
@@ -188,20 +178,3 @@ def found[X: AnyState](x: X, converged: object, xp: Namespace) -> X:
     """Return x, with nan in every component where the iteration did not converge."""
     after: X = rebuild(x, [choose(converged, part, math.nan, xp) for part in leaves(x)])
     return after
-
-
-# -- Gauss's collocation ---------------------------------------------------------------------------------
-def gauss_tableau(stages: int, xp: Namespace) -> tuple[list[list[Arithmetic]], list[Arithmetic]]:
-    """Return A and b: Hairer, Lubich, Wanner, §II.1.3, table 1.1."""
-    root = xp.sqrt(15 if stages == 3 else 3)
-    one = root / root
-    if stages == 1:
-        return [[one / 2]], [one]
-    if stages == 2:
-        return [[one / 4, one / 4 - root / 6], [one / 4 + root / 6, one / 4]], [one / 2, one / 2]
-    A = [
-        [one * 5 / 36, one * 2 / 9 - root / 15, one * 5 / 36 - root / 30],
-        [one * 5 / 36 + root / 24, one * 2 / 9, one * 5 / 36 - root / 24],
-        [one * 5 / 36 + root / 30, one * 2 / 9 + root / 15, one * 5 / 36],
-    ]
-    return A, [one * 5 / 18, one * 4 / 9, one * 5 / 18]

@@ -6,10 +6,10 @@ Runge–Kutta method it has order 16 (Hairer, Nørsett, Wanner, Solving Ordinary
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,34 +23,47 @@ HALVINGS = 12
 
 #: γ(t)
 Rate = Callable[[Any], Arithmetic]
-#: nodes, weights, matrix
-Rule = tuple[list[Arithmetic], list[Arithmetic], list[list[Arithmetic]]]
+
+
+class Rule(NamedTuple):
+    """Nodes c, weights b, the matrix A, and for every node the interpolating polynomial's weights at 1 + c."""
+
+    nodes: list[Arithmetic]
+    weights: list[Arithmetic]
+    matrix: list[list[Arithmetic]]
+    onward: list[list[Arithmetic]]
 
 
 @cache
 def gauss(digits: int, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
-    """Nodes, weights, and those of the integrals up to some ends, by default the nodes."""
+    """Return the rule with a row of its matrix for each of some ends, by default the nodes."""
     import mpmath
 
     xp = mpmath.MPContext()
-    xp.dps = digits + 10
+    xp.dps = digits + 10 + 2 * stages  # the powers of the nodes are nearly dependent
     near, _ = np.polynomial.legendre.leggauss(stages)
     nodes = [(1 + xp.findroot(lambda x: xp.legendre(stages, x), x)) / 2 for x in near.tolist()]
-    powers = xp.matrix([[c**k for c in nodes] for k in range(stages)])
+    basis = xp.matrix([[c**k for c in nodes] for k in range(stages)]) ** -1
 
-    def weights(end: Arithmetic) -> list[Arithmetic]:
-        """∫₀^end of the interpolating polynomials: exact on as many powers as there are nodes."""
-        return list(xp.lu_solve(powers, xp.matrix([end ** (k + 1) / (k + 1) for k in range(stages)])))
+    def weights(moments: Iterable[Arithmetic]) -> list[Arithmetic]:
+        """Return the weights of a functional on polynomials, given its values on the powers."""
+        return list(basis * xp.matrix(list(moments)))
+
+    def integral(end: Arithmetic) -> list[Arithmetic]:
+        return weights(end ** (k + 1) / (k + 1) for k in range(stages))
 
     at = [xp.mpf(end.numerator) / end.denominator for end in ends] or nodes
-    return nodes, weights(xp.mpf(1)), [weights(c) for c in at]
+    onward = [weights((1 + c) ** k for k in range(stages)) for c in nodes]
+    return Rule(nodes, integral(xp.mpf(1)), [integral(c) for c in at], onward)
 
 
 @cache
 def converted(number: Callable[[Any], Any], *asked: Any) -> Rule:
     """Return the rule in another kind of numbers."""
-    nodes, weights, matrix = gauss(*asked)
-    return [*map(number, nodes)], [*map(number, weights)], [[*map(number, row)] for row in matrix]
+    nodes, weights, *tables = gauss(*asked)
+    return Rule(
+        [*map(number, nodes)], [*map(number, weights)], *([[*map(number, row)] for row in t] for t in tables)
+    )
 
 
 def rule(xp: Namespace, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
@@ -66,7 +79,7 @@ def weigh(weights: list[Arithmetic], values: list[Arithmetic]) -> Arithmetic:
 
 def integrals(rate: Rate, t: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
     """Return G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ of a rate γ(t), by one step on G' = γ, φ' = e^{−G}."""
-    nodes, weights, matrix = rule(xp)
+    nodes, weights, matrix, _ = rule(xp)
     values = [rate(t + c * h) for c in nodes]
     kept = [xp.exp(-h * weigh(row, values)) for row in matrix]
     return h * weigh(weights, values), h * weigh(weights, kept)
@@ -76,14 +89,14 @@ def running(
     rate: Rate, t: Arithmetic, h: Arithmetic, ends: tuple[Fraction, ...], stages: int, xp: Namespace
 ) -> list[Arithmetic]:
     """Return ∫_t^{t+ch} of a rate for every c of some ends, to an error O(h^{stages + 1})."""
-    nodes, _, matrix = rule(xp, stages, ends)
+    nodes, _, matrix, _ = rule(xp, stages, ends)
     values = [rate(t + c * h) for c in nodes]
     return [h * weigh(row, values) for row in matrix]
 
 
 def integral(rate: Rate, t: Arithmetic, h: Arithmetic, xp: Namespace) -> Arithmetic:
     """Return ∫_t^{t+h} γ over a span of any length, on plain numbers or arrays: halved until it no longer changes."""
-    nodes, weights, _ = rule(xp)
+    nodes, weights, *_ = rule(xp)
     before: Any = None
     for k in range(HALVINGS):
         width = h / 2**k

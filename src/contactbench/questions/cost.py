@@ -22,8 +22,8 @@ from contactbench.questions.contest import (
     sides,
 )
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
-from contactbench.report.curves import by_method, cheapest, choose, contest_end, only
-from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.curves import by_method, cheapest, choose, contest_end, lowest, only
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, exact_power, names, power, scientific, times
 from contactbench.report.views import Cell, Mark, View, frame_of, matrix
 
@@ -104,20 +104,59 @@ def leaders_view(rows: pd.DataFrame, kind: str, name: str = "") -> View | None:
 
 
 # -- what a tolerance gives ------------------------------------------------------------------------
-def tolerance_view(runs: pd.DataFrame) -> View:
+def asked_for(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs that were given a tolerance, those by pilots first; over : the error in parts of the tolerance.
+
+    It is infinite where a run to another end time, which the error covers too, did not arrive.
+    """
     own = runs[(runs["control"] == "rtol") & (runs["saved"] == 1) & (runs["status"] == "ok")]
-    own = own[own["setting"].between(*ASKED) & own["error"].notna()]
-    own = own.assign(over=own["error"] / own["setting"], pilots=by_pilots(runs)[own.index])
-    own = own.sort_values("pilots", ascending=False, kind="stable")
-    lines = []
-    for method, rows in own.groupby("method", sort=False):
+    own = own[own["setting"].between(*ASKED)]
+    over = (own["error"] / own["setting"]).fillna(math.inf)
+    own = own.assign(over=over, pilots=by_pilots(runs)[own.index])
+    return own.sort_values("pilots", ascending=False, kind="stable")
+
+
+def spread(over: pd.Series) -> Cell:
+    """Return the median of errors over tolerances, and their quantiles of 10 % and 90 %."""
+    if not len(over):
+        return Cell(DASH)
+    low, middle, high = (scientific(q) for q in np.quantile(over, [0.1, 0.5, 0.9], method="nearest"))
+    return Cell(f"{middle} [{low}, {high}]")
+
+
+def tolerance_view(frames: Frames) -> View:
+    population, lines = frames["population"], []
+    hard = frames["problems"].query("hard != ''")[["seed", "scene"]]
+    drawn = population[population["status"] == "ok"].merge(hard, on=["seed", "scene"])
+    drawn = drawn.assign(over=drawn["reached"] / drawn["error"]).dropna(subset="over")
+    for method, rows in asked_for(frames["runs"]).groupby("method", sort=False):
         worst = rows.loc[rows["over"].idxmax()]
-        where = f"{worst['scene']}, {exact_power(worst['setting'])}"
+        where = f"{scientific(worst['over'])}: {worst['scene']}, {exact_power(worst['setting'])}"
         within = f"{int((rows['over'] <= 1).sum())} of {len(rows)}"
-        over = (scientific(rows["over"].median()), scientific(worst["over"]))
-        lines.append((method, "the run, by pilots" if worst["pilots"] else "a step", within, *over, where))
-    labels = ["method", "bounds", "runs within", "error/rtol, median", "worst", "scene and rtol"]
+        random = spread(drawn["over"][drawn["method"] == method])
+        bounds = "the run, by pilots" if worst["pilots"] else "a step"
+        lines.append((method, bounds, within, spread(rows["over"]), where, random))
+    labels = ["method", "bounds", "runs within", "error/rtol", "worst", "hard random problems"]
     return view("tolerances", frame_of(lines, labels))
+
+
+def tolerance_scenes(frames: Frames) -> View:
+    rows = asked_for(frames["runs"])
+    return view("tolerance_scenes", matrix(rows, "method", "scene", lambda own: spread(own["over"])))
+
+
+def tolerance_figure(frames: Frames) -> Figure | None:
+    """Return the median error reached against the tolerance asked for."""
+    rows = asked_for(frames["runs"])
+    rows = rows.groupby(["method", "family", "setting"], as_index=False, sort=False)["error"].median()
+    curves = by_method(rows, "setting", "error")
+    if not curves:
+        return None
+    asked = Axis("tolerance asked for (tighter to the right)", "log", inverted=True)
+    reached = Axis("error reached, the median of all scenes", "log")
+    same = Curve(ASKED, ASKED, "as asked", role="guide", markers=False)
+    panel = Panel("", asked, reached, (same, *only(curves, choose(curves, lowest))))
+    return chart("tolerances", [panel])
 
 
 @chapter("cost", answers)
@@ -128,7 +167,9 @@ def parts(frames: Frames) -> list[Part | None]:
     each = [Section(scene, (figure(frames, scene),)) for scene in scenes]
     return [
         Section("Who is cheapest where", (Text(PROSE["cost"]["legend"]), *tables)),
-        tolerance_view(runs),
+        tolerance_view(frames),
+        tolerance_figure(frames),
+        tolerance_scenes(frames),
         Section("Scene by scene", (Text(PROSE["cost"]["scenes"]), *each)),
     ]
 

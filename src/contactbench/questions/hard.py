@@ -126,6 +126,37 @@ def strong_view(limits: pd.DataFrame) -> View:
     return view("strong_usable", matrix(rows, "method", "gamma", cell, "γ = {:g} ω".format), base=BASE)
 
 
+# -- damping and the rate of steps ------------------------------------------------------------------
+#: the damping of the table, per second
+DRAG = 5.0
+
+
+def ticks_view(limits: pd.DataFrame) -> View | None:
+    """Return the errors of a damping rate at the rates of steps that game engines run at."""
+    rows = limits[(limits["question"] == "tick") & (limits["gamma"] == DRAG)]
+    table = matrix(
+        rows,
+        "method",
+        "setting",
+        lambda own: as_cell(own["error"].iloc[0], scientific),
+        "{:g} steps a second".format,
+    )
+    return view("ticks", table, gamma=DRAG) if len(rows) else None
+
+
+def ticks_figure(limits: pd.DataFrame) -> Figure | None:
+    rows = limits[(limits["question"] == "tick") & np.isfinite(limits["error"].astype(float))]
+    rows = rows.assign(damping=rows["gamma"] / rows["setting"]).drop_duplicates(["method", "damping"])
+    curves = by_method(
+        rows[rows["error"] > STRUCTURE].sort_values("damping", kind="stable"), "damping", "error"
+    )
+    if not curves:
+        return None
+    exact = rows.groupby("method", sort=False)["error"].max() <= STRUCTURE
+    panel = Panel("", Axis("γh", "log"), Axis("error of the damping rate", "log"), tuple(curves))
+    return chart("ticks", [panel], exact=names(list(exact.index[exact])))
+
+
 @chapter("hard", answers)
 def parts(frames: Frames) -> Iterator[Part | None]:
     limits, hard = frames["limits"], hard_runs(frames["runs"])
@@ -135,3 +166,5 @@ def parts(frames: Frames) -> Iterator[Part | None]:
     yield stability_map(with_family(limits, frames["runs"]))
     yield rates_view(limits)
     yield strong_view(limits)
+    yield ticks_view(limits)
+    yield ticks_figure(with_family(limits, frames["runs"]))

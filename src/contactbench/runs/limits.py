@@ -5,6 +5,7 @@ One cell: a method, or a method and a rate.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -102,6 +103,43 @@ def rate_row(solution: Solution) -> Row:
 
 def beside(rate: float, true: float) -> Row:
     return {"measured": rate, "error": abs(rate / true - 1)}
+
+
+# -- how the rate depends on the step --------------------------------------------------------------
+#: a body that falls with drag, in seconds; steps a second, and dampings per second
+FALLING = cb.Mechanical(
+    name="falling_body",
+    potential=lambda q, g: g * q[0],
+    q=(0.0,),
+    p=(0.0,),
+    t_end=1.0,
+    parameters={"g": 9.81},
+)
+TICKS, DRAGS = (30, 60, 120), (0.1, 0.3, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0)
+
+
+def ticking(profile: Profile) -> list[Cell]:
+    """Return the one-step methods that evaluate one force a step, as a game engine does."""
+    own = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step and not m.iterates]
+    found = [(m.name,) for m in own if m.refuses(FALLING) is None and m.per_step(FALLING) == 1]
+    return found[:1] if profile.brief else found
+
+
+@experiment(ticking)
+def ticks(cell: Cell, profile: Profile) -> Recorded:
+    """Yield the rates at which a falling body comes to its final speed."""
+    own: Row = {"question": "tick", "scene": FALLING.name, "method": cell[0], "evaluations": 1}
+    for gamma in DRAGS:
+        for tick in TICKS:
+            h = 1 / tick
+            solution = cb.solve(
+                FALLING.with_(gamma=gamma), cell[0], step=h, save_at=[0.0, h, 2 * h], carry=()
+            )
+            first, second = np.diff(solution.states().p[0])
+            kept = second / first
+            rate = -math.log(kept) / h if kept > 0 else math.inf  # it stops at once, or swings
+            row = {"gamma": gamma, "setting": tick, "status": str(solution.status), "true": gamma}
+            yield LIMITS, own | row | beside(rate, gamma)
 
 
 # -- overdamped ------------------------------------------------------------------------------------

@@ -76,7 +76,7 @@ class ContactSystem(Canonical):
     Where H = h(q, p) + γ s, γ a number or a parameter, the conformal factor is e^{−γt}, and s need not be carried.
     Elsewhere it is e^{−∫∂H/∂s}.  H0 in the laws is H(q, p, 0).
 
-    A general H has no known exact flows: its contact methods are contact-gauss2, -4 and -6.
+    A general H has no known exact flows: its contact methods are those of `gauss`.
 
         ContactSystem(hamiltonian=lambda q, p, s: p[0] ** 2 / 2 - cb.math.cos(q[0]) + 0.1 * s * s,
                       q=(1.0,), p=(0.0,), s=0.5, t_end=20.0)
