@@ -118,7 +118,7 @@ class ContactSolver(OdeSolver):
         if max_step == math.inf:
             raise BadInput("max_step is missing: steps are equal, the longest not above it")
         if vectorized:
-            raise BadInput("vectorized = True: the slope of a scene is that of one state at a time")
+            raise BadInput("vectorized = True: a scene computes the slope of one state at a time")
         warn_extraneous(extraneous)
         super().__init__(fun, t0, y0, t_bound, vectorized)
         if self.n != len(self.labels):
