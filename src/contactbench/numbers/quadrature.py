@@ -18,7 +18,7 @@ from contactbench.numbers.protocol import Arithmetic, Namespace, Numbers, has_di
 STAGES = 8
 #: of the coefficients on doubles
 DIGITS = 30
-#: halvings of a span before its integral is taken as it is
+#: most halvings of a span; then its integral is accepted
 HALVINGS = 12
 
 #: γ(t)
@@ -29,7 +29,7 @@ Rule = tuple[list[Arithmetic], list[Arithmetic], list[list[Arithmetic]]]
 
 @cache
 def gauss(digits: int, stages: int = STAGES, ends: tuple[Fraction, ...] = ()) -> Rule:
-    """Nodes, weights, and those of the integrals up to some ends, by default the nodes."""
+    """Return nodes, weights, and the weights of integrals up to given ends, by default the nodes."""
     import mpmath
 
     xp = mpmath.MPContext()

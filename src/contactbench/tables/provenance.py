@@ -105,7 +105,7 @@ def runs(results: Path) -> list[dict[str, Any]]:
 
 
 def save_run(name: str, record: Row, made: Iterable[str], whole: Iterable[str], results: Path) -> None:
-    """Record a run and forget runs without rows; made : tables with rows of it; whole : tables that it made as a whole."""
+    """Record a run and forget runs without rows; made : tables with rows of it; whole : tables it made completely."""
     others = {run["run"]: run for run in runs(results)}
     own = {**others.pop(name, {"tables": {}})["tables"], **dict.fromkeys(made, "part")}
     alone = own.keys() & set(whole)  # tables with rows of this run only
