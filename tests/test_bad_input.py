@@ -380,7 +380,7 @@ LINES = [
     ("compare particle rk4 --plot out.txt", "--plot out.txt: must end in .svg, .png, .pdf"),
     ("compare particle --error 1e-6 1e-9", "separate errors by commas, as in --error 1e-6,1e-9"),
     ("compare pend", "large_step; those of your own file with --plugin FILE"),
-    ("compare my.py", "scene my.py: name one of those that the file registers, as in my.py:NAME"),
+    ("compare my.py", "scene my.py: add the name of a scene that the file registers, as in my.py:NAME"),
     ("check particel", "unknown method or scene 'particel': did you mean 'particle'?"),
     ("check central --engine numba", "--engine numba: central is a scene"),
     ("claim C99", "unknown claim 'C99'"),

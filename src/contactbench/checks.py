@@ -61,7 +61,7 @@ def positive(name: str, value: object) -> float:
 
 
 def whole(name: str, value: object, most: int, least: int = 1) -> int:
-    """Return `value` as an int from `least` to `most`, or `BadInput`."""
+    """Return `value` as an int from `least` to `most`, or raise `BadInput`."""
     number = 0.0 if isinstance(value, bool) else finite(name, value)
     if not least <= number <= most or number != int(number):
         refuse(name, value, f"a whole number ≥ {least}, at most {most:g}")
@@ -69,7 +69,7 @@ def whole(name: str, value: object, most: int, least: int = 1) -> int:
 
 
 def real_array(name: str, value: object, wanted: str) -> np.ndarray:
-    """Return `value` as an array of floats, itself if it is one, or `BadInput` (for complex numbers and dates, too)."""
+    """Return `value` as an array of floats, without a copy if it is one, or raise `BadInput`."""
     try:
         given = np.asarray(value)
         if given.dtype.kind in "fiubO" and (given.dtype.kind != "O" or all(map(is_real, given.flat))):
@@ -80,7 +80,7 @@ def real_array(name: str, value: object, wanted: str) -> np.ndarray:
 
 
 def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...]:
-    """Return `value` as a tuple of finite floats (of the given length), or `BadInput`."""
+    """Return `value` as a tuple of finite floats (of the given length), or raise `BadInput`."""
     try:
         items = () if isinstance(value, str | bytes | dict | set) else tuple(value)
     except TypeError:

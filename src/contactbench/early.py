@@ -1,4 +1,4 @@
-"""Ctrl-C while the command line is still being imported: one line and status 130, as later; imported first of all."""
+"""Handle Ctrl-C during the imports of the command line: one line and status 130.  Imported before all else."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def begin() -> None:
 
 
 def end() -> None:
-    """Let Ctrl-C be a `KeyboardInterrupt` again."""
+    """Restore Ctrl-C to raise `KeyboardInterrupt`."""
     if signal.getsignal(signal.SIGINT) is leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Iterable
 
-#: characters at most of a message, and of a value that is shown in it
+#: most characters of a message, and of a value in it
 LONGEST, SHOWN = 300, 80
-#: characters at most that are left out so as not to cut a word
+#: most characters dropped to cut a message between words
 WORD = 30
 
 
@@ -38,7 +38,7 @@ class UnknownName(BadInput, KeyError):
 
 
 def one_line(message: object, longest: int = LONGEST) -> str:
-    """Return the text without line breaks or control characters, its middle left out where it is longer."""
+    """Return the text on one line without control characters; the middle of a longer text is left out."""
     text = " ".join("".join(c if c.isprintable() else " " for c in str(message)).split())
     if len(text) <= longest:
         return text

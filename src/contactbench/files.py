@@ -12,7 +12,7 @@ from typing import Any
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Say in an error of the system which file it is about."""
+    """Add the path to any `OSError` of the block that names no file."""
     try:
         yield
     except OSError as error:
@@ -22,7 +22,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path, sync: bool = True, mode: str = "w") -> Iterator[Any]:
-    """Open a file that takes the place of `path` when the block ends well; sync : even if power fails then.
+    """Open a temporary file that replaces `path` if the block succeeds; sync : flush it to the disk before that.
 
     A path that is no regular file, such as a pipe or /dev/stdout, is written to directly.
     """

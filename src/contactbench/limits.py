@@ -1,4 +1,4 @@
-"""Limits of time for other people's code."""
+"""Limit the time of plug-ins and of users' functions."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from types import FrameType
 
 from contactbench.errors import BadInput
 
-#: seconds that importing a plug-in, and every first evaluation of a user's function, may take; 0: any time.  Where it
-#: is not set there is no limit, a timer needs a signal handler; the command line sets it
+#: variable with the seconds for importing a plug-in, and for the first evaluation of each user's function; 0 or unset:
+#: no limit, since a limit takes over the signal handler.  The command line sets it
 VARIABLE = "CONTACTBENCH_PLUGIN_TIMEOUT"
-#: how often `Overrun` is raised, and the seconds in between
+#: number of times that `Overrun` is raised, and seconds between them
 RINGS, AGAIN = 3, 0.5
 
 
 class Overrun(BaseException):
-    """The time limit is over.  It is no `Exception`, so that user code does not catch it."""
+    """Report that the time limit is over; not an `Exception`, so that users' code does not catch it."""
 
 
 def limit() -> float:
@@ -36,7 +36,7 @@ def limit() -> float:
 
 
 def allowed() -> float:
-    """Return `limit`, and 0 where it is not set to a time, which whoever loads a plug-in is told."""
+    """Return `limit`, or 0 if it is not a time; loading a plug-in reports that error."""
     with suppress(BadInput):
         return limit()
     return 0.0
@@ -44,9 +44,9 @@ def allowed() -> float:
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise `Overrun` inside after so many seconds, in the main thread, unless an outer limit is running.
+    """Raise `Overrun` in the block after some seconds, in the main thread only, unless an outer limit is running.
 
-    Code that catches it and goes on ends with the process.
+    If the code catches `Overrun` three times and goes on, the process ends.
     """
     possible = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     if not seconds or not possible or signal.getitimer(signal.ITIMER_REAL)[0]:

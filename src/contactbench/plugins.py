@@ -1,9 +1,9 @@
-"""A user's own methods and scenes: from a file (``--plugin my.py``) or from an installed package.
+"""Load a user's methods and scenes from a file (``--plugin my.py``) or from an installed package.
 
-A file registers what it brings: `fixed_step`, ``METHODS.add``, ``SCENES.add``.  Once loaded it is named in the
-environment (`VARIABLE`), so that worker processes have it too.  A package names what it brings by entry points of the
-groups ``contactbench.methods`` and ``contactbench.scenes``, loaded when contactbench is imported: a method or a
-scene, a list of them, a function without arguments that returns either, or anything whose module registers by itself.
+A file registers its methods and scenes by `fixed_step`, ``METHODS.add`` or ``SCENES.add``.  The environment
+(`VARIABLE`) then names the file, so that worker processes load it too.  A package has entry points in the groups
+``contactbench.methods`` and ``contactbench.scenes``, loaded with contactbench.  An entry point is a method or a scene,
+a list of them, a function without arguments that returns either, or any object whose module registers by itself.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ _files: set[Path] = set()
 
 
 def load_file(path: Path | str) -> None:
-    """Run a Python file that registers methods and scenes; a file given twice is run once.
+    """Run a Python file that registers methods and scenes, and evaluate each of them once.
 
-    What it registers is evaluated once.  Raises `BadInput`, with the file's own line, when it cannot be read,
-    fails, ends the program, takes longer than `limits.limit` or registers nothing.
+    A file given twice is run once.  Raises `BadInput` with the line of the file if it cannot be read, fails, ends the
+    program, takes longer than `limits.limit` or registers nothing.
     """
     path = Path(path)
     if not path.is_file():
@@ -77,12 +77,12 @@ def load_file(path: Path | str) -> None:
 
 
 def _registered() -> dict[tuple[str, int], object]:
-    """Return all registered items by name and identity: a file may replace some."""
+    """Return all registered items by name and identity, since a file may replace some."""
     return {(name, id(item)): item for registry in Registry.every for name, item in registry.items()}
 
 
 def _run(path: Path) -> None:
-    """Run the file as a module of its own name, its neighbours importable as from a script."""
+    """Run the file as a module; it can import files beside it, as a script can."""
     name = f"contactbench_plugin_{path.stem}"
     loader = SourceFileLoader(name, str(path))
     spec = importlib.util.spec_from_loader(name, loader)
@@ -105,8 +105,8 @@ def try_out(item: object) -> None:
 
 
 def load_installed() -> None:
-    """Load entry points, and files named in the environment; a broken one gives a warning."""
-    installed = entry_points()  # every package is looked at: once for both groups
+    """Load entry points and the files named in the environment; warn of broken ones."""
+    installed = entry_points()  # slow, so once for both groups
     for group, registry in GROUPS.items():
         for point in installed.select(group=group):
             try:

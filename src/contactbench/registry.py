@@ -17,7 +17,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 
 
 def import_modules(package: str, first: Sequence[str] = (), without: Sequence[str] = ()) -> None:
-    """Import the modules of a package, which register what they bring: `first` in this order, the others by name."""
+    """Import the modules of a package, which register their items: `first` in this order, then the others by name."""
     there = iter_modules(sys.modules[package].__path__)
     others = sorted(module.name for module in there if not module.ispkg)
     for name in dict.fromkeys((*first, *others)):
@@ -31,19 +31,19 @@ class Registry(dict[str, Any]):
     Parameters
     ----------
     kind
-        What its items are called in messages.
+        The word for an item in messages.
     of
         The class that an item must have.
 
     Raises
     ------
     UnknownName
-        For a key that it does not have; the message suggests the nearest one.
+        For an unknown key; the message suggests the nearest one.
     BadInput
-        For an item of another class, or whose name is taken or no name.
+        For an item of another class, and for a name that is taken or not allowed.
     """
 
-    #: all registries there are
+    #: all registries
     every: ClassVar[list[Registry]] = []
 
     def __init__(self, kind: str, of: type = object) -> None:
@@ -60,7 +60,7 @@ class Registry(dict[str, Any]):
         return super().__getitem__(name)
 
     def add[Item](self, item: Item) -> Item:
-        """Register `item` under its name and return it; raises `BadInput` for a taken or bad name, or no such item."""
+        """Register `item` under its name and return it; raises `BadInput` for a bad or taken name or a wrong class."""
         name = getattr(item, "name", None)
         if isinstance(name, str) and name in self:
             raise BadInput(f"{self.kind} {name!r} is already registered")
@@ -68,7 +68,7 @@ class Registry(dict[str, Any]):
         return item
 
     def __setitem__(self, name: object, item: object) -> None:
-        """Register `item` under its own name and replace another item; raises `BadInput` as `add` does."""
+        """Register `item` under its own name, replacing any other; raises `BadInput` for a bad name or wrong class."""
         own = getattr(item, "name", None)
         if not isinstance(item, self.of) or own is None:
             raise BadInput(f"{excerpt(item)} cannot be registered: it is no {self.kind}")

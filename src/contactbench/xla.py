@@ -1,7 +1,7 @@
-"""JAX, imported and configured when something first uses it: ``from contactbench.xla import jax, jnp, lax``.
+"""Import and configure JAX at its first use: ``from contactbench.xla import jax, jnp, lax``.
 
-These settings hold for the whole process: results are waited for at once; a trajectory runs on one thread.
-``XLA_FLAGS`` that are set already stand.  Double precision is the user's to choose, but for what runs in `doubles`.
+The settings hold for the whole process: no asynchronous dispatch, one thread per trajectory.  A user's ``XLA_FLAGS``
+take precedence.  Double precision is the user's choice, except inside `doubles`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def configure() -> None:
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
     import jax
 
-    # a hand-over to a worker thread would only add its wake-up, 50 µs a call
+    # waking a worker thread would add 50 µs per call
     jax.config.update("jax_cpu_enable_async_dispatch", False)
     try:
         jax.devices()
@@ -37,7 +37,7 @@ def configure() -> None:
 
 @contextmanager
 def doubles() -> Iterator[None]:
-    """Have this thread compute in double precision, and compile, inside."""
+    """Enable double precision and compilation for this thread inside the block."""
     configure()
     import jax
 
@@ -47,13 +47,13 @@ def doubles() -> Iterator[None]:
 
 @cache
 def configure_doubles() -> None:
-    """Have the whole process compute in double precision: for the paper's claims."""
+    """Enable double precision for the whole process, as the paper's claims need."""
     configure()
     importlib.import_module("jax").config.update("jax_enable_x64", True)
 
 
 class Deferred:
-    """A module that is imported, with JAX configured, at the first access to an attribute."""
+    """Stand for a module that is imported, with JAX configured, at the first access to an attribute."""
 
     def __init__(self, name: str, configure: Callable[[], None] = configure) -> None:
         self._name, self._configure = name, configure

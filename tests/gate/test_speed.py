@@ -11,7 +11,15 @@ import pytest
 import contactbench as cb
 from contactbench.errors import BadInput
 from contactbench.gate import revisions, speed, speed_worker
-from contactbench.gate.speed import LIMIT, MANY, MOST_ROUNDS, ROUNDS, Cell, public, workload
+from contactbench.gate.speed import (
+    MANY_SAVED_TIMES,
+    MOST_ROUNDS_UNTIL_DECIDED,
+    RATIO_LIMIT,
+    ROUNDS,
+    Cell,
+    public,
+    workload,
+)
 from contactbench.measure import clock
 from contactbench.measure.statistics import PairedRatio
 from contactbench.plugins import VARIABLE
@@ -41,7 +49,7 @@ def test_the_workload_is_the_finest_setting_that_is_short():
     once = [cell for cell in cells if (cell.saves, cell.call) == (1, "prepared")]
     assert [(cell.method, cell.engine, cell.setting) for cell in once] == [*short, *elsewhere]
     many = [(cell.method, cell.engine, cell.saves) for cell in cells if cell.saves > 1]
-    assert many == [("rk4", "llvm", MANY), ("cvode-adams", "c", MANY)]
+    assert many == [("rk4", "llvm", MANY_SAVED_TIMES), ("cvode-adams", "c", MANY_SAVED_TIMES)]
     assert cells[-len(public()) :] == public()
     assert len(workload(pd.DataFrame(rows), everywhere=True)) == len(once) + 1  # rk8 on the third scene too
 
@@ -119,9 +127,9 @@ def test_turns_are_shuffled_and_paired(clocked):
 def test_what_is_undecided_gets_more_rounds(clocked):
     """Of three cells with a noisy clock only the one near the limit."""
     noise = np.random.default_rng(1).normal(size=10_000)
-    factor = {"base": [1.0] * 3, "tree": [1.0, 1.02 * LIMIT, 2.0]}
+    factor = {"base": [1.0] * 3, "tree": [1.0, 1.02 * RATIO_LIMIT, 2.0]}
     ratios, _ = clocked(lambda name, cell, k: factor[name][cell] * np.exp(0.1 * noise[k]), 3)
-    assert [ratios[i].rounds for i in range(3)] == [ROUNDS, MOST_ROUNDS, ROUNDS]
+    assert [ratios[i].rounds for i in range(3)] == [ROUNDS, MOST_ROUNDS_UNTIL_DECIDED, ROUNDS]
 
 
 def test_the_clock_is_that_of_the_tree_that_judges_and_a_call_that_ends_badly_is_not_timed():

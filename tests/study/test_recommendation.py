@@ -102,7 +102,7 @@ def test_what_was_not_begun_or_not_measured_is_said():
     assert text.startswith("Not begun, for want of time (--budget): rk4. Compiled")
     assert "No time was left to look for a cheaper setting of rk8." in text
     assert f"The laws of {', '.join(NAMES)} are not measured: no time was left." in text
-    assert "Interrupted: this is what there was." in text
+    assert "Interrupted: the table shows the results until then." in text
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from contactbench.cli.parsing import HELP, PLUGIN, Parser, add_options
 from contactbench.errors import BadInput, UnknownName, one_line
 from contactbench.limits import VARIABLE, limit
 
-#: seconds that a plug-in has where nobody says otherwise
+#: default time limit of a plug-in
 SECONDS = "60"
 
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
@@ -55,10 +55,10 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-#: commands that take scenes and methods of a user's file, and how it is named
+#: commands that accept a user's file, and the hint for it
 OWN, OF_A_FILE = ("solve", "compare", "check"), "; those of your own file with --plugin FILE"
 
-#: what is raced, and what it is compiled by
+#: packages whose versions `--version` prints
 PEERS = ["scipy", "scikit-sundae", "diffrax", "jax", "heyoka", "cyrk", "numba", "numpy"]
 
 
@@ -71,7 +71,7 @@ def versions() -> str:
 
 
 def open_streams() -> None:
-    """Make both streams take any text: what was closed is the null device, what has no code becomes "?"."""
+    """Make stdout and stderr accept any text: closed streams write to the null device, unknown characters as "?"."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
@@ -81,12 +81,12 @@ def open_streams() -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry point; whatever goes wrong is one line on stderr and exit status 2."""
+    """Run the command line; an error is one line on stderr and exit status 2."""
     status = command(argv)
     if argv is None and any(
         not each.daemon for each in threading.enumerate() if each is not threading.main_thread()
     ):
-        leave(status)  # a plug-in's thread, which the interpreter would wait for
+        leave(status)  # the interpreter would wait for a plug-in's thread
     return status
 
 
@@ -110,7 +110,7 @@ def command(argv: list[str] | None) -> int:
     arguments.stdout = stdout = sys.stdout
     try:
         early.end()
-        if getattr(arguments, "json", False):  # stdout has that alone, whatever a plug-in prints
+        if getattr(arguments, "json", False):  # stdout carries only the JSON, not a plug-in's output
             sys.stdout = sys.stderr
         if plugins.plugin_timeout is not None:
             os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too
@@ -136,7 +136,7 @@ def command(argv: list[str] | None) -> int:
         return 130
     except BaseException as error:
         if isinstance(error, SystemExit) and error.code not in (0, None):
-            raise  # ours, as when a job is cancelled; a command that is done returns
+            raise  # raised on purpose, as when a job is cancelled
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{os.path.basename(last.filename)}, line {last.lineno}"
         says = f"{type(error).__name__}: {error} ({where}; --traceback shows the rest)"

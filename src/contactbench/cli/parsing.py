@@ -1,4 +1,4 @@
-"""How the commands read their arguments."""
+"""Parse the arguments of the commands; help.toml has their help and options."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
-    """Raise `BadInput` unless a file can be written there; one that is there is left as it is, no other is made."""
+    """Raise `BadInput` unless the path can be written; an existing file keeps its content, and none is left behind."""
     if path is None:
         return
     if kinds and path.suffix.lower() not in kinds:
@@ -43,7 +43,7 @@ def print_json(value: object, arguments: argparse.Namespace) -> None:
 
 
 def assignments(pairs: list[str]) -> dict[str, object]:
-    """Return the changes that ``name=value`` arguments name; a value is JSON (a number or a list of numbers)."""
+    """Parse ``name=value`` arguments; each value is JSON, a number or a list of numbers."""
     changes = {}
     for pair in pairs:
         name, _, text = pair.partition("=")
@@ -57,7 +57,7 @@ def assignments(pairs: list[str]) -> dict[str, object]:
     return changes
 
 
-#: of each command, what it is for, its options, and what stands under them
+#: purpose, options and epilog of each command
 HELP: dict[str, dict[str, Any]] = tomllib.loads(
     files(__package__).joinpath("help.toml").read_text(encoding="utf-8")
 )
@@ -70,6 +70,6 @@ def add_options(parser: argparse.ArgumentParser, name: str) -> None:
         parser.add_argument(flag, **given | ({"type": TYPES[given["type"]]} if "type" in given else {}))
 
 
-#: taken from anywhere on the line and loaded first, so that every command knows what it brings
+#: parsed first, anywhere on the line, so that every command knows the user's methods and scenes
 PLUGIN = Parser(prog="contactbench", add_help=False, allow_abbrev=False)
 add_options(PLUGIN, "plugin")

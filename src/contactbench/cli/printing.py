@@ -1,16 +1,16 @@
-"""How the commands print: a label and a text, wrapped at the width of the terminal."""
+"""Print a label and a text, wrapped at the width of the terminal."""
 
 from __future__ import annotations
 
 import shutil
 import textwrap
 
-#: columns at least that a text has beside its label, and columns where there is no terminal: lines stay whole
+#: least columns of a text beside its label, and columns without a terminal, where lines are not wrapped
 NARROWEST, WHOLE = 20, 100_000
 
 
 def print_item(label: str, text: object, column: int) -> None:
-    """Print a label and its text, which begins at a column and goes on there; words are not cut."""
+    """Print a label and a text indented to a column; lines break between words."""
     width = shutil.get_terminal_size((WHOLE, 0)).columns
     lines = textwrap.wrap(
         str(text),

@@ -1,4 +1,4 @@
-"""``contactbench list | solve | compare | check``: scenes and methods, and what they do."""
+"""The commands ``contactbench list | solve | compare | check``."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from contactbench.scene import Scene
     from contactbench.solution import Solution
 
-#: what a plot can be saved as
+#: endings of plots
 PICTURES = (".svg", ".png", ".pdf")
-#: of the numbers of a larger state some are printed
+#: most components printed as a whole; number printed of a larger state
 PRINTED, SOME = 64, 4
 
 
@@ -66,13 +66,13 @@ def listing(arguments: argparse.Namespace) -> int:
 
 
 def scene_of(arguments: argparse.Namespace) -> Scene:
-    """Return the scene of a name, or of FILE:NAME from a file, with the changes asked for."""
+    """Return the scene NAME, or NAME from FILE for FILE:NAME, with the changes of --set."""
     from contactbench.plugins import load_file
     from contactbench.scenes import SCENES
 
     path, _, name = arguments.scene.rpartition(":")
     if not path and name.endswith(".py"):
-        raise BadInput(f"scene {name}: name one of those that the file registers, as in {name}:NAME")
+        raise BadInput(f"scene {name}: add the name of a scene that the file registers, as in {name}:NAME")
     if path:
         load_file(Path(path))
     scene: Scene = SCENES[name].with_(**assignments(arguments.set))
@@ -125,7 +125,7 @@ def solve(arguments: argparse.Namespace) -> int:
 
 
 def steps(text: str, t_end: float) -> float | list[float] | np.ndarray:
-    """Return a step, or prescribed ones: ``geometric:COUNT:A``, or the numbers in a file."""
+    """Return a step size, or prescribed steps from ``geometric:COUNT:A`` or a file of numbers."""
     from contactbench.methods.prescribed import geometric_steps
 
     kind, *values = text.split(":")
@@ -219,7 +219,7 @@ def duration(text: str) -> float:
 
 
 def one_core() -> None:
-    """Keep the process on one core before JAX makes threads: handing over small parts costs more than running them."""
+    """Bind the process to one core before JAX starts threads, which cost more than they save on small programs."""
     if hasattr(os, "sched_setaffinity") and "jax" not in sys.modules:
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 

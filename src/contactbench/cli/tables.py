@@ -1,4 +1,4 @@
-"""``contactbench claim | report | bench | gate | references``: what was measured, and whether it still holds."""
+"""The commands ``contactbench claim | report | bench | gate | references``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def claim(arguments: argparse.Namespace) -> int:
     return 0 if row["status"] == "ok" else 1
 
 
-#: columns of the ledger in the order they are printed, and what they are called there
+#: columns of the ledger in the order of printing, with their labels
 LABELS = {name: name for name in ("id", "where", "claim", "scene", "method", "message")}
 LABELS |= {"evidence": "measured", "verdict": "verdict", "correction": "correction"}
 LABELS |= {"corrected_evidence": "measured"}
@@ -86,7 +86,7 @@ def gate(arguments: argparse.Namespace) -> int:
 
 @contextmanager
 def ending_by_sigterm() -> Iterator[None]:
-    """Have SIGTERM end what is inside by an exception: a cancelled job removes its folders on the way out."""
+    """Turn SIGTERM into an exception inside the block, so that a cancelled job removes its temporary folders."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

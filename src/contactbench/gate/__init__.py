@@ -1,1 +1,1 @@
-"""The regression gate: tables against those of an older revision, by column rules; speed in pairs."""
+"""The regression gate: compare tables and speed with an older revision."""

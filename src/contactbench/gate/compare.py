@@ -1,4 +1,4 @@
-"""What moved between two folders of tables, by the rule of each column, as one table."""
+"""Compare two folders of tables by the rule of each column and list what moved too far."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
-from contactbench.gate.removed import Removed
 from contactbench.measure.law import STRUCTURE
 from contactbench.methods import METHODS
 from contactbench.report.chapters import discovered
@@ -23,9 +22,9 @@ from contactbench.tables import provenance
 from contactbench.tables.schema import PROFILES, TABLES, Rule, Table, floor
 from contactbench.tables.store import read, set_types
 
-#: packages that solve nothing: runs may differ in them and be of one machine
+#: packages that solve nothing; two runs with other versions of them still count as one machine
 IDLE_PACKAGES = ("contactbench", "pandas", "matplotlib", "pytest-benchmark")
-#: a finding; between : which two were compared; rows : of how many values it is the worst
+#: a finding; "between" names the two sides, "rows" counts the values that moved; the worst of them is shown
 type Row = dict[str, object]
 TEXTS = ("between", "table", "scene", "method", "engine", "setting", "measure", "before", "after", "result")
 BLANK: Row = {**dict.fromkeys(TEXTS, ""), "red": True, "rows": 1}
@@ -39,7 +38,11 @@ def rows_of(*rows: Mapping[str, object]) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Findings:
-    """A row for each measure that moved, what to know beside, and why something cannot be decided."""
+    """Hold the result of a comparison.
+
+    moved : one row per measure that moved too far.  notes : remarks for the reader.  incomplete : reasons why part of
+    the comparison is undecided.
+    """
 
     moved: pd.DataFrame = field(default_factory=rows_of)
     notes: tuple[str, ...] = ()
@@ -74,23 +77,25 @@ class Findings:
         return f"# Regression gate: {outcome}\n\n{texts}\n\n{grid}\n"
 
 
-# -- how far a column may move, by its rule (`schema.Rule`) ------------------------------------------
-#: by what factor an error may move, above its floor
-FACTOR = 2.0
-#: how far an order may move, and a quantity that is no error, relatively
-ORDER, VALUE = 0.05, 0.01
-#: how far a count may move where a solver chooses its steps, or a run that did not end well, as a share; and where a
-#: method iterates until nothing changes, which rounding decides
-SHARE, ITERATIONS = 0.1, 0.05
-#: what a claim measures is round-off up to this share of its bound
+# -- the moves that each rule (`schema.Rule`) allows --------------------------------------------------
+#: largest factor between two errors above their floor
+ERROR_FACTOR = 2.0
+#: largest absolute change of a fitted order, and largest relative change of other values
+ORDER_CHANGE, VALUE_CHANGE = 0.05, 0.01
+#: largest relative change of counts with adaptive steps, and of the end of a run that failed
+ADAPTIVE_SHARE = 0.1
+#: largest relative change of counts where rounding decides when an iteration stops
+ITERATION_SHARE = 0.05
+#: a measured claim below this share of its bound counts as round-off
 OF_BOUND = 1e-3
-#: by what factor the times of a method may move against those of its table: the median of at least so many rows;
-#: a table with fewer pairs than `PAIRS` is not judged
-TIMES, ROWS, PAIRS = 2.0, 3, 8
+#: largest factor between the times of one method and the times of its whole table
+TIME_FACTOR = 2.0
+#: fewest rows of a method, and fewest pairs of a table, whose times are judged
+LEAST_ROWS, LEAST_PAIRS = 3, 8
 
 
 def distance(name: str, rule: Rule, rows: pd.DataFrame, alike: bool) -> np.ndarray:
-    """Return how far each value of a column moved, in parts of what its rule allows: red beyond 1."""
+    """Return the change of each value of a column in units of the allowed change; more than 1 is red."""
     before, after = rows[name], rows[f"{name} after"]
     if rule is Rule.same:
         moved = np.where((before == after).to_numpy(na_value=False), 0.0, math.inf)
@@ -103,11 +108,11 @@ def distance(name: str, rule: Rule, rows: pd.DataFrame, alike: bool) -> np.ndarr
         with np.errstate(divide="ignore", invalid="ignore"):
             far = np.abs(new - old) / allowed(rule, old, rows, alike)
             least = floor(rule, rows)
-            if rule is Rule.measured:  # below an upper bound it is an error, else a value
+            if rule is Rule.measured:  # an error if its claim is an upper bound, else a value
                 own = name.removesuffix("measured")
                 bound = rows[f"{own}bound"].abs().fillna(0.0).to_numpy()
                 least = np.where(rows[f"{own}relation"] == "≤", np.maximum(STRUCTURE, OF_BOUND * bound), 0.0)
-            ratio = np.abs(np.log(np.maximum(new, least) / np.maximum(old, least))) / math.log(FACTOR)
+            ratio = np.abs(np.log(np.maximum(new, least) / np.maximum(old, least))) / math.log(ERROR_FACTOR)
         moved = np.where(old == new, 0.0, np.where(least > 0, ratio, far))
     blank = before.isna().to_numpy(), after.isna().to_numpy()
     moved = np.where(blank[0] & blank[1], 0.0, np.where(blank[0] ^ blank[1], math.inf, moved))
@@ -115,30 +120,30 @@ def distance(name: str, rule: Rule, rows: pd.DataFrame, alike: bool) -> np.ndarr
 
 
 def allowed(rule: Rule, old: np.ndarray, rows: pd.DataFrame, alike: bool) -> np.ndarray | float:
-    """Return by how much a value that is no error may differ."""
+    """Return the allowed change of values that are no errors."""
     size = np.abs(old)
     match rule:
         case Rule.order:
-            return ORDER
+            return ORDER_CHANGE
         case Rule.end:
-            return np.where(rows["status"] == "ok", 0.0, SHARE * size)
+            return np.where(rows["status"] == "ok", 0.0, ADAPTIVE_SHARE * size)
         case Rule.point:
             curve = [rows[name] for name in ("figure", "panel", "curve")]
             largest = pd.Series(size, rows.index).groupby(curve).transform("max").fillna(0.0)
-            return np.asarray(VALUE * largest + STRUCTURE)
+            return np.asarray(VALUE_CHANGE * largest + STRUCTURE)
         case Rule.count if alike:
             return 0.0
         case Rule.count:
             known = [METHODS.get(name) for name in rows["method"]]
             control = rows["control"] if "control" in rows else [getattr(m, "control", "") for m in known]
             iterates = [method is not None and method.iterates for method in known]
-            share = np.select([np.array(control) == "rtol", iterates], [SHARE, ITERATIONS], 0.0)
+            share = np.select([np.array(control) == "rtol", iterates], [ADAPTIVE_SHARE, ITERATION_SHARE], 0.0)
             return np.where(share > 0, np.maximum(1.0, share * size), 0.0)
-    return VALUE * size
+    return VALUE_CHANGE * size
 
 
 def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False) -> pd.DataFrame:
-    """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene."""
+    """Return the rows missing from `after` and the worst move of each measure per method and scene."""
     if before.empty or before.equals(after):
         return rows_of()
     if after.empty:
@@ -152,9 +157,9 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool
     blank = both.isna() | (both == "")
     for name, rule in table.rules.items():
         if rule is Rule.time or name in table.key or blank[name].all():
-            continue  # a column that the baseline does not have is new
+            continue  # a blank column of the baseline is new
         moved = distance(name, rule, both, alike)
-        if name not in ("status", "profile"):  # the numbers of a run that ended otherwise say nothing more
+        if name not in ("status", "profile"):  # a changed ending is red already; skip its numbers
             moved = np.where(same_end, moved, 0.0)
         if not (moved > 1).any():
             continue
@@ -173,17 +178,17 @@ def worst(found: pd.DataFrame) -> pd.DataFrame:
 
 
 def compare_times(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> pd.DataFrame:
-    """Return the methods whose times moved against those of the other methods of a table."""
+    """Return the methods whose times moved relative to the median of their table."""
     found: list[Row] = []
     for name in [name for name, rule in table.rules.items() if rule is Rule.time]:
         both = before.merge(after, on=list(table.key), suffixes=("", " after"))
         with np.errstate(divide="ignore", invalid="ignore"):
             moved = np.log(both[f"{name} after"] / both[name]).replace([np.inf, -np.inf], np.nan).dropna()
-        if len(moved) < PAIRS:
+        if len(moved) < LEAST_PAIRS:
             continue
         where = [both.loc[moved.index, key] for key in ("method", "engine")]
         ratios = (moved - moved.median()).groupby(where).agg(["median", "size"])
-        moved = (ratios["median"].abs() > math.log(TIMES)) & (ratios["size"] >= ROWS)
+        moved = (ratios["median"].abs() > math.log(TIME_FACTOR)) & (ratios["size"] >= LEAST_ROWS)
         for (method, engine), (ratio, count) in ratios[moved].iterrows():
             row = {"table": table.name, "method": method, "engine": engine, "measure": name, "before": "×1"}
             found.append(row | {"after": f"×{math.exp(ratio):.2f}", "result": "moved", "rows": int(count)})
@@ -208,7 +213,10 @@ def keys(table: Table, rows: pd.DataFrame) -> pd.MultiIndex:
 
 
 def between(which: str, *parts: pd.DataFrame, listed: bool | None = None) -> Findings:
-    """Return what moved between two; listed : whether the change is meant, None where that is no excuse."""
+    """Label findings with the two sides compared.
+
+    listed : whether a commit message announces the change, which makes it green; None where it cannot.
+    """
     moved = sum(map(Findings, parts), Findings()).moved.assign(between=which)
     if listed is not None:
         moved["result"] += ", listed" if listed else ", not listed"
@@ -219,10 +227,10 @@ def between(which: str, *parts: pd.DataFrame, listed: bool | None = None) -> Fin
 # -- two folders -------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Runs:
-    """What two folders of tables were made by.
+    """Describe the benchmark runs behind two folders of tables.
 
-    profile : the largest of the second; made : table → the largest profile of the first that made rows of it;
-    alike : whether both are of one machine.
+    profile : the largest profile of the second folder.  made : the largest profile of the first folder, by table.
+    alike : whether one machine made both.
     """
 
     profile: str
@@ -240,10 +248,10 @@ class Runs:
         return cls(largest(runs), made, len(machines) == 1 and "" not in machines)
 
     def expected(self, table: Table, rows: pd.DataFrame, now: pd.DataFrame) -> pd.DataFrame:
-        """Return the rows that a run has to make, and those that it did make.
+        """Return the rows that the fresh run made or had to make.
 
-        It has to make those of its profile, or of none; where rows do not say theirs, all, if its profile is none
-        smaller than that of the table; of times none, for it may have had no clock.
+        It has to make every row of its own profile or a smaller one.  A table without a profile column is due as a
+        whole unless a larger profile made it.  Times are never due, since a run may have no clock.
         """
         larger = PROFILES[PROFILES.index(self.profile) + 1 :]
         made = keys(table, rows).isin(keys(table, now))
@@ -258,7 +266,7 @@ def largest(runs: Iterable[Mapping[str, Any]]) -> str:
 
 
 def machine(run: Mapping[str, Any]) -> str:
-    """Return what of a run's record can move counts, empty where its instructions are not known."""
+    """Return the processor and packages of a run, which decide its counts; empty if unknown."""
     if not run.get("isa"):
         return ""
     packages = sorted((name, v) for name, v in run.get("packages", {}).items() if name not in IDLE_PACKAGES)
@@ -266,20 +274,20 @@ def machine(run: Mapping[str, Any]) -> str:
 
 
 def is_older(path: Path) -> bool:
-    """Return whether a table is of an older layout: under another name, of a version, or without a key column."""
+    """Return whether a table has an unknown name, a version column or lacks a key column."""
     with path.open(encoding="utf-8") as file:
         columns = {*file.readline().strip().split(",")}
     table = TABLES.get(path.stem)
     return table is None or "schema" in columns or not {*table.key} <= columns
 
 
-def read_older(folder: Path, removed: Removed) -> tuple[Frames, Findings]:
-    """Return the tables of an older revision, less what was removed since, and a note of what cannot be compared."""
+def read_older(folder: Path) -> tuple[Frames, Findings]:
+    """Return the tables of an older revision and a note that counts the tables of an older layout."""
     discovered()  # questions may declare tables of their own
-    older = {path.stem for path in folder.glob("*.csv") if is_older(path)} - {*removed.tables}
+    older = {path.stem for path in folder.glob("*.csv") if is_older(path)}
     frames = {name: empty(name) if name in older else load(name, folder) for name in TABLES}
     notes = [f"{len(older)} tables of the base are of an older layout: not compared"] if older else []
-    return {n: removed.take_out(TABLES[n], rows) for n, rows in frames.items()}, Findings(notes=tuple(notes))
+    return frames, Findings(notes=tuple(notes))
 
 
 def load(name: str, folder: Path) -> pd.DataFrame:
@@ -292,23 +300,20 @@ def empty(name: str) -> pd.DataFrame:
 
 
 def compare_folders(baseline: Path, fresh: Path) -> Findings:
-    before, older = read_older(baseline, Removed.read(fresh))
-    found = older + compare_runs(
-        before, {name: load(name, fresh) for name in TABLES}, Runs.of(baseline, fresh), "base → fresh"
-    )
+    before, older = read_older(baseline)
+    now = {name: load(name, fresh) for name in TABLES}
+    found = older + compare_runs(before, now, Runs.of(baseline, fresh), "base → fresh")
     if not found.notes:
         raise BadInput(f"{baseline}: no row that a run of this profile makes")
     return found
 
 
 def compare_runs(before: Frames, now: Frames, runs: Runs, which: str) -> Findings:
-    """Compare a fresh run with the rows of a folder that it has to make; without a note where there are none."""
+    """Compare a fresh run with the rows of a folder that it had to make; add a note unless there are none."""
     expected = {name: runs.expected(table, before[name], now[name]) for name, table in TABLES.items()}
     moved = [compare(table, expected[name], now[name], runs.alike) for name, table in TABLES.items()]
     count = sum(map(len, expected.values()))
     new = sum(int((~keys(t, now[n]).isin(keys(t, before[n]))).sum()) for n, t in TABLES.items())
-    how = (
-        "exactly" if runs.alike else "within a tenth, of iterations a twentieth: other processor or libraries"
-    )
+    how = "exactly" if runs.alike else "within 10 % (iterations 5 %): another processor or other libraries"
     text = f"{which}: {count} rows of a {runs.profile} run compared, {new} have no baseline yet; counts {how}"
     return between(which, *moved) + Findings(notes=(text,) * (count > 0))

@@ -1,4 +1,4 @@
-"""Revisions of the project in git: which one is the base, its files, and what a process of its code needs."""
+"""Find the base revision in git, check out its files and set the environment that runs its code."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from contactbench.errors import BadInput
 from contactbench.plugins import VARIABLE
 from contactbench.tables.provenance import SOURCES
 
-#: what the main branch may be called, the first there is
+#: names of the main branch; the first that exists is taken
 MAIN = ("origin/HEAD", "origin/main", "main", "master")
-#: the file that names the revision whose speed is kept, until a commit moves it
+#: file that names the revision whose speed every later one is compared with
 PIN = ".gate-base"
-#: set in the environment of the gate of a base revision, which judges another tree
+#: variable set for the gate of the base revision while it judges another tree
 JUDGED = "CONTACTBENCH_JUDGED_PYTHON"
 
 
 def output(root: Path, *arguments: str, **variables: str) -> bytes:
-    """Return the output of git; raise `BadInput` with its own last line."""
+    """Return the output of git; raise `BadInput` with its last line of error output if it fails."""
     command = ["git", "--no-replace-objects", "-C", str(root), *arguments]
     given = {**os.environ, "GIT_GRAFT_FILE": os.devnull, **variables}
     done = subprocess.run(command, capture_output=True, env=given)
@@ -52,19 +52,19 @@ def repository(folder: Path) -> Path:
 
 
 def project(folder: Path) -> Path:
-    """Return the folder of the project we are in: that of contactbench itself around us, else this one."""
+    """Return the root of contactbench's own repository if `folder` is inside it, else `folder`."""
     folder, top = folder.resolve(), repository(folder).resolve()
     around = [each for each in (folder, *folder.parents) if each.is_relative_to(top)]
     return next(filter(ours, around), folder)
 
 
 def ours(root: Path) -> bool:
-    """Return whether a tree is one of contactbench itself, not of a project that uses it."""
+    """Return whether a tree holds contactbench itself and not a project that uses it."""
     return (root / "src" / "contactbench").is_dir()
 
 
 def inside(tree: Path, root: Path, path: Path) -> Path:
-    """Return where a path of a project is in another tree of it."""
+    """Return the path in `tree` that corresponds to `path` in `root`, another checkout of the same project."""
     return Path(os.path.normpath(tree / os.path.relpath(path, root)))
 
 
@@ -73,7 +73,10 @@ def dirty(root: Path) -> bool:
 
 
 def base(root: Path, revision: str | None) -> str:
-    """Return the commit to compare with: by default where the main branch was left, on it HEAD's parent."""
+    """Return the commit to compare with.
+
+    By default it is the commit at which HEAD left the main branch; on the main branch it is HEAD's parent.
+    """
     if revision is not None:
         if found := commit(root, revision):
             return found
@@ -91,31 +94,34 @@ def base(root: Path, revision: str | None) -> str:
 
 
 def pinned(root: Path, base: str) -> str:
-    """Return the revision that the base pins for speed, or, where the base has no such file, the tree; "" for none."""
+    """Return the revision pinned for speed by the base, else by the tree; "" if neither has the file."""
     own = root / PIN
     text = find(root, "show", f"{base}:./{PIN}") or (own.read_text(encoding="utf-8") if own.exists() else "")
     return text.partition("#")[0].strip()
 
 
 @contextmanager
-def checkout(root: Path, commit: str, path: Path | None = None) -> Iterator[Path]:
-    """Give the project as a commit has it, whatever of it git exports; path : of what is needed, if not all."""
+def checkout(root: Path, commit: str) -> Iterator[Path]:
+    """Check out a commit into a temporary folder and give the path of the project there.
+
+    Every file is there, those with the attribute export-ignore too.
+    """
     with tempfile.TemporaryDirectory(prefix="contactbench-base-") as scratch:
         top, tree = repository(root).resolve(), Path(scratch).resolve() / "base"
-        where = Path() if path is None else path.relative_to(top)
-        part = f"{commit}:{where.as_posix()}" if where.parts else commit
         index = {"GIT_INDEX_FILE": str(tree.with_name("index"))}
-        if path is None or find(top, "rev-parse", "--verify", "--quiet", "--end-of-options", part):
-            output(top, "read-tree", part, **index)
-            output(top, "checkout-index", "--all", f"--prefix={tree / where}/", **index)
+        output(top, "read-tree", commit, **index)
+        output(top, "checkout-index", "--all", f"--prefix={tree}/", **index)
         found = tree / root.relative_to(top)
-        if ours(root) and path is None and not ours(found):
+        if ours(root) and not ours(found):
             raise BadInput(f"--base {commit[:12]}: that revision has no src/contactbench")
         yield found
 
 
 def environment(tree: Path, root: Path | None = None) -> dict[str, str]:
-    """Return the variables of a process that runs the code of a tree, with its copies of the plug-ins in `root`."""
+    """Return the environment variables of a process that runs the code of `tree`.
+
+    Plug-ins inside `root` are replaced by their copies in `tree`.
+    """
     own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     first = [str(tree / "src" if (tree / "src").is_dir() else tree)]

@@ -1,7 +1,7 @@
-"""Is the working tree slower than other revisions of it?  Timed in pairs, each revision in a process of its own.
+"""Compare the speed of the working tree with older revisions, each in a process of its own.
 
-A round times every cell in shuffled order, the revisions right after one another in random order, so that whatever else
-the machine does meets all of them; the ratio of each pair is what counts, never a time.
+A round times every cell in shuffled order and the revisions of a cell directly after one another, so that other load on
+the machine hits them alike.  Only the ratios of such pairs are judged, never a time.
 """
 
 from __future__ import annotations
@@ -30,30 +30,26 @@ from contactbench.methods import METHODS
 from contactbench.scenes import SCENES
 from contactbench.solution import setting_key
 
-LIMIT = 1.25
+RATIO_LIMIT = 1.25
 ROUNDS = 15
-#: rounds a cell gets at most, as long as it is undecided
-MOST_ROUNDS = 60
-#: how much of a message that says why a cell is not timed
-WORDS = 80
+MOST_ROUNDS_UNTIL_DECIDED = 60
+LONGEST_MESSAGE = 80
 
-#: the tree that is judged, and what it is compared with; a pair is one of the latter and the number of a cell
 HEAD, BASE, PINNED = "tree", "base", "pinned"
+#: the revision that the tree is compared with, and the number of the cell
 type Pair = tuple[str, int]
-#: how a timing process is asked, and answers
 type Send = Callable[[object], None]
 type Receive = Callable[[], Any]
 
-#: of a method's settings the finest that takes at most so many seconds; a method that has none is not timed there
-LONGEST = 3e-3
+#: the finest setting of a method that takes at most this many seconds is timed
+LONGEST_CALL = 3e-3
 PREPARED = "prepared"
-#: saved times of the runs with many
-MANY = 1000
+MANY_SAVED_TIMES = 1000
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A call that is timed, of a prepared run or a public one; saves : equidistant saved times, the end among them."""
+    """Describe a call to time, of a prepared run or of a public function; saves : number of equidistant saved times."""
 
     scene: str
     method: str
@@ -75,25 +71,26 @@ class Cell:
 
 
 def public() -> list[Cell]:
-    """Return what a user calls: on the second scene, whose reference is solved, and a reference in closed form."""
+    """Return the public calls to time: on the second scene, and a reference in closed form on the first."""
     closed, scene = [*SCENES.values()][:2]
     method = next(m for m in METHODS.values() if m.contact and m.control == "step")
     cell = Cell(scene.name, method.name, method.engines[0], method.control, 0.1)
-    short = replace(cell, value=scene.t_end / 12)  # so few steps that a call shows what it takes beside them
+    short = replace(cell, value=scene.t_end / 12)  # so few steps that the overhead of the call shows
     cells = [replace(short, call=call) for call in ("run()", "run(q=…)", "bare")]
     cells += [replace(cell, call=call) for call in ("solve", "new scene", "import", "reference")]
     return [*cells, replace(cell, scene=closed.name, call="reference")]
 
 
 def workload(times: pd.DataFrame, everywhere: bool = False) -> list[Cell]:
-    """Return what is timed: of each method and engine on a scene the finest setting that is soon done.
+    """Return the cells to time, each at the finest setting that is fast enough.
 
-    All methods on the first scene, with many saved times too, and on the longest, where a fast loop outweighs its call;
-    one of each family on every other; and the public calls.  everywhere : all methods on all scenes, and no more.
+    They are all methods on the first scene (for the end alone and with many saved times), all methods on the longest
+    scene, one method per family on the other scenes, and the public calls.
+    everywhere : instead time all methods on all scenes.
     """
     known = times[times["scene"].isin([*SCENES]) & times["method"].isin([*METHODS])]
     own = known["control"] == [METHODS[name].control for name in known["method"]]
-    timed = known[own & (known["saved"] == 1) & (known["least_s"] <= LONGEST)].sort_values("least_s")
+    timed = known[own & (known["saved"] == 1) & (known["least_s"] <= LONGEST_CALL)].sort_values("least_s")
     slowest = timed.groupby(["scene", "method", "engine"], sort=False).tail(1).sort_index()
     cells = [Cell(r.scene, r.method, r.engine, r.control, float(r.setting)) for r in slowest.itertuples()]
     if everywhere or not cells:
@@ -103,7 +100,7 @@ def workload(times: pd.DataFrame, everywhere: bool = False) -> list[Cell]:
     first = {(cell.scene, METHODS[cell.method].family): cell for cell in reversed(cells)}.values()
     chosen = [cell for cell in cells if cell.scene in (scenes[0], longest) or cell in first]
     default = [cell for cell in cells if cell.engine == METHODS[cell.method].engines[0]]
-    many = [replace(cell, saves=MANY) for cell in default if cell.scene == scenes[0]]
+    many = [replace(cell, saves=MANY_SAVED_TIMES) for cell in default if cell.scene == scenes[0]]
     return [*chosen, *many, *public()]
 
 
@@ -123,7 +120,7 @@ def compare_speed(root: Path, tree: Path, cells: Sequence[Cell], pin: str = "") 
         elif pin:
             incomplete = [f"the pinned revision {pin[:12]} is not in this clone; git fetch origin {pin}"]
         first, refused = time_pairs(trees, cells, pairs, root)
-        suspects = {pair for pair, ratio in first.items() if ratio.low > LIMIT}
+        suspects = {pair for pair, ratio in first.items() if ratio.low > RATIO_LIMIT}
         again = time_pairs(trees, cells, suspects, root)[0] if suspects else {}
     rows, calls, ratios = [], list[str](), dict[int, PairedRatio]()
     for (side, i), ratio in sorted(first.items()):
@@ -143,26 +140,29 @@ def compare_speed(root: Path, tree: Path, cells: Sequence[Cell], pin: str = "") 
         notes.append(f"speed to the pinned {pin[:12]}: {', '.join(calls)}")
     elif PINNED in trees:
         incomplete.append(f"no call timed beside the pinned {pin[:12]}")
-    reasons = Counter(f"not timed on the {side}: {why[:WORDS]}" for (side, _), why in refused.items())
+    reasons = Counter(
+        f"not timed on the {side}: {why[:LONGEST_MESSAGE]}" for (side, _), why in refused.items()
+    )
     notes += [f"{count} cells {why}" for why, count in reasons.items()]
     return Findings(rows_of(*rows), tuple(notes), (*too_few(cells, ratios), *incomplete))
 
 
 def decide(first: PairedRatio, again: PairedRatio | None) -> str:
-    """Return whether a cell is slower: so it is in fresh processes too, whose layout in memory is drawn anew."""
-    if first.high <= LIMIT:
+    """Return the verdict; "slower" needs a second measurement in fresh processes with another memory layout."""
+    if first.high <= RATIO_LIMIT:
         return "pass"
-    return "slower" if first.low > LIMIT and again is not None and again.low > LIMIT else INCONCLUSIVE
+    slower = first.low > RATIO_LIMIT and again is not None and again.low > RATIO_LIMIT
+    return "slower" if slower else INCONCLUSIVE
 
 
 def time_pairs(
     trees: Mapping[str, Path], cells: Sequence[Cell], pairs: Collection[Pair], root: Path | None = None
 ) -> tuple[dict[Pair, PairedRatio], dict[Pair, str]]:
-    """Return for each pair of a revision and a cell the ratio of the head to it, or why there is none."""
+    """Time the tree against each (revision, cell) pair; return the ratios, and the reasons of untimed cells."""
     from tqdm import tqdm
 
     draw = random.Random(0)
-    # the head has every cell that one of the others has
+    # the tree times every cell that any other revision times
     asked = {side: sorted({i for one, i in pairs if side in (one, HEAD)}) for side in trees}
     refused: dict[Pair, str] = {}
     with ExitStack() as stack:
@@ -178,7 +178,7 @@ def time_pairs(
         ask = [pair for pair in sorted(pairs) if not {pair, (HEAD, pair[1])} & refused.keys()]
         times: dict[Pair, tuple[list[float], list[float]]] = {pair: ([], []) for pair in ask}
         ratios: dict[Pair, PairedRatio] = {}
-        for done in tqdm(range(1, MOST_ROUNDS + 1), "timing", unit="round", disable=None):
+        for done in tqdm(range(1, MOST_ROUNDS_UNTIL_DECIDED + 1), "timing", unit="round", disable=None):
             numbers = sorted({i for _, i in ask})
             for i in draw.sample(numbers, len(numbers)):
                 now = [HEAD, *(side for side, j in ask if j == i)]
@@ -186,13 +186,13 @@ def time_pairs(
                 for side in draw.sample(now, len(now)):
                     send, receive = sides[side]
                     send(i)
-                    fastest[side] = min(receive())  # of the repeats: one that nothing interrupted
+                    fastest[side] = min(receive())  # the repeat that nothing interrupted
                 for side in now[1:]:
                     for own, seconds in zip(times[side, i], (fastest[side], fastest[HEAD]), strict=True):
                         own.append(seconds)
             if done % ROUNDS == 0:
                 ratios |= {pair: paired_ratio(*times[pair]) for pair in ask}
-                ask = [pair for pair in ask if ratios[pair].low <= LIMIT < ratios[pair].high]
+                ask = [pair for pair in ask if ratios[pair].low <= RATIO_LIMIT < ratios[pair].high]
     return ratios, refused
 
 
@@ -203,7 +203,7 @@ def timing_process(tree: Path, root: Path | None = None) -> Iterator[tuple[Send,
         tempfile.TemporaryFile("w+") as errors,
         tempfile.TemporaryDirectory(prefix="contactbench-caches-") as caches,
     ):
-        # programs that one side has compiled must not spare the other the work
+        # each side compiles for itself: caches are not shared
         names = ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR")
         variables = revisions.environment(tree, root) | dict.fromkeys(names, caches)
         process = subprocess.Popen(

@@ -1,8 +1,8 @@
-"""A process that times cells on request, for speed.py: run by path, with the revision to be timed on PYTHONPATH.
+"""Time cells of one revision on request of speed.py, which runs this file with that revision on PYTHONPATH.
 
-It asks nothing of the revision but the public calls; the clock is that of the tree that judges.  In come lines of
-JSON: first the cells by number, then the number of a cell at a time; out go the file of the code that
-is timed with the cells it refused, then lists of seconds per call.
+It uses only public calls of the revision, and the clock of the judging tree.  Requests and answers are lines of JSON:
+first all cells, answered by the path of the timed code and the refused cells; then the number of one cell at a time,
+answered by a list of seconds per call.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ else:
     sys.modules["clock"] = clock = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(clock)
 
-#: calls are repeated to fill this many seconds, so that the clock's resolution plays no part
-FILL = 1e-3
+#: seconds filled by repeated calls, long against the resolution of the clock
+ROUND_SECONDS = 1e-3
 
 
 def call(cell: Mapping[str, Any]) -> Callable[[], object]:
@@ -40,15 +40,15 @@ def call(cell: Mapping[str, Any]) -> Callable[[], object]:
     match cell["call"]:
         case "solve":
             return lambda: cb.solve(name, method, step=value, engine=engine)
-        case "new scene":  # of another force with every call: what recording and compiling take
+        case "new scene":  # each call records and compiles another force
             factors = (1 + 2.0**-20 * k for k in count(1))
             return lambda: cb.solve(quartic(next(factors)), method, step=value, engine=engine)
-        case "reference":  # neither frozen nor kept: of other numbers with every call
+        case "reference":  # each call has another damping, so that no cache answers
             rates = (scene.gamma * (1 + 1e-6 * k) for k in count(1))
             return lambda: cb.reference(scene.with_(gamma=next(rates)), [0.01])
         case "import":
             return lambda: subprocess.run([sys.executable, "-P", "-c", "import contactbench"], check=True)
-    # revisions without `begins` take times since the start
+    # older revisions without `begins` take times since the start
     times = [scene.t_end * k / cell["saves"] for k in range(1, cell["saves"] + 1)]
     times = [getattr(scene, "begins", 0.0) + time for time in times]
     setting = {cell["control"]: value} if cell["control"] in ("step", "rtol") else {}
@@ -71,7 +71,7 @@ def ready(cell: Mapping[str, Any]) -> clock.Call:
     solution = run()
     if isinstance(solution, cb.Solution) and not solution.ok:
         raise RuntimeError(f"{solution.status} {solution.message}")
-    timed = clock.Call(run, round_seconds=FILL)
+    timed = clock.Call(run, round_seconds=ROUND_SECONDS)
     timed.warm_up()
     return timed
 
@@ -82,11 +82,11 @@ def main() -> None:
     for i, cell in request.items():
         try:
             calls[int(i)] = ready(cell)
-        except Exception as error:  # one cell that fails stops no other
+        except Exception as error:  # the other cells are still timed
             refused[i] = f"{type(error).__name__}: {error}"
     if hasattr(os, "sched_getaffinity"):
-        core = max(os.sched_getaffinity(0))  # that of the other process too
-        for thread in os.listdir("/proc/self/task"):  # all of them: JAX has its own
+        core = max(os.sched_getaffinity(0))  # the processes of both revisions share one core
+        for thread in os.listdir("/proc/self/task"):  # JAX has threads of its own
             os.sched_setaffinity(int(thread), {core})
     gc.collect()
     gc.freeze()

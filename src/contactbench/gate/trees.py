@@ -1,4 +1,7 @@
-"""The gate: the tables of a fresh run, of the tree and of the base, read through git, compared by the base's code."""
+"""Judge a working tree: compare its tables, documents, tests and speed with the base revision.
+
+The base's own code judges, so that no change can loosen the rules by which it is judged.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,6 @@ from contactbench.gate.compare import (
     rows_of,
     worst,
 )
-from contactbench.gate.removed import Removed
 from contactbench.plugins import brought
 from contactbench.tables import provenance
 from contactbench.tables.declared import TIMES
@@ -41,19 +43,19 @@ from contactbench.tables.schema import TABLES, Table
 from contactbench.tables.store import OldTable
 
 PARTS = ("accuracy", "speed")
-#: in the messages of commits: tables that are meant to change, or all, and tests that are meant to go
-TRAILER = re.compile(r"^Tables-changed:(.*)$", re.MULTILINE | re.IGNORECASE)
-REMOVED = re.compile(r"^Tests-removed:(.*)$", re.MULTILINE | re.IGNORECASE)
-DEFINED = re.compile(r"^ *(?:async )?def (test_\w+)", re.MULTILINE)
+#: lines of commit messages that announce changed tables (or "all") and removed tests
+TABLES_CHANGED = re.compile(r"^Tables-changed:(.*)$", re.MULTILINE | re.IGNORECASE)
+TESTS_REMOVED = re.compile(r"^Tests-removed:(.*)$", re.MULTILINE | re.IGNORECASE)
+TEST_FUNCTION = re.compile(r"^ *(?:async )?def (test_\w+)", re.MULTILINE)
 ALL = "all"
-#: where a revision declares its tables, and what stands there since they are these: an older gate knows none of them
+#: a revision whose tables.toml lacks this line has tables of an older layout, and its gate cannot judge ours
 LAYOUT, SINCE = Path("src/contactbench/tables/tables.toml"), "[tables.runs]"
 
 
 def by_base(folder: Path, base: str | None, line: Sequence[str], stdout: TextIO) -> int | None:
-    """Have the base's own gate judge a tree by the same command line; return its status, None where we are to judge."""
+    """Run the base's own gate with the same command line; return its status, or None if this code has to judge."""
     root = revisions.project(folder)
-    if revisions.JUDGED in os.environ or not revisions.ours(root):  # the code that judges is no part of it
+    if revisions.JUDGED in os.environ or not revisions.ours(root):  # other projects do not contain the gate
         return None
     base = revisions.base(root, base)
     with revisions.checkout(root, base) as tree:
@@ -68,7 +70,7 @@ def by_base(folder: Path, base: str | None, line: Sequence[str], stdout: TextIO)
             try:
                 findings = run.communicate()[0]
             except BaseException:
-                run.terminate()  # it removes what it has made, and ends
+                run.terminate()  # it removes its temporary folders and ends
                 raise
     print(findings, end="", file=stdout)
     return run.returncode if findings else 2
@@ -82,6 +84,11 @@ def gate(
     parts: Sequence[str] = PARTS,
     changed: Sequence[str] = (),
 ) -> Findings:
+    """Compare the project around `folder` with its base revision.
+
+    results : folder of its tables.  fresh : tables of a finished run; without it the smoke profile runs now.
+    changed : names of tables that are meant to change, beside those that commit messages announce.
+    """
     root, where, results = revisions.project(folder), results, (folder / results).resolve()
     if not revisions.ours(root) and not brought():
         raise BadInput(f"{root}: no method or scene of your own; name their file with --plugin FILE")
@@ -95,7 +102,7 @@ def gate(
         old = revisions.inside(tree, root, results)
         if not any(old.glob("*.csv")):
             raise BadInput(f"--base {base[:12]}: no tables in {where}/ at that revision")
-        before, found = read_older(old, Removed.read(results))
+        before, found = read_older(old)
         older = bool(found.notes)
         if "accuracy" in parts:
             if fresh is None:
@@ -122,18 +129,18 @@ def names_in(trailer: re.Pattern[str], messages: str, option: Iterable[str] = ()
 
 
 def changed_tables(messages: str, option: Iterable[str], old: set[str]) -> set[str]:
-    """Return the tables that are meant to change; old : what the base has, under names that may be gone."""
-    named = names_in(TRAILER, messages, option)
+    """Return the names of the tables that are meant to change; old : names of the base's tables, also allowed."""
+    named = names_in(TABLES_CHANGED, messages, option)
     if unknown := sorted(named - {ALL, *TABLES} - old):
         raise BadInput(f"tables changed: {', '.join(unknown)}: no such table; {', '.join(TABLES)} or {ALL}")
     return {*TABLES} if ALL in named else named
 
 
 def run_benchmark(root: Path, results: Path) -> Findings:
-    """Run the smoke profile, of all cells of ours or of what is theirs; red if one fails."""
+    """Run the smoke profile, in another project only for its own methods and scenes; red if a cell fails."""
     command = [sys.executable, "-P", "-m", "contactbench", "bench", "--quiet", "--profile", "smoke"]
     command += ["--results", str(results), *["--all"] * revisions.ours(root)]
-    # what it prints is no part of the gate's own output
+    # the gate's own output goes to stdout, the benchmark's to stderr
     status = subprocess.run(command, env=revisions.environment(root), cwd=root, stdout=sys.stderr).returncode
     if status > 1:
         raise BadInput(f"the benchmark did not run (exit {status})")
@@ -145,22 +152,20 @@ def row(measure: str, before: str, after: str, result: str, **where: object) -> 
 
 
 def compare_tables(root: Path, results: Path, before: Frames, fresh: Path, changed: set[str]) -> Findings:
-    """Compare the tables of the tree with those of the base, and a fresh run with those of the tree."""
+    """Compare the tables of the tree with the base, and a fresh run with the tree."""
     (head, rows), (now, more) = (readable(side, changed) for side in (results, fresh))
     rows += more + check_records(root, {results: head, fresh: now}, fresh)
-    runs, removed, found = Runs.of(results, fresh), Removed.read(results), Findings()
+    runs, found = Runs.of(results, fresh), Findings()
     for name, table in TABLES.items():
         one, tree, made, listed = before[name], head[name], now[name], name in changed
         moved = [compare(table, one, tree)]
         if runs.alike:
             moved.append(compare_times(table, one, tree))
             found += between("tree → fresh", compare_times(table, tree, made))
-        if len(one) or not listed:  # all of a new table that is listed is new
+        if len(one) or not listed:  # every row of a new, announced table is new
             moved.append(unmade(table, runs, one, tree, made))
         found += between("base → tree", *moved, listed=listed)
-        if removed.remains(table, tree) or removed.remains(table, made):
-            rows.append(row("removed.toml", "removed", "present", "named, but still there", table=name))
-        if len(tree) or revisions.ours(root):  # of another project's tables some may not be wanted
+        if len(tree) or revisions.ours(root):  # another project need not commit every table
             rows += check_rows(table, one, tree, made)
     return found + compare_runs(head, now, runs, "tree → fresh") + Findings(rows_of(*rows))
 
@@ -168,7 +173,7 @@ def compare_tables(root: Path, results: Path, before: Frames, fresh: Path, chang
 def unmade(
     table: Table, runs: Runs, before: pd.DataFrame, head: pd.DataFrame, fresh: pd.DataFrame
 ) -> pd.DataFrame:
-    """Return the rows that the tree has more than the base and no fresh run of this profile makes."""
+    """Return the new rows of the tree that a fresh run of this profile does not make."""
     new = head[~keys(table, head).isin(keys(table, before))]
     new = new.drop(index=runs.expected(table, new, fresh).index)
     found = locate(table, new).assign(measure="row", before="none", after="present", distance=0.0)
@@ -176,7 +181,7 @@ def unmade(
 
 
 def readable(folder: Path, changed: set[str]) -> tuple[Frames, list[Row]]:
-    """Return the tables of a folder, and a red row for each of another layout that is not meant to change."""
+    """Return the tables of a folder, and a red row for each whose layout changed unannounced."""
     frames, rows = {}, []
     for name in TABLES:
         try:
@@ -188,7 +193,7 @@ def readable(folder: Path, changed: set[str]) -> tuple[Frames, list[Row]]:
 
 
 def check_rows(table: Table, before: pd.DataFrame, head: pd.DataFrame, fresh: pd.DataFrame) -> list[Row]:
-    """Return whether the tree lacks rows of the base, or a whole new table, that the code makes."""
+    """Return a red row if the fresh run makes rows, of the base or a new table, that are not committed."""
     base, tree, made = (keys(table, rows) for rows in (before, head, fresh))
     lacks = made[~made.isin(tree)]
     count = len(lacks) if before.empty and head.empty else int(lacks.isin(base).sum())
@@ -197,7 +202,7 @@ def check_rows(table: Table, before: pd.DataFrame, head: pd.DataFrame, fresh: pd
 
 
 def check_records(root: Path, results: Mapping[Path, Frames], fresh: Path) -> list[Row]:
-    """Return whether a run is recorded of every table of these folders, and the fresh ones are of this commit."""
+    """Return red rows for tables without a recorded run, and for a fresh run of another commit."""
     rows = []
     for folder, frames in results.items():
         made = {name for run in provenance.runs(folder) for name in run["tables"]}
@@ -213,10 +218,13 @@ def check_records(root: Path, results: Mapping[Path, Frames], fresh: Path) -> li
 
 
 def check_tests(old: Path, root: Path, messages: str) -> list[Row]:
-    """Return what tests of the base are gone, under whatever path: red where most of a file, and nobody lists it."""
+    """Return the test functions removed since the base, by file; red if most of a file went unannounced.
+
+    A test function that moved to another file is not removed.
+    """
     before, after = test_names(old), test_names(root)
     gone = sum(before.values(), Counter()) - sum(after.values(), Counter())
-    listed, rows = names_in(REMOVED, messages), []
+    listed, rows = names_in(TESTS_REMOVED, messages), []
     for path, names in before.items():
         count = sum((names & gone).values())
         named = any(PurePath(path).is_relative_to(each) for each in listed)
@@ -230,13 +238,13 @@ def check_tests(old: Path, root: Path, messages: str) -> list[Row]:
 def test_names(tree: Path) -> dict[str, Counter[str]]:
     paths = sorted((tree / "tests").rglob("test_*.py"))
     return {
-        path.relative_to(tree).as_posix(): Counter(DEFINED.findall(path.read_text(encoding="utf-8")))
+        path.relative_to(tree).as_posix(): Counter(TEST_FUNCTION.findall(path.read_text(encoding="utf-8")))
         for path in paths
     }
 
 
 def check_report(root: Path, results: Path) -> list[Row]:
-    """Return what the tables of the tree do not say of its documents, figures and README, by its own report."""
+    """Return a red row for each document, figure or README that differs from the tables (`report --check`)."""
     command = [sys.executable, "-P", "-m", "contactbench", "report", "--check", "--results", str(results)]
     variables = revisions.environment(root)
     run = subprocess.run(command, capture_output=True, cwd=root, env=variables, text=True)

@@ -93,7 +93,7 @@ class Flows:
         return differ(self.damping.vf(t, two, self.args), damped) | differ(velocities, velocity_of_both)
 
     def spent(self, t: Real, h: Real) -> tuple[PyTree, PyTree]:
-        """Return ∫γ over a part of a step and φ, the time that a damped momentum is worth, of each momentum."""
+        """Return ∫γ over a part of a step and φ = ∫e^{−∫γ}, the time of undamped motion, for each momentum."""
         leaves, structure = jax.tree.flatten(self.rates(t))
         if self.changes:
             rate_of = [lambda t, i=i: jax.tree.leaves(self.rates(t))[i] for i in range(len(leaves))]
@@ -117,7 +117,7 @@ class Flows:
         return q, jax.tree.map(lambda p, G: p + jnp.expm1(-G) * p, p, total)
 
     def drift_damp(self, t: Real, y: PyTree, h: Real) -> PyTree:
-        """Return q + velocity(φ p) and e^{−∫γ} p: exact where the velocity is linear in p."""
+        """Return q + velocity(φ p) and e^{−∫γ} p, which is exact if the velocity is linear in p."""
         (q, p), (_, phi) = y, self.spent(t, h)
         worth = jax.tree.map(lambda phi, p: phi * p, phi, p)
         return self.damp(t, (moved(q, self.velocity.vf(t, worth, self.args), self.sign), p), h)
@@ -153,7 +153,7 @@ CLOCKS = ("damp", "drift_damp")
 
 
 def time_of(stages: Sequence[Stage]) -> float:
-    """Return the time that passes in stages, in steps; every step counts anew, without round-off."""
+    """Return the time of stages in units of the step; every step counts anew, without round-off."""
     return float(sum(coefficient for flow, coefficient in stages if flow in CLOCKS))
 
 

@@ -95,7 +95,7 @@ class Hermite(DenseOutput):
 
 
 class ContactSolver(OdeSolver):
-    """A run of equal steps of one method on one scene, as SciPy drives it; see `Contact`."""
+    """Take equal steps of one method on one scene for SciPy's driver; see `Contact`."""
 
     step_map: ClassVar[OneStep]
     rhs: ClassVar[staticmethod[..., np.ndarray]]
@@ -118,7 +118,7 @@ class ContactSolver(OdeSolver):
         if max_step == math.inf:
             raise BadInput("max_step is missing: steps are equal, the longest not above it")
         if vectorized:
-            raise BadInput("vectorized = True: the slope of a scene is that of one state at a time")
+            raise BadInput("vectorized = True: a scene computes the slope of one state at a time")
         warn_extraneous(extraneous)
         super().__init__(fun, t0, y0, t_bound, vectorized)
         if self.n != len(self.labels):
@@ -188,7 +188,7 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     Events and dense output are SciPy's, by a Hermite interpolant of degree five, whose error falls as h⁶ (three and
     h⁴ where a force takes floats only).  It is no contact map: laws hold at the steps, not between them.
 
-    Its ``nfev`` counts what the steps evaluate.
+    Its ``nfev`` counts the evaluations of the steps.
 
     Parameters
     ----------

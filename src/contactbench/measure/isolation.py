@@ -1,4 +1,4 @@
-"""Calls in a process of its own: one that hangs or dies costs its own result only."""
+"""Run calls in a process of their own, so that one that hangs or crashes loses only its own result."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
 
 from contactbench.trace.kept import folder
 
-#: seconds a process may take to come up and import what it needs
+#: longest start of a process with its imports, in seconds
 STARTUP = 120.0
 
 
 class TimedOut(Exception):
-    """The call took longer than its limit and was killed."""
+    """Report that a call took longer than its limit and was killed."""
 
 
 class Died(Exception):
-    """The call took its process down."""
+    """Report that a call ended its process."""
 
 
 class Worker(AbstractContextManager["Worker"]):
-    """A process that makes calls, on some cores; it starts with the first and ends with `close`, or its block.
+    """Make calls in one other process, bound to given cores.
 
-    What it has compiled stays warm.  A call that exceeds its time, or takes it down, costs it; the next gets a new one.
+    The process starts with the first call and ends with `close` or the with block; compiled programs stay in it.  After
+    a call that runs too long or crashes, the next call starts a new process.
     """
 
     def __init__(self, cores: Iterable[int] = ()) -> None:
@@ -40,7 +41,7 @@ class Worker(AbstractContextManager["Worker"]):
         self.running: tuple[ProcessPoolExecutor, BaseProcess] | None = None
 
     def submit[T](self, function: Callable[..., T], *arguments: object) -> Future[T]:
-        """Begin a call after those before it; function, arguments and what comes of it must be picklable."""
+        """Queue a call; the function, its arguments and its result must be picklable."""
         if self.running is None:
             spawn = multiprocessing.get_context("spawn")
             pool = ProcessPoolExecutor(1, spawn, initializer=begin, initargs=(self.cores,))
@@ -52,7 +53,10 @@ class Worker(AbstractContextManager["Worker"]):
         return self.result(self.submit(function, *arguments), limit)
 
     def result[T](self, call: Future[T], limit: float | None = None) -> T:
-        """Return what a call returns, and raise what it raises; `TimedOut` after so many seconds, and `Died`."""
+        """Return the result of a call or raise its exception.
+
+        Raises `TimedOut` after `limit` seconds, and `Died` if the process ended.
+        """
         try:
             return call.result(limit)
         except BrokenProcessPool:
@@ -60,7 +64,7 @@ class Worker(AbstractContextManager["Worker"]):
         except BaseException as error:
             if call.done():
                 raise
-            self.close()  # it still computes: the next call gets a new process
+            self.close()  # the process still computes
             if isinstance(error, TimeoutError):
                 raise TimedOut(f"no result after {limit:g} s") from None
             raise
@@ -75,7 +79,7 @@ class Worker(AbstractContextManager["Worker"]):
         return f"signal {-code}" if code < 0 else f"exit status {code}"
 
     def __exit__(self, kind: object, *_: object) -> None:
-        """Let it do what it was asked for and end by itself, with what it has started; after an error kill it."""
+        """Wait for the queued calls and end the process; after an error kill it."""
         if kind is None and self.running is not None:
             self.running[0].shutdown()
             self.running = None
@@ -83,33 +87,33 @@ class Worker(AbstractContextManager["Worker"]):
 
 
 def settle() -> None:
-    """Set one thread for every engine and where JAX keeps its programs, beside numba's, unless that is chosen already.
+    """Set one thread for every library and JAX's cache folder in the environment, unless the user has set them.
 
-    Both are read when the libraries are first imported, here and in processes started from here.  JAX itself does not
-    tell processors apart, as numba does: the folder's name does.
+    Libraries read them at their first import, here and in child processes.  The name of the cache folder holds the
+    processor, since JAX would load programs compiled for another one.
     """
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     processor = f"{get_host_cpu_name()} {get_host_cpu_features().flatten()}"
     programs, jax = folder("xla"), {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     jax |= {"JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
-    if programs is not None:  # JAX runs whatever lies there
+    if programs is not None:
         key = hashlib.sha256(processor.encode()).hexdigest()[:16]
         jax |= {"JAX_COMPILATION_CACHE_DIR": str(programs / key)}
     os.environ.update(dict.fromkeys(names, "1") | jax | os.environ)
 
 
 def bind(cores: Iterable[int]) -> None:
-    """Stay on some cores, where there are any.
+    """Bind this process to the given cores; do nothing if there are none.
 
-    XLA sizes its thread pool by the cores it may use, and handing parts of a small program to another thread costs
-    more than running them (up to 70 µs a call, measured).
+    XLA sizes its thread pool by the cores of the process, and passing a small program to another thread takes longer
+    than running it (up to 70 µs per call, measured).
     """
     if cores := set(cores):
         os.sched_setaffinity(0, cores)
 
 
 def usable_cores() -> list[int]:
-    """The cores the machine lets us use, though this process may be bound to fewer; none where that is not known."""
+    """Return all cores that this process could be bound to; none where the system does not tell."""
     if not hasattr(os, "sched_getaffinity"):
         return []
     bound = os.sched_getaffinity(0)
@@ -121,7 +125,7 @@ def usable_cores() -> list[int]:
 
 
 def begin(cores: list[int]) -> None:
-    """Prepare the process: it leaves Ctrl-C to the one that asks, and ends with it, however that ends."""
+    """Prepare a worker process: ignore Ctrl-C, end with the parent, and bind to the cores."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=follow_parent, daemon=True).start()
     bind(cores)

@@ -83,7 +83,7 @@ def step_matrix(method: FixedStep, gamma: float, omega: float, h: float | np.nda
 
 
 def by_compiled_steps(method: FixedStep, scene: Scene, steps: np.ndarray) -> np.ndarray:
-    """Return the same by the compiled loop, one interval of one step each; nan where the iteration fails."""
+    """Return the maps of `step_matrix` from the compiled loop, one step each; nan where the iteration fails."""
     loop = loop_of(method, scene, ())
     spans = np.column_stack([steps.ravel(), np.ones(steps.size)])
     rows, shape = loop.table(np.array(scene.numbers()), spans), np.append(loop.program.shape, 0)

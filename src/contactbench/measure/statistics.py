@@ -1,4 +1,4 @@
-"""Costs at equal error, paired ratios, margins and ties; and means over long runs, with their standard errors."""
+"""Compare costs at equal error: interpolated costs, ratios with intervals, margins and verdicts."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from contactbench.numbers.protocol import Arithmetic, Condition
 
 
 def costs_to_reach(errors: Sequence[float], costs: Sequence[float], targets: Sequence[float]) -> list[float]:
-    """Return the costs of some errors, by log–log interpolation; nan where no setting is as accurate.
+    """Return the cost to reach each target error; nan if no setting is accurate enough.
 
-    On the lower envelope: no method is charged for a poor setting it has no need of.  Where every setting is more
-    accurate than asked for it is the cost of the cheapest, a bound.
+    Costs are interpolated log–log on the lower envelope, so that a poor setting does not count against a method.  If
+    every setting is more accurate than the target, the cost is that of the cheapest, an upper bound.
     """
     return interpolate(errors, costs, envelope(errors, costs), targets)
 
 
 def envelope(errors: Sequence[float], costs: Sequence[float]) -> list[int]:
-    """Return which settings cost less than every more accurate one, from the most accurate on."""
+    """Return the indices of the settings that cost less than every more accurate one, most accurate first."""
     points = sorted(
         (e, c, i)
         for i, (e, c) in enumerate(zip(errors, costs, strict=True))
@@ -39,7 +39,7 @@ def envelope(errors: Sequence[float], costs: Sequence[float]) -> list[int]:
 def interpolate(
     errors: Sequence[float], values: Sequence[float], front: Sequence[int], targets: Sequence[float]
 ) -> list[float]:
-    """Return values > 0 at some errors, log–log between the settings of an envelope; nan below its smallest error."""
+    """Return positive values at target errors, log–log between the settings `front`; nan below their least error."""
     if not front:
         return [math.nan] * len(targets)
     x, y = np.log([[errors[i], values[i]] for i in front]).T
@@ -47,13 +47,13 @@ def interpolate(
     return [math.nan if t < errors[front[0]] else value for t, value in zip(targets, reached, strict=True)]
 
 
-#: resampled medians behind a bootstrap interval
+#: number of bootstrap samples for an interval
 RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
 class PairedRatio:
-    """How many times slower one of two is: median over rounds and its 95 % bootstrap interval."""
+    """Hold the ratio of two times: median over rounds and its 95 % bootstrap interval."""
 
     ratio: float
     low: float
@@ -62,10 +62,10 @@ class PairedRatio:
 
 
 def paired_ratio(base: Sequence[float], head: Sequence[float]) -> PairedRatio:
-    """Return the ratio head/base of times taken in pairs, in which a slower drift of the machine cancels.
+    """Return the ratio head/base of times measured in pairs; slow drifts of the machine cancel in a pair.
 
-    The median of the log-ratios is resampled (Efron, Ann. Stat. 7, 1 (1979), doi:10.1214/aos/1176344552, percentile
-    interval, fixed seed).
+    The interval is the percentile bootstrap of the median log-ratio with a fixed seed (Efron, Ann. Stat. 7, 1 (1979),
+    doi:10.1214/aos/1176344552).
     """
     logs = np.log(np.asarray(head, dtype=float)) - np.log(np.asarray(base, dtype=float))
     resampled = np.random.default_rng(0).choice(logs, (RESAMPLES, len(logs)))
@@ -74,12 +74,12 @@ def paired_ratio(base: Sequence[float], head: Sequence[float]) -> PairedRatio:
 
 
 # -- shares and quantiles of a sample --------------------------------------------------------------
-#: the normal quantile of an interval of 95 %
+#: quantile of the normal distribution for a 95 % interval
 NORMAL = 1.959964
 
 
 def wilson(part: int, whole: int) -> tuple[float, float]:
-    """Return the interval of 95 % of a share, `part` of `whole` (Wilson, J. Am. Stat. Assoc. 22, 209 (1927))."""
+    """Return the 95 % interval of the share part/whole (Wilson, J. Am. Stat. Assoc. 22, 209 (1927))."""
     if not whole:
         return 0.0, 1.0
     share, z2 = part / whole, NORMAL**2 / whole
@@ -88,67 +88,67 @@ def wilson(part: int, whole: int) -> tuple[float, float]:
 
 
 def quantile_interval(values: Sequence[float], q: float) -> tuple[float, float, float]:
-    """Return a quantile and its interval of 95 %, by resampling (percentiles, fixed seed); nan of no values."""
+    """Return a quantile and its 95 % percentile bootstrap interval (fixed seed); nan if there are no values."""
     own = np.asarray(values, dtype=float)
     if not len(own):
         return math.nan, math.nan, math.nan
     resampled = np.random.default_rng(0).choice(own, (RESAMPLES, len(own)))
-    found = np.quantile(
-        resampled, q, axis=1, method="nearest"
-    )  # infinite values are no numbers to interpolate
+    # "nearest" because infinite values cannot be interpolated
+    found = np.quantile(resampled, q, axis=1, method="nearest")
     low, high = np.quantile(found, [0.025, 0.975], method="nearest")
     return float(np.quantile(own, q, method="nearest")), float(low), float(high)
 
 
 # -- wins and ties ---------------------------------------------------------------------------------
-#: errors within this factor are alike
+#: errors within this factor count as equal
 ALIKE = 2.0
-#: a verdict on time names all within this factor of the least: so much another processor moves.  A margin that is
-#: wider decides nothing
+#: times within this factor of the least tie, since another processor may reorder them; a wider margin is undecided
 WIDEST = 1.25
-#: cells whose halves agree within this are quiet
+#: largest ratio between the two halves of the visits of a quiet cell
 FLOOR = 1.03
-#: by what factor a cell's least round differs from process to process, in 95 of 100 cells (the layout of code and data
-#: in memory): measured over five processes, for tables in which no second process timed anything
+#: factor between the times of a cell in two processes, for 95 % of cells (memory layout); measured over five processes
+#: and used for tables without a second process
 PROCESSES = 1.04
-#: the share of cells that what two processes differ by covers
+#: share of cells whose two processes differ by at most the spread
 COVERED = 0.95
 
 
 class Verdict(StrEnum):
-    """What a cost is beside another one."""
+    """Rate a cost against another cost."""
 
     win = "win"
     tie = "tie"
     loss = "loss"
-    undecided = "undecided"  #: the clock does not tell: within a margin that is wider than `WIDEST`
+    undecided = "undecided"  #: closer than the margin, and the margin is wider than `WIDEST`
 
 
 def process_spread(ratios: Iterable[float], halves: Iterable[float]) -> float:
-    """Return by what factor two processes differ on a cell, in 95 of 100; ratios : of a sample, second over first.
+    """Return the factor within which two processes agree on 95 % of the cells.
 
-    Cells whose halves differ by more than `FLOOR` are noisy themselves, which their margins know already.
+    ratios : time in the second process over the first, by cell.  halves : ratio of the halves of a cell's visits; cells
+    beyond `FLOOR` are noisy by themselves and left out, since their own margins cover that.
     """
     pairs = [(r, h) for r, h in zip(ratios, halves, strict=True) if r > 0 and math.isfinite(r)]
     if not pairs:
         return PROCESSES
     quiet = [r for r, h in pairs if 1 / FLOOR <= h <= FLOOR]
     known = np.array(quiet or [r for r, _ in pairs])
-    # the smallest measured factor that covers the share: no interpolation towards quieter cells
+    # "higher" takes a measured factor and does not interpolate towards quieter cells
     return float(np.quantile(np.maximum(known, 1 / known), COVERED, method="higher"))
 
 
 def margin(halves: Iterable[float], processes: float, within: float = WIDEST) -> float:
     """Return the factor by which one of two costs must be less to lead alone.
 
-    It is `within`, or what the clock leaves open: the halves of either's visits, and two processes.
+    It is `within`, or the uncertainty of the clock if larger: the spread between the halves of each cell's visits
+    and between two processes, combined in quadrature of their logarithms.
     """
     logs = [math.log(ratio) if ratio > 0 else math.inf for ratio in (*halves, processes)]
     return max(within, math.exp(math.hypot(*logs)))
 
 
 def ties(value: Arithmetic, least: Arithmetic, margin: float) -> Condition:
-    """Return whether a cost or an error, or each of a column, is no more than the least but for a margin."""
+    """Return whether a value, or each of an array, is at most `margin` times the least."""
     return value <= margin * least
 
 

@@ -1,4 +1,4 @@
-"""Choices and loops on every kind of number: only plain numbers can be branched on (see `Abilities`)."""
+"""Choose and loop on every kind of number; an if statement works on plain numbers only (see `Abilities`)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from contactbench.numbers.protocol import (
 )
 from contactbench.xla import jnp, lax
 
-#: most turns of a loop over plain numbers; a thousand digits take forty
+#: most iterations of a loop over plain numbers; a thousand digits take forty
 ENDLESS = 200
 
 

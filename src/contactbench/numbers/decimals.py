@@ -1,4 +1,4 @@
-"""Numbers of gmpy2 with any number of digits, three to six times as fast as mpmath's."""
+"""Compute with gmpy2's numbers of any number of digits, three to six times as fast as mpmath's."""
 
 from __future__ import annotations
 
@@ -55,5 +55,5 @@ def of_precision(precision: int) -> Decimals:
 
 
 def current() -> Decimals:
-    """Return the namespace of the numbers that are computed with at present."""
+    """Return the namespace of gmpy2's current precision."""
     return of_precision(gmpy2.get_context().precision)

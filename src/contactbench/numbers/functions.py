@@ -1,8 +1,8 @@
 """Functions sin, exp, … of all kinds of numbers that scenes run on (``cb.math``).
 
 A scene is written once and runs on floats, NumPy arrays, JAX tracers, mpmath numbers, heyoka's expressions and reals,
-dual and recorded numbers.  Arithmetic and powers are theirs; of the functions beyond that, these find the one that
-fits their argument::
+dual and recorded numbers.  Each kind has its own arithmetic and powers; the functions here call the implementation
+that fits their argument::
 
     potential=lambda q: -cb.math.cos(q[0]), gradient=lambda q: (cb.math.sin(q[0]),)
 
@@ -94,7 +94,7 @@ INSTEAD: dict[str, Callable[..., Arithmetic]] = {"expm1": lambda x: exp(x) - 1, 
 
 
 def where(condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
-    """Return a where a condition holds, else b, entry by entry of arrays.  Both are computed, and neither may fail."""
+    """Return a where a condition holds, else b, entry by entry for arrays; both are computed, so neither may fail."""
     if isinstance(condition, bool | np.bool_):
         return a if condition else b
     decides = next((x for x in (a, b, condition) if isinstance(x, Number)), leading(a, b, condition))
@@ -103,7 +103,7 @@ def where(condition: Condition, a: Arithmetic, b: Arithmetic) -> Arithmetic:
 
 
 def leading(*numbers: Arithmetic) -> Arithmetic:
-    """Return the first value that is no plain number, or the first value: it decides on the functions."""
+    """Return the first value that is no plain number, else the first value; its type selects the functions."""
     return next((x for x in numbers if not isinstance(x, int | float)), numbers[0])
 
 

@@ -186,7 +186,7 @@ def _refuse(question: str) -> Callable[..., Any]:
     return refuse
 
 
-#: what a function of the time that jumps needs besides
+#: hint for functions of time that jump
 JUMPS = "and cb.Driven is told the times of jumps by breaks="
 
 

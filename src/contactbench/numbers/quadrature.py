@@ -18,7 +18,7 @@ from contactbench.numbers.protocol import Arithmetic, Namespace, Numbers, has_di
 STAGES = 8
 #: of the coefficients on doubles
 DIGITS = 30
-#: halvings of a span before its integral is taken as it is
+#: most halvings of a span; then its integral is accepted
 HALVINGS = 12
 
 #: γ(t)

@@ -78,13 +78,13 @@ class Series(Unknown):
 
 
 class LongSeries(Series):
-    """The same where every digit counts: derivatives have no rounded constants then."""
+    """A `Series` whose derivatives have no rounded constants, for high precision."""
 
     __slots__ = ()
 
 
 def expression_of(x: object) -> Any:
-    """Return heyoka's expression, of a number the number itself."""
+    """Return heyoka's expression; a number is returned as it is."""
     return x.expression if isinstance(x, Series) else x
 
 

@@ -1,8 +1,8 @@
-"""The established solvers.  A module here registers its own and is imported without being listed anywhere."""
+"""The established solvers; every module here registers its solvers when this package is imported."""
 
 from contactbench.registry import import_modules
 
-#: in table order; what other modules register comes after them
+#: in table order; all other modules follow by name
 FIRST = ("scipy", "sundials", "cyrk", "diffrax", "heyoka")
 
 import_modules(__name__, FIRST)

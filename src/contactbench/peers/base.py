@@ -25,9 +25,10 @@ from contactbench.trace.recording import Recorded, Tape, attempt
 
 @dataclass(frozen=True)
 class Peer(Adaptive):
-    """A solver of another library; call : makes the `Call` of a run; solver : its name in the library.
+    """Describe a solver of another library.
 
-    package : must be installed.  stages : of an attempted step, if fixed.  costs : engine → `step_cost`.
+    call : makes the `Call` of a run.  solver : its name in the library.  package : the package that must be installed.
+    stages : number of stages of an attempted step, if fixed.  costs : `step_cost` by engine.
     """
 
     name: str
@@ -64,7 +65,7 @@ class Peer(Adaptive):
 
 
 class Ending(NamedTuple):
-    """The result of a call, for `Prepared.finish`."""
+    """Hold the result of a call, for `Prepared.finish`."""
 
     y: np.ndarray | None
     counts: Counts
@@ -74,7 +75,7 @@ class Ending(NamedTuple):
 
 
 class Call(ABC):
-    """The calls of a library for one request.
+    """Call a library for one request.
 
     1. The constructor compiles, allocates and connects; it raises `ImportError` if the library cannot be used.
     2. ``call(y0)`` runs from a packed state.  It returns the saved states reached after the start (None if there is not
@@ -123,7 +124,7 @@ class PeerRun(RunByTolerance):
 
 @dataclass
 class Pieces(Prepared):
-    """Run in pieces between breaks; the few roundings around a break are crossed with the slopes there."""
+    """Run in pieces between breaks; a step of Heun crosses the uncertainty of each break."""
 
     method_: Peer
 
@@ -163,7 +164,7 @@ class Pieces(Prepared):
         return y
 
     def at(self, begin: float, y: np.ndarray, y0: np.ndarray) -> np.ndarray:
-        """Return a state with the time `begin` after the start, which is no sum of pieces."""
+        """Return a state whose time is start + `begin`, without the rounding of a sum of pieces."""
         y = y.copy()
         y[self._clock] = y0[self._clock] + begin
         return y
@@ -225,12 +226,12 @@ class Solver(Protocol):
 
 
 class Callback(Call):
-    """A solver that calls Python functions of floats, recorded with the numbers as constants.
+    """Run a solver that calls Python functions of floats, recorded with the scene's numbers as constants.
 
     A function that cannot be recorded is called directly, at four times the cost.
     """
 
-    #: number of steps that the last, failed one counts for
+    #: number of steps that a failed last step counts as
     failure = 1
 
     def __init__(self, method: Peer, request: Request) -> None:

@@ -32,7 +32,7 @@ from contactbench.trace.recording import Block, Tape, attempt, is_constant, oper
 
 #: places in data: the two counters, the start of the run, the constants
 RHS_CALLS, JACOBIAN_CALLS, ORIGIN, CONSTANTS = 0, 1, 2, 3
-#: the numbers that a compiled call returns, followed by the packed state reached
+#: names of the numbers that a compiled call returns before the packed state reached
 FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
 KNOWN = len(FACTS)
 #: CyRK's status codes
@@ -46,7 +46,7 @@ LARGEST_JACOBIAN = 64
 
 
 class CFunctions(NamedTuple):
-    """Addresses of rhs and jacobian (0: none), how to make their data, seconds to compile."""
+    """Hold the addresses of rhs and jacobian (0: none), the function that makes their data, and the compile time."""
 
     rhs: int
     jacobian: int
@@ -64,7 +64,7 @@ _compiled: Cache[CFunctions] = Cache(256)
 
 
 def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
-    """Return the C functions of a scene, made once; raises `CannotRecord` where it branches on values."""
+    """Return the C functions of a scene, compiled once; raises `CannotRecord` if the scene branches on values."""
 
     def make() -> CFunctions:
         elapsed = stopwatch()
@@ -133,7 +133,7 @@ class Compiled(Call):
         self.seconds = self.functions.compile_s
         self.data = self.functions.data(self.scene.numbers())
         self.final_only = len(self.later) == 1
-        self.alone = Lock()  # memory may be shared by the calls: those from several threads take turns
+        self.alone = Lock()  # calls share memory, so threads take turns
         self.library, self.arguments = self.connect(-1 if self.clock is None else self.clock)
 
     @cached_property

@@ -4,9 +4,9 @@ Renaud, https://github.com/jrenaud90/CyRK, doi:10.5281/zenodo.7093266.  Methods:
 ODEs I, §II.5 (DOP853) and II, §IV.8 (Radau); Verner, Numer. Algorithms 53, 383 (2010),
 doi:10.1007/s11075-009-9290-3; Petzold, SIAM J. Sci. Stat. Comput. 4, 136 (1983), doi:10.1137/0904010 (LSODA).
 
-CyRK's documented `nbsolve2_ivp` costs 5 µs a call from compiled code and a hundred more from Python, nearly all of it
-for boxing its arguments and its result; so it is called from compiled code, through the C entry it wraps.  That entry
-takes no Jacobian: Radau and LSODA difference the right-hand side, and the calls they make for it are counted.
+CyRK's documented `nbsolve2_ivp` takes 5 µs a call from compiled code and 100 µs more from Python, mostly to convert
+arguments and result.  So compiled code calls the C function that it wraps.  That function takes no Jacobian: Radau and
+LSODA difference the right-hand side, and these calls are counted.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from contactbench.peers.base import Peer
 from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, Compiled, Connection
 from contactbench.solution import Counts, Status
 
-#: steps of a short run, about a hundredth of a second; seconds between two looks at signals
+#: steps of a short run, about 0.01 s; seconds between two checks for signals
 PIECE, LOOK = 10**4, 0.1
 #: evaluations before the first step: at the initial state, and to choose the step
 BEFORE = 2
@@ -35,7 +35,7 @@ class Cyrk(Compiled):
         return cyrk, (*where, np.array([r.rtol]), np.array(r.atol, ndmin=1), r.max_steps)
 
     def run(self, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Run by one call of C++, which nothing ends; a long one by another thread, which Ctrl-C leaves to itself."""
+        """Run by one uninterruptible call of C++; a long run uses another thread, which Ctrl-C abandons."""
         *given, most = self.arguments
         self.arguments = (*given, min(PIECE, most))
         try:

@@ -21,8 +21,8 @@ from contactbench.xla import doubles, jax, jnp
 if TYPE_CHECKING:
     from jax.stages import Compiled
 
-#: numbers of saved times a program is compiled for; the next larger one serves all in between: it takes up to 50 µs
-#: longer than one for 64 (measured), and a program takes seconds to compile
+#: numbers of saved times that programs are compiled for; a run uses the next larger one, which takes up to 50 µs more
+#: (measured) but saves seconds of compilation
 CAPACITIES = (1, 1024)
 #: one per structure of a scene, method, budget and capacity
 _programs: Cache[tuple[Compiled, float]] = Cache(1024)
@@ -36,7 +36,7 @@ def on_device(x: np.ndarray) -> Any:
 class Diffrax(Call):
     """A compiled JAX function of a packed initial state and of all other numbers of a run, in one vector each.
 
-    What a short call costs is the number of its arguments, and to convert them: they are on the device already.
+    Converting arguments dominates a short call, so there are few, and they are on the device already.
     """
 
     def __init__(self, method: Peer, request: Request) -> None:

@@ -40,7 +40,7 @@ def taylor_system(
     units: Sequence[float] | None = None,
     origin: int | None = None,
 ) -> list[tuple[object, object]]:
-    """Return the equations, each component in a unit of its own: heyoka knows one scale for all, one or the largest.
+    """Return the equations with each component in its own unit, since heyoka has one scale for all components.
 
     origin : the number of the parameter that is the start, from which its time counts; None: from 0.
     """
@@ -62,7 +62,7 @@ def taylor_system(
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile
 UNROLLED = 20
 
-#: steps between two looks at signals, about a hundredth of a second
+#: steps between two checks for signals, about 0.01 s
 PIECE = 10**4
 
 #: one program per identity, numbers and tolerance, a megabyte or two each; a run has a copy of its own, with a
@@ -155,7 +155,7 @@ class Taylor(Call):
             y, state = y * self.units, state * self.units
         y = self.insert_clock(y, origin, self.later[: len(y)])
         counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
-        # of a grid that takes exactly so many steps heyoka says that they are spent
+        # heyoka reports a spent budget also if the grid took exactly that many steps
         if outcome == limit.time_limit or len(y) == len(self.later):
             return Ending(y, counts)
         if outcome == limit.step_limit:

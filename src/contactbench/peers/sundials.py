@@ -22,7 +22,7 @@ from contactbench.solution import Status
 if TYPE_CHECKING:
     from sksundae.cvode import CVODE
 
-#: components times steps of CVODE that take some hundredths of a second
+#: components times steps of CVODE between two checks for signals, some hundredths of a second
 PIECE = 10**5
 FLAG, SAVED = map(FACTS.index, ("flag", "saved"))
 

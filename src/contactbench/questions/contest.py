@@ -1,7 +1,7 @@
 """Cost at equal error: what each error costs every method, who is within a quarter of the least, and who leads alone.
 
 Evaluations (the engine does not matter), times of compiled engines and times of solvers that call back into Python
-are never mixed.  The functions without an underscore are those that the counts of the documents are made with.
+are never mixed.  The counts in the documents call the functions without an underscore.
 """
 
 from __future__ import annotations
@@ -324,7 +324,7 @@ def hard_runs(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def ring_runs(ring: pd.DataFrame, times: pd.DataFrame) -> pd.DataFrame:
-    """Return the runs of the ring with the time of each whole, from that of its beginning: `run_s`."""
+    """Return the runs of the ring with the time of a whole run, `run_s`, extrapolated from its beginning."""
     begun = times[times["scene"].isin(ring["scene"])][["scene", "method", "control", "setting", "least_s"]]
     rows = ring.merge(begun, on=["scene", "method", "control", "setting"], how="left")
     return rows.assign(run_s=rows["least_s"] / TIMED_SPAN * rows["t_end"])

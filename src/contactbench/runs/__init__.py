@@ -1,1 +1,1 @@
-"""What is run, one file a table: cells, and the rows of each; ladders, journal, times."""
+"""Run the benchmark: one module per table yields its rows; the rest chooses settings, runs and times."""

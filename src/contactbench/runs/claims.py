@@ -1,4 +1,4 @@
-"""Is it true?  One cell: a claim of the paper, or the data of one of its figures."""
+"""Check the claims of the paper; a cell is a claim, or the data of one figure."""
 
 from __future__ import annotations
 

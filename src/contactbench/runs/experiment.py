@@ -1,20 +1,20 @@
-"""What an experiment is: the cells that a profile runs, the rows of a cell, and what is timed of them.
+"""Define experiments: the cells of a profile, the rows of a cell, and the calls to time.
 
-A module of this package holds experiments, and is found without being listed.  One makes rows::
+Every module of this package may hold experiments.  One kind makes rows::
 
-    @experiment(cells)                     # cells(profile) -> tuples that name what is run
+    @experiment(cells)                     # cells(profile) -> list of tuples, one per cell
     def ring(cell, profile):
         yield RING, {"scene": …, "method": …, …}
 
-and another times them, in a process alone on its core, after all rows are made::
+and the other times them after all rows are made, in a process alone on its core::
 
     @timed(ring)
-    def ring_times(row):                   # a row that `ring` has made; None: it is not timed
+    def ring_times(row):                   # a row of `ring`; return None if it is not timed
         key = {"scene": "chaotic_ring", "method": row["method"], …}   # of a row of times.csv
         return Timing(key, beginning, (row["method"], row["setting"]), row["energy_error"])
 
-where ``beginning(method, setting)`` prepares, here or in a second process, and returns what times.csv says of it beside
-the clock's numbers (compile_s, first_s; or nothing) and the `Call`.
+where ``beginning(method, setting)`` prepares the run, here or in a second process, and returns further columns of
+times.csv (compile_s, first_s, or none) and the `Call`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ type Recorded = Iterator[tuple[Table, Row]]
 
 @dataclass(frozen=True)
 class Profile:
-    """How much is run; visits : to what is timed."""
+    """Set the amount of work; visits : number of visits to each timed call."""
 
     name: str
     visits: int
@@ -46,7 +46,7 @@ class Profile:
         return self.name == NAMES[0]
 
     def reaches(self, name: str) -> bool:
-        """Whether it runs what another profile does."""
+        """Return whether this profile includes another one."""
         return NAMES.index(name) <= NAMES.index(self.name)
 
 
@@ -55,10 +55,10 @@ PROFILES = {name: Profile(name, MOST_VISITS if name == NAMES[-1] else VISITS) fo
 
 @dataclass(frozen=True)
 class Timing:
-    """What is timed of a row.
+    """Describe the call to time for a row.
 
-    key : of its row in times.csv.  prepare : gives, of the arguments, more columns of that row and the call; another
-    process may be asked for both.  error : of the run, by which contestants are told.
+    key : its key in times.csv.  prepare : ``prepare(*arguments)`` returns further columns of that row and the call; a
+    second process may call it too.  error : the error of the run, which selects its rivals.
     """
 
     key: Row
@@ -69,10 +69,10 @@ class Timing:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Cells of one kind, and how each is measured.
+    """Hold cells of one kind and the function that measures them.
 
-    question : its module.  rows : of a cell in a
-    profile, each with its table.  timing : instead, what is timed of a row that the experiment `of` has made.
+    question : its module.  rows : yields the rows of a cell in a profile, each with its table.  timing : instead of
+    rows, returns the `Timing` of a row of the experiment `of`.
     """
 
     question: str
@@ -91,7 +91,7 @@ class Experiment:
         return next(name for name, profile in PROFILES.items() if cell in cells_of(self, profile))
 
 
-@cache  # asked for once a cell, of thousands, it would cost as much as what is measured
+@cache  # called for each of thousands of cells
 def cells_of(experiment: Experiment, profile: Profile) -> frozenset[Cell]:
     return frozenset(experiment.cells(profile))
 
@@ -102,12 +102,12 @@ EXPERIMENTS: list[Experiment] = []
 def experiment(
     cells: Callable[[Profile], list[Cell]],
 ) -> Callable[[Callable[[Cell, Profile], Recorded]], Experiment]:
-    """Make an experiment, of its name, of the function that gives the rows of a cell."""
+    """Return a decorator that registers a function yielding the rows of a cell, under its name."""
     return lambda rows: add(rows, cells=cells, rows=rows)
 
 
 def timed(of: Experiment) -> Callable[[Callable[[Row], Timing | None]], Experiment]:
-    """Make an experiment, of its name, of the function that says what is timed of a row of another one."""
+    """Return a decorator that registers a function returning the `Timing` of a row of the experiment `of`."""
     return lambda timing: add(timing, cells=of.cells, timing=timing, of=of)
 
 
@@ -119,6 +119,6 @@ def add(function: Callable[..., object], **given: Any) -> Experiment:
 
 @cache
 def experiments() -> dict[str, Experiment]:
-    """Return all experiments by their names, question by question."""
+    """Return all experiments by name, sorted by module."""
     import_modules(__package__)
     return {each.name: each for each in sorted(EXPERIMENTS, key=lambda each: each.question)}

@@ -1,4 +1,4 @@
-"""What can be said of a problem in a fraction of a second, without compiling anything, by a short pilot in Python."""
+"""Estimate features of a problem, such as frequency and damping, by a short pilot run in Python without compilation."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from contactbench.scene import Scene
 from contactbench.trace.form import FUNCTIONS
 from contactbench.trace.formula import Formula, formula
 
-#: what an operation costs, in additions; the cost of a function that cannot be counted
+#: cost of a division, an elementary function and a function that cannot be recorded, in additions
 DIVISION, FUNCTION, UNKNOWN = 4.0, 12.0, 1000.0
 COSTS = dict.fromkeys(("div", "sqrt"), DIVISION) | dict.fromkeys(
     (*FUNCTIONS, "pow", "atan2", "hypot"), FUNCTION
 )
-#: steps and seconds of a pilot at most, its tolerance, and a step of a difference
+#: most steps and seconds of a pilot, its tolerance, and the step of differences
 STEPS, SECONDS, RTOL, STEP = 100, 1.2, 1e-5, 1e-6
-#: components whose part of a divergence is taken at most
+#: most components whose part of the divergence is computed
 SAMPLE = 64
-#: of steps shorter than this part of the longest the change of a force is rounding
+#: steps shorter than this part of the longest are ignored: the change of the force is rounding
 SHORT = 1e-3
-#: an angle that a motion goes through at least: of one that does not swing the span is the time
+#: least angle of a motion; motions that do not oscillate use the time span
 SLOWEST = 0.1
 
 
 @dataclass(frozen=True)
 class Features:
-    """What a problem is like.  omega : rate at which the force changes along the motion, as an angular frequency.
+    """Hold features of a problem.  omega : rate at which the force changes along the motion, as an angular frequency.
 
     damping : over omega.  span : in periods 2π/omega.  spread : largest of these rates over their mean.  cost : of a
     right-hand side, in additions.  size : components.  kind : of the scene.
@@ -60,7 +60,7 @@ def recorded_slopes(scene: Scene) -> Formula | None:
 
 
 def force_cost(scene: Scene, slopes: Formula | None = None) -> float:
-    """Return what a right-hand side costs, in additions, counted in its recorded form."""
+    """Return the cost of a right-hand side in additions, counted in its recorded form."""
     slopes = slopes or recorded_slopes(scene)
     if slopes is None:
         return UNKNOWN
@@ -68,7 +68,7 @@ def force_cost(scene: Scene, slopes: Formula | None = None) -> float:
 
 
 def features(scene: Scene) -> Features:
-    """Return what a pilot finds; raise `BadInput` for a function that fails on it."""
+    """Return the features found by a pilot run; raise `BadInput` if a function fails."""
     from scipy.integrate import DOP853  # takes long to load
 
     scene, carry = scene.recorded(), scene.carry(())
@@ -88,7 +88,7 @@ def features(scene: Scene) -> Features:
         return np.full(len(y), math.nan)
 
     def pull(t: float, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return a place and the acceleration there, friction left out; of what has no coordinates state and slope."""
+        """Return position and acceleration without friction; for systems without coordinates state and slope."""
         if not scene.separable:
             return y / units, slope(t, y) / units
         x: Any = scene.unpack(scene.with_clock(y.tolist(), start + t), carry)
@@ -126,7 +126,7 @@ def features(scene: Scene) -> Features:
 
 
 def loss(slope: Any, t: float, y: np.ndarray, units: np.ndarray, momenta: int) -> float:
-    """Return the mean rate at which momenta are lost, from the divergence of the field; of many from some of them."""
+    """Return the mean decay rate of the momenta from the divergence of the field, sampled if there are many."""
     there, total = slope(t, y), 0.0
     some = np.unique(np.linspace(0, len(y) - 1, min(len(y), SAMPLE)).round().astype(int))
     for i in some:

@@ -1,6 +1,6 @@
-"""Which methods are run on which scenes, and at which settings; and what of it is timed.
+"""Run methods on scenes: rows of runs.csv and times.csv; a cell is a scene and a method.
 
-One cell: a scene and a method, all of its rows in runs.csv.  What is run follows from what scenes and methods declare.
+The declared properties of scenes and methods decide which pairs run, and at which settings.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from contactbench.tables.schema import PROFILES as NAMES
 
 #: engines that take seconds for a scene: XLA compiles, Python is called back
 DEAR = ("jax", "python")
-#: rungs of a ladder in the smoke profile
+#: number of settings in the smoke profile
 FEW = 3
-#: evaluations that a run of a ladder may cost where Python is called back
+#: most evaluations of a run that calls back into Python
 DEAREST_CALLBACKS = 2**12
-#: evaluations that a run may cost whose map is differentiated: what it keeps shows in the coarser ones
+#: most evaluations of a run whose map is differentiated; coarser runs show which laws it keeps
 DIFFERENTIATED = {"compiled": 2**16, "callbacks": 1000}
-#: a ladder ends below the error SMALLEST, or after PATIENCE rungs that do not lower the error by the factor
+#: a ladder ends below the error SMALLEST, or after PATIENCE settings that do not lower the error by the factor
 #: STILL_BETTER; it does not end while every error is above LOST, about as large as the motion
 SMALLEST, STILL_BETTER, PATIENCE, LOST = 1e-12, 0.7, 2, 0.1
-#: contact methods from this order on are given tolerances too
+#: contact methods from this order on run by tolerance too
 PILOTED_ORDER = 4
-#: with more components the map of a solver by tolerance is not differentiated: it takes runs for each of them
+#: most components of a scene on which the map of an adaptive solver is differentiated, which takes runs for each one
 MANY = 32
-#: seconds after which a call on a hard scene hangs; the dearest takes about twenty
+#: seconds after which a call on a hard scene counts as hanging; the longest takes about twenty
 LIMIT = 900.0
 
 
 # -- which -----------------------------------------------------------------------------------------
 def is_brought(scene: Scene, method: Method) -> bool:
-    """Return whether a plug-in has brought either, which is run by all there is."""
+    """Return whether a plug-in has registered the scene or the method; such pairs always run."""
     return not {scene.name, method.name} <= OWN
 
 
@@ -52,8 +52,8 @@ def is_dear(method: Method) -> bool:
 def is_run(scene: Scene, method: Method, profile: Profile) -> bool:
     """Return whether a profile runs a method on a scene.
 
-    What is dear runs where the mission is, stiff solvers where it is, or where it is stiff or hard.  The smoke profile
-    has the mission's scenes with all that is not dear, and elsewhere the mission's contestants alone.
+    Slow engines run on the mission's scenes only, stiff solvers there and on stiff or hard scenes.  The smoke profile
+    runs all fast methods on the mission's scenes, and only the mission's contestants elsewhere.
     """
     if is_brought(scene, method) or profile.reaches(NAMES[2]):
         return True
@@ -69,9 +69,9 @@ def cells(profile: Profile) -> list[Cell]:
 
 
 def engines(scene: Scene, method: Method) -> list[str]:
-    """Return the engines that a method is run by on a scene: its first and, where the mission is, those of callbacks.
+    """Return the engines that run a method on a scene: its first and, on the mission's scenes, those with callbacks.
 
-    Of our methods the contact ones and the mission's are called back.
+    Among our methods only contact methods and contestants of the mission run with callbacks.
     """
     first, *others = method.engines
     asked = method.mission or (method.family == "contact" and not method.iterates)
@@ -80,13 +80,13 @@ def engines(scene: Scene, method: Method) -> list[str]:
 
 
 def takes_pilots(scene: Scene, method: Method) -> bool:
-    """Return whether pilots choose the steps of a method too: of an explicit contact one of high order."""
+    """Return whether a method also runs by tolerance, with steps from pilots: explicit contact ones of high order."""
     contact = method.family == "contact" and method.control == "step" and not method.iterates
     return contact and (method.order or 0) >= PILOTED_ORDER and scene.slows_after is None
 
 
 def no_derivative(scene: Scene, method: Method) -> str:
-    """Return why the map of a run is not differentiated, or "" if it is: solvers by tolerance need many runs for it."""
+    """Return the reason why the map of a run is not differentiated, or "" if it is; adaptive solvers need many runs."""
     if not method.adaptive or method.family == "contact":
         return ""
     if scene.motion > MANY:
@@ -97,12 +97,12 @@ def no_derivative(scene: Scene, method: Method) -> str:
 # -- rows ------------------------------------------------------------------------------------------
 @cache
 def worker() -> Worker:
-    """Return the process that all cells of this one share."""
+    """Return the worker process that all cells of this process share."""
     return Worker()
 
 
 def guarded(scene: Scene, function: Callable[..., Row], question: Question, *more: object) -> Row:
-    """Return the row of a run, of a solver that raises, dies or hangs too; on hard scenes in a process of its own."""
+    """Return the row of a run, even if the solver raises, dies or hangs; hard scenes use a process of their own."""
     saved = 1 if function is ended else SAVES
     bad = key(question, saved) | {"status": "failed"}
     try:
@@ -111,15 +111,15 @@ def guarded(scene: Scene, function: Callable[..., Row], question: Question, *mor
         return function(question, *more)
     except TimedOut as error:
         return bad | {"status": "timeout", "message": str(error)}
-    except (Died, SolverError) as error:  # anything else is a fault of ours, and fails the cell
+    except (Died, SolverError) as error:  # any other exception is a fault of this package and fails the cell
         return bad | {"message": " ".join(str(error).split())[:200]}
 
 
 def climb(scene: Scene, method: Method, engine: str, control: str, profile: Profile) -> Iterator[Row]:
-    """Yield rows of runs to the end alone, coarse to fine, to the end of what a method can do.
+    """Yield rows of runs that save only the end, coarse to fine, until finer settings do not help.
 
-    That is until `SMALLEST` is passed, two rungs in a row are of no help, or a budget is spent.  The full profile has
-    the rungs between.
+    They end when the error is below `SMALLEST`, two settings in a row do not lower it, or a budget is spent.  The full
+    profile adds the settings between.
     """
     dearest = DEAREST if ENGINES[engine] == "compiled" else DEAREST_CALLBACKS
     every, enough = ladder(scene, method, control, dearest)
@@ -141,9 +141,9 @@ def climb(scene: Scene, method: Method, engine: str, control: str, profile: Prof
 
 
 def look_along(scene: Scene, method: Method, engine: str, profile: Profile) -> Iterator[Row]:
-    """Yield rows of runs saved along the motion, at rungs of equal cost.
+    """Yield rows of runs saved along the motion, at settings of equal cost.
 
-    Where a tolerance spends the budget a tighter one would spend it too, and is not run.
+    After a tolerance that spends the budget no tighter one is run.
     """
     values = rungs_of_equal_cost(scene, method)
     values = values[:1] if method.refuses(scene) else values

@@ -1,6 +1,6 @@
-"""How far do steps go?  Borders of stability, errors under strong damping, rates of damping strong and weak.
+"""Measure borders of linear stability, errors under strong damping, and numerical damping rates.
 
-One cell: a method, or a method and a rate.
+A cell is a method, or a method and a rate.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PER_EVALUATION = np.geomspace(1e-3, 30.0, 30)
 
 
 def fixed_step_cells(profile: Profile) -> list[Cell]:
-    """Return the methods that have a step map; in the smoke profile the first and those with a processor."""
+    """Return the methods with a step map; in the smoke profile the first one and the processed ones."""
     first, *others = linear.fixed_step_methods()
     return [(m.name,) for m in (first, *others) if not profile.brief or m is first or linear.is_processed(m)]
 
@@ -50,7 +50,7 @@ def borders(cell: Cell, profile: Profile) -> Recorded:
 
 
 def stable_steps(method: FixedStep, gamma: float) -> Iterator[Row]:
-    """Yield the border of stability of a method, and of one with a processor also that where every step is saved."""
+    """Yield the border of stability of a method; for a processed one a second row if every step is saved."""
     theory = linear.THEORY.get(method.name)
     kinds = {"stability": linear.kernel(method)}
     if linear.is_processed(method):
@@ -63,16 +63,16 @@ def stable_steps(method: FixedStep, gamma: float) -> Iterator[Row]:
 
 
 # -- rates of damping ------------------------------------------------------------------------------
-#: of the overdamped oscillator: tolerances, and steps times the damping
+#: overdamped oscillator: tolerances, and steps times the damping
 CREEP_RTOLS, DAMPING_PER_STEP = (1e-3, 1e-6, 1e-9), (1.0, 5.0, 25.0)
-#: of weak damping: spans
+#: spans for weak damping
 SPANS = (1e4, 1e5)
-#: steps that a compiled solver may take for the creep, right-hand sides that one in Python may
+#: most steps of a compiled solver, and most right-hand sides in Python, for the slow creep
 MOST_STEPS, MOST_CALLS = 1_000_000, 120_000
 
 
 def rate_cells(profile: Profile) -> list[Cell]:
-    """Return (rate, method, span): creep for stiff solvers and what compiles quickly, weak damping if compiled."""
+    """Return (rate, method, span): creep for stiff and quickly compiled methods, weak damping for compiled ones."""
     creep = cb.SCENES["overdamped"].t_end
     if profile.brief:
         first = next(iter(cb.METHODS))
@@ -144,7 +144,7 @@ def ticks(cell: Cell, profile: Profile) -> Recorded:
 
 # -- overdamped ------------------------------------------------------------------------------------
 def creep_rows(method: Method) -> Iterator[Row]:
-    """Yield the rate of creep between t_end/2 and t_end beside the true slow rate."""
+    """Yield the decay rate of an overdamped motion between t_end/2 and t_end, with the true slow rate."""
     scene = cb.SCENES["overdamped"]
     true = linear.slow_rate(scene.gamma)
     steps = tuple(damping / scene.gamma for damping in DAMPING_PER_STEP)
@@ -166,13 +166,12 @@ def creep_rows(method: Method) -> Iterator[Row]:
 # -- weak damping ----------------------------------------------------------------------------------
 #: evaluations per unit of time, for every method alike; adaptive ones are matched over a shorter span
 COST, PILOT = 8.0, 200.0
-#: times at which H0 is looked at, of a method and of the truth alike.  They are close enough together for
-#: the oscillation of H0 not to be mistaken for a slow one
+#: number of times at which H0 of a method and of the truth is read, dense enough to resolve the oscillation of H0
 SAMPLES = 1000
 
 
 def energy_rate(t: np.ndarray, energy: np.ndarray) -> float:
-    """Return the mean rate at which log H0 falls: its slope by least squares, weighted by a bump over the span.
+    """Return the mean decay rate of H0: the weighted least-squares slope of log H0 over the span.
 
     The weight is flat at both ends with all its derivatives, so that oscillations of H0 hardly count (Das, Saiki,
     Sander, Yorke, Nonlinearity 30, 4111 (2017), doi:10.1088/1361-6544/aa84c2).
@@ -195,7 +194,7 @@ def weak_row(method: Method, span: float) -> Row:
     row = rate_row(solution) | {"setting": span}
     if not solution.ok:
         return row
-    # the cost without what it takes to save
+    # the cost without saved times
     ended = cb.solve(scene, method, save_at=Elapsed(times[-1:]), carry=(), **setting)
     row["evaluations"] = ended.counts.rhs_equivalents
     truth = scene.unpack(cb.reference(scene, times, ()).y.T, ())

@@ -1,4 +1,4 @@
-"""What is seen of a method: a weakly damped orbit after many turns, and its energy, at equal cost."""
+"""Compare a weakly damped orbit after many turns, and its energy, between methods at equal cost."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from contactbench.runs.trial import agreed
 from contactbench.scene.base import Elapsed
 from contactbench.tables.declared import MOTION
 
-#: the central force, so weakly damped that a motion has many turns
+#: the central force with a damping weak enough for many turns
 SCENE, GAMMA, SPAN = "central", 0.005, 300.0
-#: the methods, at so many evaluations per unit of time each
+#: the methods, and their evaluations per unit of time
 METHODS, COST = ("contact-strang", "rk4"), 5.0
-#: what agree on the truth, and to how many digits: far more than are seen
+#: solvers that must agree on the truth, and to how many digits, far more than a figure shows
 TRUTH, SOLVERS, DIGITS = "truth", (("heyoka-taylor", 1e-15), ("rkn12-10", 1e-13)), 9
 #: times between points of the energy, and of the orbit, for the truth closer; how long the orbit is drawn
 SAVED, FINE, ORBIT = 0.8, 0.1, 14.4
@@ -25,7 +25,7 @@ type Line = tuple[str, str, np.ndarray, np.ndarray]  #: a panel, a curve, its ab
 
 
 def every(between: float, begin: float) -> np.ndarray:
-    """Return equidistant times from a beginning, left out where it is 0, to the end."""
+    """Return equidistant times from a beginning to the end, without 0."""
     count = round((SPAN - begin) / between)
     return np.round(begin + between * np.arange(0 if begin else 1, count + 1), 9)
 

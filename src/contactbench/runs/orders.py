@@ -1,7 +1,7 @@
-"""How fast does the error fall with the step?  One cell: a fixed-step method on a scene.
+"""Measure orders of convergence; a cell is a fixed-step method on a scene.
 
-Up to order 4, and of other libraries, in double precision over the whole scene; above it at 50 digits over its first
-part, because round-off would hide the slope.
+Methods up to order 4 and of other libraries run in double precision over the whole scene.  Higher orders run at 50
+digits over its first part, because round-off would hide the slope.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from contactbench.tables.declared import ORDERS
 from contactbench.truth import decimal_context
 
 POINTS = 9
-#: below this, relative to the solution, an error is round-off
+#: smaller relative errors are round-off
 FLOOR = 1e-12
 #: above this order the slope is measured at 50 digits
 DOUBLE = 4
 #: steps at fifty digits; the first few in any case, the others one by one where these do not show an order yet
 EXTENDED_TIME, EXTENDED_STEPS, FEW, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128, 256, 512), 5, 1e-33
-#: for steps that iterate, some forty times to fifty digits
+#: the same for implicit steps, which take some forty iterations to fifty digits
 ITERATED_TIME, ITERATED_FEW = 1.0, 4
 
 #: step size, how the run ended, error

@@ -1,4 +1,4 @@
-"""What does an error cost on problems nobody chose, and how do runs end on hard ones?  One cell: those of a family."""
+"""Measure the cost of an error on random problems, and the endings on hard ones; a cell is a family of problems."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from contactbench.tables.declared import POPULATION, PROBLEMS
 from contactbench.truth import Reference
 
 ERRORS = (1e-3, 1e-6, 1e-9)
-#: visits of a call, and how many times slower than the fastest it may be to be visited again
+#: visits of a call; a call is visited again if at most this many times slower than the fastest
 VISITS, SLOWER = 3, 10.0
-#: of hard problems: the tolerance, by how much the error of a run may exceed it for there to be a truth, and steps in a
-#: period of what takes no tolerance
+#: hard problems: the tolerance, the multiple of it beyond which a result is wrong, and steps per period of methods
+#: without a tolerance
 TOLERANCE, WRONG, HARD_STEPS = 1e-6, 1e3, 1000
-#: the seed that `--seed` gives; empty: that of the repository
+#: the seed of `--seed`; empty for the seed of the repository
 OWN_SEED: list[int] = []
 
 
 # -- the truth ---------------------------------------------------------------------------------------
-#: pairs are tried until one is refused by neither
+#: solver and tolerance for the truth; the first one that takes the scene
 TIGHT = (("rkn12-10", 1e-14), ("rk8-7", 1e-14))
 
 
 def truth_of(problem: Problem) -> Reference | None:
-    """Return what two solvers agree on at the ends; None where either fails."""
+    """Return the states at the ends on which two solvers agree; None if either fails."""
     scene, carry = problem.scene, carry_of(problem.scene)
     ends = [part * scene.t_end for part in ENDS]
     method, rtol = next(each for each in TIGHT if METHODS[each[0]].refuses(scene) is None)
@@ -50,15 +50,15 @@ def truth_of(problem: Problem) -> Reference | None:
 
 
 # -- who is run ----------------------------------------------------------------------------------------
-#: from this order on methods lead on problems without a structure of their own
+#: least order of methods without a geometric structure that race
 HIGH = 8
 
 
 def raced(scene: Scene) -> list[Method]:
-    """Return who leads on some such problems, and what the mission has of compiled solvers, or what stands for it.
+    """Return the methods that race: those likely to lead, and the compiled contestants of the mission.
 
-    Of our methods with a step, one-step or not, of each family and order the one whose step is cheapest, of contact
-    methods from order 2 on, of others from `HIGH`; exact ones, pairs of high order, and the Taylor method.
+    Among our fixed-step methods the cheapest per family and order races, contact methods from order 2 on and others
+    from `HIGH` on; besides them exact methods, embedded pairs of high order, and the Taylor method.
     """
     stand_ins = {method.like for method in METHODS.values() if method.mission}
     compiled = [m for m in METHODS.values() if m.engines[0] not in (*CALLBACKS, *PACKAGES)]
@@ -71,7 +71,7 @@ def raced(scene: Scene) -> list[Method]:
             alike = method.contact, method.order, method.one_step
             both = method, steps.get(alike, method)
             steps[alike] = min(both, key=lambda own: (own.per_step(scene), not own.mission))
-    # first those by whose cost others are given up
+    # first the methods whose cost lets others give up
     ranked = sorted(
         [*steps.values(), *(m for m in ours if not isinstance(m, FixedStep))], key=lambda m: -(m.order or 0)
     )
@@ -80,7 +80,7 @@ def raced(scene: Scene) -> list[Method]:
 
 # -- rows ----------------------------------------------------------------------------------------------
 def examine(problem: Problem) -> tuple[Row, Features, Reference | None]:
-    """Return the row of a problem, what a pilot finds, and the truth."""
+    """Return the row of a problem, its features, and the truth."""
     scene, known = problem.scene, features(problem.scene)
     truth = truth_of(problem)
     row = {"seed": problem.seed, "scene": scene.name, "structure": problem.family, "hard": problem.hard}
@@ -110,7 +110,7 @@ def cost_rows(problem: Problem) -> Recorded:
 
 
 def visited(tried: Sequence[Attempt]) -> dict[int, float]:
-    """Return the least time of the bare call of each setting, all visited in turns; of slow ones that of its run."""
+    """Return the least time of the bare call of each setting, in turns; slow calls keep the time of their run."""
     seconds = {id(one): one.seconds for one in tried}
     most = SLOWER * min(seconds.values(), default=0.0)
     runs = {id(one): one.run for one in tried if one.run and one.seconds <= most}
@@ -122,7 +122,7 @@ def visited(tried: Sequence[Attempt]) -> dict[int, float]:
 
 
 def hard_rows(problem: Problem) -> Recorded:
-    """Yield how each method ends that is given a tolerance, or a step where it takes none."""
+    """Yield the ending of each method at a tolerance, or at a step if it takes no tolerance."""
     row, known, truth = examine(problem)
     yield PROBLEMS, row
     if truth is None or 10.0**-truth.digits * CLEAR > TOLERANCE * WRONG:

@@ -1,7 +1,7 @@
-"""Problems drawn at random: families of scenes whose numbers a seed gives; CONTRIBUTING.md says which and why.
+"""Draw random problems: families of scenes with numbers from a seed; CONTRIBUTING.md explains the choice.
 
-A family is one structure: its functions take their numbers as parameters, so that what a method compiles for one
-problem runs all others of the family.
+The functions of a family take their numbers as parameters, so that one compiled program of a method runs all problems
+of the family.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from contactbench.registry import Registry
 from contactbench.runs.features import force_cost
 from contactbench.scene import Driven, Mechanical, RigidBody, Scene, Spheres
 
-#: of the population, fixed before it was run; problems of each family
+#: seed of the population, fixed before its first run; number of problems per family
 SEED = 20261125
 COUNT = 9
-#: hard problems of each kind
+#: number of hard problems of each kind
 HARD_COUNT = 6
-#: damping over frequency, span in periods, frequency: from and to, uniform in the logarithm
+#: ranges of damping over frequency, span in periods, and frequency, uniform in the logarithm
 DAMPING, SPAN, FREQUENCY = (1e-5, 10.0), (3.0, 3000.0), (0.1, 10.0)
-#: of hard problems
+#: the same ranges for hard problems
 HARD_SPAN, HARD_DAMPING = (3.0, 30.0), (10**2.5, 10**3.5)
-#: energies this near to a barrier are left to the hard problems
+#: energies this close to the barrier, relatively, occur in hard problems only
 BESIDE = 0.05
-#: the longest span in periods times the cost of the force, and what is left of the amplitude at the end, e^{−20}
+#: largest span in periods times the cost of the force, and largest exponent of the decay of the amplitude
 DEAREST, DAMPED_OUT = 6e4, 20.0
-#: damping times span at most where a centre attracts as 1/r²: a motion does not fall into it
+#: largest damping times span under an attraction 1/r², so that no motion falls into the centre
 FALL = 0.5
 
 
@@ -268,7 +268,7 @@ def draw_sines(count: int, rng: Generator, w: float, extreme: float | None) -> S
 
 # -- families --------------------------------------------------------------------------------------
 def slowest(scene: Any, omega: float) -> float:
-    """Return how fast the slower part of a damped oscillation decays; damping by s included, as it comes to rest."""
+    """Return the decay rate of the slower part of a damped oscillation, including damping by s near rest."""
     gamma = scene.gamma + math.sqrt(2 * scene.kappa * scene.parameters.get("depth", 0.0))
     return float(gamma / 2 if gamma < 2 * omega else omega * omega / gamma)
 
@@ -327,7 +327,7 @@ for family in (
 
 @dataclass(frozen=True)
 class Hard:
-    """A kind of hard problem: of which families, how extreme, and whether damping is strong instead."""
+    """Define a kind of hard problem: its families, how extreme they are, and whether damping is strong instead."""
 
     families: tuple[str, ...]
     extreme: Callable[[Generator], float | None] = lambda rng: None
@@ -346,7 +346,7 @@ HARD = {
 
 @dataclass(frozen=True)
 class Problem:
-    """One problem; hard : its kind, blank of the population."""
+    """Hold a problem; hard : the kind of a hard one, blank for the population."""
 
     family: str
     hard: str
@@ -355,7 +355,7 @@ class Problem:
 
 
 def draw(seed: int, family: str, number: int, hard: str = "") -> Problem:
-    """Return the problem of a number among those of a family and a seed, whatever others are drawn."""
+    """Return problem number `number` of a family and seed, independent of the other problems drawn."""
     kind, own = HARD.get(hard), FAMILIES[family]
     rng = np.random.default_rng([seed, crc32(f"{family} {hard}".encode()), number])
     omega = log_uniform(rng, *FREQUENCY)

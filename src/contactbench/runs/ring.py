@@ -1,6 +1,6 @@
-"""What does keeping the structure buy?  One cell: a method on a chaotic ring, at one weak damping and over one span.
+"""Measure the energy left in a weakly damped chaotic ring; a cell is a method, a damping and a span.
 
-Nobody follows such a trajectory for long; what is compared is the energy left, less the centre of mass's, and its rate.
+Trajectories diverge, so methods are compared by the energy left, without the centre of mass, and its decay rate.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from contactbench.solution import Solution, keywords
 from contactbench.tables.declared import RING
 
 NAME, N, SAVES = "chaotic_ring", 16, 20
-#: damping and span that every method has, the long span, and other dampings
+#: damping and span of every method, the long span, and other dampings
 GAMMA, SPAN, LONG_SPAN, OTHERS = 1e-5, 1e4, 1e5, (1e-4, 1e-3)
-#: what the full profile adds
+#: further dampings and spans of the full profile
 MORE = ((1e-4, LONG_SPAN), (GAMMA, 1e6))
 #: starts of a run, and the probability that the true median lies in its interval
 STARTS, AMPLITUDE, SEED, CONFIDENCE = 16, 1e-2, 1, 0.95
@@ -38,18 +38,18 @@ TRUTH, BESIDE = ("contact-rkn8", {"step": 0.2}), ("rkn12", {"step": 0.8})
 MOST_STEPS = 10**8
 
 
-# -- what is run -----------------------------------------------------------------------------------
+# -- methods and cells -----------------------------------------------------------------------------
 #: steps and tolerances, coarse to fine
 STEPS = (2.2, 1.6, 1.1, 0.8, 0.56, 0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.0125)
 RTOLS = tuple(10.0**-k for k in range(3, 10))
-#: evaluations per unit of time, from and to
+#: range of evaluations per unit of time
 FEWEST, MOST = 2.0, 200.0
-#: errors: of a motion that is lost, and at which a ladder ends, below the one that is allowed
+#: error of a lost motion, and error at which a ladder ends, below the allowed one
 LOST, END = 0.5, 2e-3
 
 
 def methods() -> list[Method]:
-    """Return methods that evaluate forces alone, and compiled solvers that are not for stiff problems."""
+    """Return the methods that evaluate only forces, and compiled non-stiff solvers."""
     scene, found = ring(GAMMA, SPAN), []
     for method in cb.METHODS.values():
         compiled = method.engines[0] not in (*CALLBACKS, *PACKAGES)
@@ -65,9 +65,9 @@ def is_suited(method: FixedStep, scene: Scene) -> bool:
 
 
 def cells(profile: Profile) -> list[Cell]:
-    """Return (scene, method, γ, span): what keeps a structure and the mission's at more than one damping.
+    """Return (scene, method, γ, span); structure-preserving methods and the mission's have several dampings.
 
-    Long runs are too dear for what chooses its order, and for order 1, which needs tiny steps.
+    Long runs leave out solvers of variable order, and order 1, which needs tiny steps.
     """
     every, full = methods(), profile.reaches("full")
     stand_ins = {method.like for method in cb.METHODS.values() if method.mission}
@@ -125,7 +125,7 @@ def starts() -> np.ndarray:
 
 
 def energy_left(q: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return H0 less that of the centre of mass; sites along the first axis."""
+    """Return H0 minus the energy of the centre of mass; sites along the first axis."""
     bonds: Any = quartic_bond(np.roll(q, -1, axis=0) - q, 1.0)
     total: np.ndarray = (p * p).sum(axis=0) / 2 + bonds.sum(axis=0)
     return total - p.sum(axis=0) ** 2 / (2 * len(q))
@@ -150,13 +150,13 @@ def runs(method: str, gamma: float, span: float, **setting: float) -> tuple[list
 
 @cache
 def truth(gamma: float, span: float) -> tuple[np.ndarray, float]:
-    """Return the energy left from every start, and by how much it differs from another accurate method's."""
+    """Return the energy left from every start, and its difference to another accurate method."""
     left, beside = (runs(name, gamma, span, **setting)[1] for name, setting in (TRUTH, BESIDE))
     return left, float(np.abs(beside / left - 1).max())
 
 
 def interval(errors: np.ndarray) -> tuple[float, float]:
-    """Return the bootstrap's interval of the median over the starts (percentiles)."""
+    """Return the percentile bootstrap interval of the median over the starts."""
     options: Row = {"method": "percentile", "rng": np.random.default_rng(SEED)}
     found = bootstrap((errors,), np.median, confidence_level=CONFIDENCE, **options)
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
@@ -184,7 +184,7 @@ def is_lost(row: Row) -> bool:
 
 
 def rungs(method: Method, gamma: float, span: float, end: float) -> Iterator[Row]:
-    """Yield rows from where a motion is no longer lost to where its error is small enough; else the last, lost one."""
+    """Yield rows from the first setting that follows the motion to a small error; only the last one if all are lost."""
     row: Row = {}
     for value in ladder(method):
         row = row_of(method.name, gamma, span, value)
@@ -197,7 +197,7 @@ def rungs(method: Method, gamma: float, span: float, end: float) -> Iterator[Row
 
 
 def long_rungs(method: Method, gamma: float, span: float) -> Iterator[Row]:
-    """Yield rows at settings beside that which has the error allowed, from that which has it over the usual span on."""
+    """Yield rows around the setting with the allowed error, starting at the setting that has it over the usual span."""
     every = ladder(method)
     *_, usual = rungs(method, gamma, SPAN, ALLOWED)
     first = every.index(usual["setting"])
@@ -222,7 +222,7 @@ def ring_energy(cell: Cell, profile: Profile) -> Recorded:
 
 # -- times -----------------------------------------------------------------------------------------
 def beginning(method: str, setting: dict[str, float]) -> tuple[Row, Call]:
-    """Return what is timed of a run: its beginning."""
+    """Return the call to time, the beginning of a run."""
     return {}, Call(prepared(method, GAMMA, SPAN, TIMED_SPAN, 1, **setting).bare_call())
 
 

@@ -1,7 +1,7 @@
-"""A run as a row of runs.csv: how it ended, what it cost, its error, and how far it is from each law.
+"""Make rows of runs.csv: the ending of a run, its cost, its error and its deviations from the laws.
 
-A run to the end alone is what is timed: packed initial state in, packed final state out.  Its error is the largest over
-five end times, each the end of a run of its own: no interpolation plays a part.
+Timed runs save only the end: packed initial state in, packed final state out.  Their error is the largest over five end
+times, each the end of a separate run, so that interpolation does not matter.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from contactbench.solution import Solution
 from contactbench.tables.declared import RUNS
 from contactbench.truth import Reference, blow_up_time, condition_number
 
-#: scene, method, engine, control, setting: what names a run but for its saved times
+#: scene, method, engine, control, setting: the key of a run without its saved times
 type Question = tuple[str, str, str, str, float]
 
-#: right-hand sides that a solver may call back from Python in a run over a span up to `LONG`; longer ones get more, but
-#: not without end, and hard scenes three times as many
+#: most callbacks of a run over a span up to `LONG`; longer spans get proportionally more up to a limit, and hard scenes
+#: three times as many
 CALLBACKS, LONG, LONGEST, HARD = 40_000, 800.0, 2000.0, 3
 
 
 class SolverError(Exception):
-    """A solver raised; whatever else raises in here is a fault of the experiment."""
+    """Report that a solver raised; any other exception here is a fault of the experiment."""
 
 
 @contextlib.contextmanager
@@ -48,14 +48,14 @@ def blamed_on_solver() -> Iterator[None]:
         yield
     except UserError as error:  # a plug-in's solver
         raise SolverError(str(error)) from error
-    except cb.BadInput:  # a question nobody should have asked
+    except cb.BadInput:  # a wrong setting
         raise
     except Exception as error:
         raise SolverError(f"{type(error).__name__}: {error}") from error
 
 
 def step_budget(scene: Scene, method: Method, engine: str) -> int | None:
-    """Return the steps that keep one run of callbacks about below a second; a longer one ends as `budget`."""
+    """Return the budget of steps that keeps a run with callbacks below about a second."""
     if method.refuses(scene) or (each := method.step_cost(scene, engine)) is None:
         return None
     share = max(1.0, min(scene.t_end, LONGEST) / LONG) * (HARD if scene.hard else 1)
@@ -95,7 +95,7 @@ def key(question: Question, saved: int) -> Row:
 
 
 def outcome(question: Question, saved: int, solution: Solution) -> Row:
-    """Return the columns of what a run came to and what it cost."""
+    """Return the columns of the ending and the cost of a run."""
     counts, method = solution.counts, cb.METHODS[solution.method]
     row = key(question, saved) | {"engine": solution.engine}
     row |= {"status": str(solution.status), "message": solution.message, "end_time": solution.end_time}
@@ -107,10 +107,10 @@ def outcome(question: Question, saved: int, solution: Solution) -> Row:
 
 # -- to the end alone ------------------------------------------------------------------------------
 def passes_through(method: Method, engine: str, control: str) -> bool:
-    """Return whether one run saved at all ends is, but for roundings, the runs to each, and slow enough to matter.
+    """Return whether one run saved at all ends can replace the separate runs, and is slow enough to matter.
 
-    Not of a processed method, which brings a state to its own coordinates and back wherever it is saved, nor of one
-    that starts afresh there.
+    It cannot for a processed method, which leaves its own coordinates at every saved time, nor for a method that
+    restarts there.
     """
     return engine == "python" and control == "step" and method.one_step and not is_processed(method)
 
@@ -139,7 +139,7 @@ def ended(question: Question) -> Row:
 
 
 def bare(question: Question) -> tuple[Row, Call]:
-    """Return how long a run to the end takes to prepare and to be called first, and what is timed of it."""
+    """Return the times of preparation and of the first call of a run to the end, and the call to time."""
     scene = cb.SCENES[question[0]]
     run = prepared(question, [scene.t_end], carry_of(scene))
     start = perf_counter()
@@ -153,7 +153,7 @@ def bare(question: Question) -> tuple[Row, Call]:
 def along(question: Question, without: str = "", most: float = math.inf) -> Row:
     """Return the row of a run saved at 25 times, with all laws.
 
-    without : why no derivative is taken.  most : evaluations of a run that is differentiated.
+    without : why no derivative is taken.  most : largest number of evaluations of a differentiated run.
     """
     scene = cb.SCENES[question[0]]
     run = prepared(question, times(scene).tolist(), None)

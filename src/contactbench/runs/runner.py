@@ -1,4 +1,4 @@
-"""Runs experiments: on all cores what is measured without a clock, then what is timed, alone on one of them."""
+"""Run experiments: untimed cells on all cores, then timed ones alone on one core."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from contactbench.tables.declared import TIMES
 from contactbench.tables.schema import TABLES, Table
 from contactbench.tables.store import OldTable, check, read
 
-#: the selection of all that plug-ins and installed packages bring
+#: the selection of all cells with a method or scene of a plug-in
 OWN_ALONE = "--own"
 
 
 @dataclass(frozen=True)
 class Task:
-    """A cell of an experiment; name : of the cell among those of the experiment."""
+    """Name a cell of an experiment; name : unique within the experiment."""
 
     experiment: Experiment
     cell: Cell
@@ -63,10 +63,10 @@ class Task:
 
 @dataclass(frozen=True)
 class Run:
-    """One run of the benchmark, by one process or several.
+    """Manage a run of the benchmark by one process or several.
 
-    selection : which part of the experiments was asked for, empty for all of them: the rows of the rest are kept.
-    timed : with a clock.  own : only what plug-ins and installed packages bring.
+    selection : expression that selects cells, empty for all; rows of other cells are kept.  timed : whether calls are
+    timed.  own : whether only cells with a method or scene of a plug-in run.
     """
 
     results: Path
@@ -85,7 +85,7 @@ class Run:
         return [task for each in experiments().values() for task in self.tasks_of(each)]
 
     def tasks_of(self, experiment: Experiment) -> list[Task]:
-        """Return the cells of an experiment; none of what adds times alone in a run without times."""
+        """Return the cells of an experiment; none if it only adds times and the run is untimed."""
         cells = [] if experiment.timed and not self.timed else experiment.cells(self.profile)
         if self.own:
             own = brought()
@@ -97,9 +97,9 @@ class Run:
 
     # -- its beginning and its end -----------------------------------------------------------------
     def begin(self) -> None:
-        """Merge what killed runs have left; raises `BadInput` for a table that could not be merged into."""
+        """Merge cells of killed runs; raises `BadInput` for a damaged table."""
         try:
-            for table in TABLES.values():  # refused now rather than after ten minutes
+            for table in TABLES.values():  # refused now and not after ten minutes
                 with suppress(*([] if self.selection else [OldTable])):  # a whole run replaces those
                     read(table, self.results)
             self.cells.begin(provenance.environment(self.profile.name))
@@ -107,7 +107,7 @@ class Run:
             raise BadInput(f"--results {self.results}: {error}") from None
 
     def remaining(self, tasks: Iterable[Task], resume: bool) -> list[Task]:
-        """Return what is not done; unless it resumes, the run begins anew."""
+        """Return the tasks that are not done; unless it resumes, the run begins anew."""
         if not resume:
             self.cells.begin_anew()
         done = self.cells.done() if resume else ()
@@ -119,7 +119,7 @@ class Run:
 
     # -- one cell ----------------------------------------------------------------------------------
     def measure(self, task: Task, timetable: Timetable | None = None) -> list[Entry]:
-        """Measure a cell and keep its rows, those before a failure too; what is to be timed joins a timetable."""
+        """Measure a cell and save its rows, also those before a failure; calls to time join a timetable."""
         if timetable is not None:
             return self.prepare(task, timetable)
         rows: list[tuple[Table, Row]] = []
@@ -144,7 +144,7 @@ class Run:
         return row
 
     def prepare(self, task: Task, timetable: Timetable) -> list[Entry]:
-        """Return the entries of a timetable that a cell has: a row each that is to be timed."""
+        """Return the timetable entries of a cell, one for each row to time."""
         timetable.ahead.discard(task.key)
         timing = task.experiment.timing
         assert timing is not None
@@ -161,7 +161,7 @@ class Run:
         return [timetable.add(each, record) for each in timings]
 
     def untimed(self, task: Task) -> list[Row]:
-        """Return the rows of the cell that is timed, as measured in this run, or now."""
+        """Return the rows of the cell to time, measured earlier in this run or now."""
         assert task.experiment.of is not None
         own = Task(task.experiment.of, task.cell, task.name)
         if self.cells.rows(own.key) is None:
@@ -179,7 +179,7 @@ def known(run: Run) -> dict[journal.Cell, Task]:
 
 
 def attempt(run: Run, cells: Iterable[journal.Cell], timetable: Timetable | None = None) -> list[str]:
-    """Measure cells, in a process of its own; return what went wrong.  A full disk raises."""
+    """Measure cells in a worker process; return the failures.  A full disk raises."""
     wrong = []
     for cell in cells:
         try:
@@ -194,7 +194,7 @@ def attempt(run: Run, cells: Iterable[journal.Cell], timetable: Timetable | None
 
 
 def time(run: Run, cells: list[journal.Cell]) -> list[str]:
-    """As `attempt`, cells of one question that are timed."""
+    """Time the cells of one question in a worker process; return the failures as `attempt` does."""
     with run.timetable(known(run)[cell] for cell in cells) as timetable:
         wrong = attempt(run, tqdm(cells, "preparing", disable=None), timetable)
         timetable.go()
@@ -202,7 +202,7 @@ def time(run: Run, cells: list[journal.Cell]) -> list[str]:
 
 
 def work(run: Run, keyword: str = "", resume: bool = False) -> int:
-    """Do a run in processes of its own; return how many cells failed, each with a line on stderr."""
+    """Do a run in worker processes; return the number of failed cells, each with a line on stderr."""
     settle()
     chosen = [task for task in run.tasks() if task.matches(keyword)]
     if keyword and not chosen:
@@ -213,7 +213,7 @@ def work(run: Run, keyword: str = "", resume: bool = False) -> int:
         [task for task in tasks if (task.experiment.timed and run.timed) is which] for which in (True, False)
     )
     others.sort(key=lambda task: str(task.cell))
-    # what shares its compiled programs, one method on one scene, stays together
+    # cells that share compiled programs, one method on one scene, stay in one process
     queue = deque([task.key for task in part] for _, part in groupby(others, lambda task: task.cell[:2]))
     allowed = getattr(os, "sched_getaffinity", lambda _: ())(0)
     cores = [[core] for core in sorted(allowed)] or [[]] * (os.cpu_count() or 1)

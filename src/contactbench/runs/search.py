@@ -1,4 +1,4 @@
-"""The search for a setting of a method that reaches an error, or a cost: from coarse to fine, then by halving."""
+"""Search the setting of a method that reaches an error or a cost, from coarse to fine and then by halving."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def halve(
     reaches: Callable[[float], bool],
     between: Callable[[float, float], float | None],
 ) -> Iterator[None]:
-    """Halve the range between a setting that does not reach a target and one that does; a turn for each one tried."""
+    """Halve the range between a setting that misses a target and one that reaches it; yield after each try."""
     while (middle := between(coarse, fine)) is not None:
         coarse, fine = (coarse, middle) if reaches(middle) else (middle, fine)
         yield
 
 
 # -- at a cost -------------------------------------------------------------------------------------
-#: a tolerance is taken whose cost is this near to the one asked for, or the nearest met
+#: a tolerance is accepted if its cost is this close to the target, relatively; else the nearest one tried is
 NEAR = 0.02
-#: tolerances are told apart by this much in log10(rtol)
+#: least difference of tolerances tried, in log10(rtol)
 RESOLUTION = 2e-3
 
 
@@ -90,27 +90,27 @@ def step_at(method: FixedStep, scene: Scene, target: float, part: int = 1) -> fl
 # -- at an error -----------------------------------------------------------------------------------
 # Nothing is timed here.  The error of a setting is the largest over five end times, each the end of a run of its own:
 # interpolation between steps, of lower order than some methods, plays no part in it.
-#: settings tried between the first that is accurate enough and the one before it
+#: number of settings tried between the first that is accurate enough and the one before it
 HALVINGS = 4
 #: steps of a method's first run at most, where nobody knows yet how long a step takes; and of any run at least
 FIRST_STEPS, FEWEST_STEPS = {"compiled": 200_000, "callbacks": 5_000}, 1000
-#: half the step must give less than this part of the error, or it is round-off that is left
+#: if half the step leaves more than this part of the error, the rest is round-off
 STILL_BETTER = 0.7
-#: tolerances down to this are tried whatever they bring; it is above what round-off leaves of short runs
+#: tolerances down to this are always tried; round-off of short runs is smaller
 CERTAIN = 1e-12
-#: an error about as large as the motion: longer steps are not tried
+#: error about as large as the motion; longer steps are not tried
 COARSE = 0.3
-#: down to which tolerance a method is tried whose runs at looser ones take too long
+#: smallest tolerance tried for a method whose runs at looser tolerances take too long
 WAKES = 1e-4
-#: how much coarser a tolerance is at least whose error is compared: most of a decade
+#: least ratio of tolerances whose errors are compared
 APART = 5.0
-#: what a compiler or a library that is not there raises
+#: exceptions of a compiler or of a missing library
 BROKEN = (CannotRecord, ImportError, OSError, RuntimeError)
 
 
 @dataclass(frozen=True)
 class Question:
-    """Hold what is asked: errors, against a truth at the ends of the runs, which may take `longest` seconds each.
+    """Hold the errors asked for and the truth at the ends of the runs; a run may take `longest` seconds.
 
     deadline : a turn of a method that goes on then is given up.
     """
@@ -131,7 +131,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Attempt:
-    """Hold what a setting came to: its own run to the end, and the largest error of five."""
+    """Hold the result of a setting: its run to the end, and the largest error of five runs."""
 
     value: float
     setting: str
@@ -170,14 +170,14 @@ class Attempt:
 
 
 def cheapest(attempts: Iterable[Attempt], error: float) -> Attempt | None:
-    """Return the setting tried that costs least of those that reach an error."""
+    """Return the cheapest attempt that reaches an error."""
     return min((a for a in attempts if a.reaches(error)), key=lambda a: a.work, default=None)
 
 
 class Search:
     """Try one method from its coarsest setting to the one that reaches the smallest error.
 
-    why : a status and a reason where it got no further.  spent : seconds since its first run.  a_step : of a step.
+    why : status and reason if it got no further.  spent : seconds since its first run.  a_step : seconds of a step.
     """
 
     def __init__(self, question: Question, method: str) -> None:
@@ -203,7 +203,7 @@ class Search:
         return cheapest(self.attempts, error)
 
     def turns(self) -> Iterator[None]:
-        """Try one setting a turn; a method that gets no further says why."""
+        """Try one setting per turn; set `why` if the method gets no further."""
         try:
             for attempt in self.coarse_to_fine():
                 yield
@@ -223,7 +223,7 @@ class Search:
             self.why = ("failed", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
 
     def may_wake(self, stalled: Attempt) -> bool:
-        """Return whether a tighter tolerance may be done although the loosest ones crawl, as some step controls do."""
+        """Return whether a tighter tolerance may be faster than the loosest ones, as with some step controls."""
         none_yet = not any(a.ok for a in self.attempts)
         return self.method.adaptive and none_yet and stalled.value > WAKES
 
@@ -275,7 +275,7 @@ class Search:
         return end / (ENDS * n) if low < n < high else None
 
     def most_steps(self) -> int:
-        """Return how many steps a run may take; always the same of JAX, which compiles for each number anew."""
+        """Return the most steps of a run; constant for JAX, which compiles anew for each number."""
         if self.engine == "jax" or not self.a_step > 0:
             return FIRST_STEPS[self.kind]
         return max(FEWEST_STEPS, int(self.question.longest / self.a_step))

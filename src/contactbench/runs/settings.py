@@ -1,4 +1,4 @@
-"""The settings a method is tried at, coarse to fine: steps that halve, tolerances by decades."""
+"""Choose the settings at which methods run, coarse to fine: halving steps, tolerances by decades."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from contactbench.solution import EXACT, GROWING, keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
-#: end times over whose runs the largest error is taken
+#: number of end times, each of a separate run, for the largest error
 ENDS = 5
 #: the coarsest step; ladders halve it, and divide it by about √2 from order HIGH_ORDER on
 COARSEST, HIGH_ORDER = 0.8, 6
-#: evaluations that a run of a ladder may cost below its last step
+#: most evaluations of a run in a ladder
 DEAREST = 2**18
 #: runs along the motion: the coarsest rung takes t_end/PARTS per evaluation, the others BY_FOUR of it, and orders up
 #: to LOW_ORDER have one more; the tolerances are ALONG and the finest that a method takes
@@ -66,7 +66,7 @@ def finer_steps(scene: Scene, method: Method, dearest: float = DEAREST) -> list[
 
 
 def evaluations_of_step(scene: Scene, method: Method) -> float:
-    """Return the right-hand sides that a fixed step stands for, two rotations one."""
+    """Return the cost of a fixed step in right-hand sides; two rotations count as one."""
     own: Any = method
     each: float = own.per_step(scene)
     return each / 2 if own.kind_on(scene) == "rotation" else each
@@ -99,7 +99,7 @@ def ladder(scene: Scene, method: Method, control: str, dearest: float) -> tuple[
 
 
 def rungs_of_equal_cost(scene: Scene, method: Method) -> list[float]:
-    """Return the settings of the runs that are looked at along the motion, coarse to fine.
+    """Return the settings of the runs saved along the motion, coarse to fine.
 
     Steps are as many times longer as they have evaluations, so that a rung costs every method the same; low orders
     have one more.
@@ -120,13 +120,13 @@ def rungs_of_equal_cost(scene: Scene, method: Method) -> list[float]:
 
 
 def control_of(scene: Scene, method: Method) -> str:
-    """Return what a race sets of a method on a scene: "step", "growing", "rtol" or "exact"."""
+    """Return the kind of setting of a method on a scene: "step", "growing", "rtol" or "exact"."""
     grows = method.control == "step" and method.one_step and scene.slows_after is not None
     return GROWING if grows else method.control
 
 
 def setting_to(end: float, scene: Scene, control: str, value: float) -> dict[str, Any]:
-    """Return the keywords of `prepare` for a run to an end; the mean of growing steps is that over the scene's span."""
+    """Return the keywords of `prepare` for a run to an end; growing steps have their mean over the scene's span."""
     if control != GROWING:
         return keywords(control, value)
     a = scene.slows_after

@@ -1,4 +1,4 @@
-"""The timed part of an experiment: all calls are prepared first, then visited in turns, contenders more often."""
+"""Time calls: prepare all of them, then visit them in turns, contenders more often."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from contactbench.methods.base import ENGINES
 from contactbench.runs.experiment import Row, Timing
 from contactbench.tables.cells import Cell
 
-#: visits to every call, after which it shows who contends; and to those that do not
+#: visits to every call before contenders are chosen, and visits to all other calls
 FIRST, OTHERS = 2, 3
-#: a contender takes no longer than so many times the fastest of those with no larger error
+#: a contender takes at most this multiple of the fastest call with no larger error
 NEAR = 2.0
 #: sweeps from a call's visit to its next, by the seconds that it lasts more than: what lasts so long is rarely
 #: interrupted all along
@@ -51,7 +51,7 @@ def sweeps_between(lasts: float) -> int:
 
 @dataclass(frozen=True)
 class Remote:
-    """A call that another process prepares, without being waited for, and times."""
+    """Prepare a call in another process without waiting, and time it there."""
 
     worker: Worker
     prepared: Future[int]
@@ -66,7 +66,7 @@ class Remote:
 
 @dataclass
 class Entry:
-    """A row to be timed: its call, perhaps the same call in a second process, and who takes its columns.
+    """Hold a row to time: its call, perhaps the same call in a second process, and the receiver of its columns.
 
     known : the columns of its row that are known before.  told : takes its columns too.
     """
@@ -80,7 +80,7 @@ class Entry:
 
     @property
     def beside(self) -> tuple[object, ...]:
-        """Return who is timed beside whom: on one scene, compiled or called back."""
+        """Return the group of a row: only calls of the same scene and kind of engine compete."""
         return self.timing.key["scene"], ENGINES.get(self.timing.key["engine"])
 
     def finish(self, visits: Sequence[Visit], again: Sequence[Visit]) -> None:
@@ -91,7 +91,7 @@ class Entry:
 
 @dataclass
 class Timetable(AbstractContextManager["Timetable"]):
-    """The timed rows of an experiment, in the order in which they were prepared.
+    """Manage the timed rows of an experiment, in the order of their preparation.
 
     ahead : the cells that are yet to be prepared.  visits : to each contender.
     """
@@ -123,7 +123,7 @@ class Timetable(AbstractContextManager["Timetable"]):
         return Remote(self.other, self.other.submit(prepare, timing.prepare, *timing.arguments), mine)
 
     def go(self) -> None:
-        """Visit all of them in turns, contenders and short ones more often; each is recorded after its last visit."""
+        """Visit all calls in turns, contenders and short ones more often; record each after its last visit."""
         lasts = [entry.call.warm_up() for entry in self.entries]
         between, wanted = [sweeps_between(each) for each in lasts], [self.visits] * len(lasts)
         pairs = [(n, call) for n, e in enumerate(self.entries) for call in (e.call, e.again) if call]
@@ -139,13 +139,13 @@ class Timetable(AbstractContextManager["Timetable"]):
                     entry.finish(*visits)
 
     def visited(self, race: Race) -> Iterator[tuple[list[Visit], list[Visit]]]:
-        """Yield the visits to each call, and to the same in the second process."""
+        """Yield the visits to each call, and to its twin in the second process."""
         made = iter(race.visits)
         for entry in self.entries:
             yield next(made), next(made) if entry.again else []
 
     def shared_out(self, visits: Sequence[Sequence[Visit]]) -> list[int]:
-        """Return how many visits each is to have: contenders all of them.
+        """Return the number of visits to each call; contenders get all of them.
 
         They are told among those timed beside each other, and those given a tolerance among themselves.
         """

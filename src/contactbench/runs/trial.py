@@ -1,6 +1,7 @@
-"""What does an error cost one method on one problem?  From a coarse setting towards the error by its own slope.
+"""Find the cost of an error for one method on one problem.
 
-What an error costs is interpolated between the settings around it.
+Settings approach the error from a coarse one along the measured slope; the cost is interpolated between the settings
+around the error.
 """
 
 from __future__ import annotations
@@ -28,27 +29,27 @@ from contactbench.scene.scales import errors
 from contactbench.solution import Solution, Status, keywords
 from contactbench.truth import Reference
 
-#: of what compiles for every tolerance, the only ones
+#: the only tolerances of methods that compile anew for every tolerance
 RUNGS = {SHARED.name: (1e-3, 1e-5, 1e-8, 1e-11, 2.3e-16)}
-#: ends of runs whose largest error counts, in parts of the span
+#: ends of the runs whose largest error counts, relative to the span
 ENDS = (0.5, 1.0)
-#: what a run may take, in additions; what an evaluation takes beside them; and settings of a method for one error
+#: most additions of a run, additions of an evaluation beside its own, and most settings tried for one error
 LONGEST, BESIDE, TRIES = 3e7, 20.0, 5
-#: evaluations of an adaptive step, about: of one-step methods, and of those that choose their order, whose own work is
-#: worth so many additions an evaluation
+#: typical evaluations per adaptive step of one-step methods and of methods of variable order, and the additions per
+#: evaluation that the latter spend on themselves
 TYPICAL, VARIABLE, OWN_WORK = 12.0, 2.0, 150.0
 #: the error aimed at, in parts of that asked for; near enough to it; and settings between which is interpolated
 AIM, NEAR, APART = 0.5, 8.0, 1.6
-#: by how much a step changes at most from one setting to the next, a tolerance by its square
+#: largest ratio of successive steps; of tolerances its square
 LEAP = 24.0
 #: the coarsest step in 1/ω for each evaluation it takes, and the loosest tolerance to begin with
 FIRST_STEP, FIRST_TOLERANCE = 0.25, 1e-4
-#: truth: an error is asked for that is so many times what two solvers differ by
+#: errors asked for are at least this multiple of the difference between two solvers for the truth
 CLEAR = 10.0
 
 
 def agreed(scene: Scene, carry: tuple[str, ...], one: Solution, other: Solution) -> Reference:
-    """Return the states of one run as the truth, to the digits on which another agrees."""
+    """Return the states of one run as the truth, with the number of digits on which another run agrees."""
     gap = float(errors(scene, other.y, one.y, one.y0, carry).max())
     digits = max(0, math.floor(-math.log10(max(gap, 1e-16))))
     return Reference(scene, carry, np.asarray(one.elapsed), one.y, [], digits, "two solvers")
@@ -56,7 +57,7 @@ def agreed(scene: Scene, carry: tuple[str, ...], one: Solution, other: Solution)
 
 @dataclass
 class Trial:
-    """One method on one problem: the settings tried."""
+    """Try settings of one method on one problem."""
 
     question: Question
     method: Method
@@ -140,7 +141,7 @@ class Trial:
         return bool(miss) and fewest <= APART * max(one.evaluations for one in miss)
 
     def search(self, targets: Sequence[float], least: dict[float, float]) -> None:
-        """Try settings for each error; least : evaluations that it has cost any method so far, which are kept."""
+        """Try settings for each error; least : fewest evaluations of any method so far by error, updated here."""
         if self.method.exact:
             self.attempt(0.0)
             return

@@ -127,7 +127,7 @@ HARD = tuple(
     for scene in (
         OSCILLATOR.with_(
             name="overdamped",
-            about="γ = 50: what is left after a moment creeps back at the slow rate 0.02. A method that treats "
+            about="γ = 50: after a moment the motion creeps back at the slow rate 0.02. A method that treats "
             "force and friction one after the other gets that rate wrong, by a factor of about (γh/2)coth(γh/2), and "
             "an explicit one is unstable unless γh is of order one although nothing fast happens.",
             gamma=50.0,
@@ -137,8 +137,8 @@ HARD = tuple(
         ),
         OSCILLATOR.with_(
             name="weak_damping",
-            about="γ = 10⁻⁵ over 1600 periods: a tenth of the energy is lost in all. The dissipation of a method "
-            "adds to that of the scene, and at coarse steps exceeds it.",
+            about="γ = 10⁻⁵ over 1600 periods: a tenth of the energy is lost in all. The numerical dissipation of a "
+            "method adds to the damping of the scene, and at coarse steps exceeds it.",
             gamma=1e-5,
             t_end=1e4,
             pace=(0.25,),

@@ -1,11 +1,11 @@
-"""The compositions, coefficients as data.
+"""Define the compositions by their coefficients.
 
 Published tables have 15 to 26 digits.  The ones here are the solutions of the order conditions next to
 them, to 50 digits (Newton's method in the free algebra of the two parts, modulo [B, [B, [B, A]]] for
 the Nyström ones); none differs from print by more than a few units in the last digit.
 
-A table reads along its lines.  Of a two-part composition it has the coefficients of both parts in turn, a pair a line,
-up to the middle pair, which consistency supplies (`palindrome`).
+A table of a two-part composition has the coefficients of both parts in turn, a pair per line, up to the middle pair,
+which consistency determines (`palindrome`).
 """
 
 from __future__ import annotations

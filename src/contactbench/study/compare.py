@@ -1,4 +1,4 @@
-"""Methods raced on one scene, the user's own for example: `compare`."""
+"""Race methods on one scene, for example the user's own: `compare`."""
 
 from __future__ import annotations
 
@@ -39,15 +39,13 @@ from contactbench.study.schedule import (
 from contactbench.truth import Reference
 
 ERRORS = (1e-3, 1e-6, 1e-9)
-#: every method races
 ALL = "all"
-#: seconds of a race of the methods that lead on such problems, and of any others
+#: default seconds for the methods chosen by default, and for methods that the user names
 BUDGET, LONG_BUDGET = 15.0, 50.0
-#: methods at most that a reason names
-NAMED = 3
-#: a run made once may take so many times as long as its least round
+MOST_RIVALS_NAMED = 3
+#: a single run takes at most this multiple of its least round
 ONCE = 2.0
-#: seconds from which on a run is more than the call from Python
+#: longer runs spend little of their time in the call from Python, seconds
 SLOW = 1e-3
 #: types of the columns beside the laws
 COLUMNS = dict.fromkeys(("scene", "method", "family", "engine", "kind"), "str")
@@ -139,9 +137,9 @@ def compare(
     return frame
 
 
-# -- what is asked ---------------------------------------------------------------------------------
+# -- arguments -------------------------------------------------------------------------------------
 def named_methods(methods: Sequence[str] | str) -> list[str]:
-    """Return the methods that a user names, each once."""
+    """Return the methods that the user names, without repetition."""
     some = items_of("methods", methods, "a list of names, or 'all'")
     if not some:
         refuse("methods", methods, "names, at least one, or 'all'")
@@ -163,7 +161,7 @@ def errors_asked(errors: Iterable[float]) -> tuple[float, ...]:
 
 
 def users_reference(scene: Scene, given: Callable[[np.ndarray], ArrayLike]) -> Reference:
-    """Return what a user's function says of the states at the ends of the runs; raise `BadInput` for other shapes."""
+    """Return the user's states at the ends of the runs as a reference; raise `BadInput` for another shape."""
     function("reference", given)
     carry, t = carry_of(scene), times(scene, ENDS)
     labels = ", ".join(scene.labels(carry)[:8])
@@ -178,14 +176,14 @@ def users_reference(scene: Scene, given: Callable[[np.ndarray], ArrayLike]) -> R
 
 # -- rows ------------------------------------------------------------------------------------------
 class Runs(tuple[dict[str, Any], ...]):
-    """Rows of every setting tried; pandas copies ``attrs`` deeply at every turn, which would take it seconds."""
+    """Hold a row per setting tried; not copied, because pandas copies ``attrs`` often and would take seconds."""
 
     def __deepcopy__(self, memo: object) -> Runs:
         return self
 
 
 def frame_of(question: Question, searches: Sequence[Search], laws: Found, clock: Found) -> pd.DataFrame:
-    """Return the rows of a race with their verdicts, and what to take."""
+    """Return the table of a race with verdicts, and the recommendation in its ``attrs``."""
     scene, truth = question.scene, question.truth
     rows = [row(question, each, error, laws, clock) for each in searches for error in question.errors]
     frame = with_verdicts(pd.DataFrame(rows))
@@ -198,19 +196,19 @@ def frame_of(question: Question, searches: Sequence[Search], laws: Found, clock:
 
 
 def runs_of(one: Search) -> Iterable[dict[str, Any]]:
-    """Yield the settings that a method was tried at, coarse to fine."""
+    """Yield a row for each setting tried, coarse to fine."""
     for a in sorted(one.attempts, key=lambda a: -a.value):
         known = {"method": one.method.name, "engine": one.engine, "kind": one.kind, "value": a.value}
         yield known | a.columns(0.0) | {"status": str(a.status), "message": a.message, "error": a.error}
 
 
 def laws_in(scene: Scene) -> list[str]:
-    """Return the laws that have a column."""
+    """Return the names of the laws that have a column."""
     return [law.name for law in laws_of(scene) if law.name not in LEFT_OUT]
 
 
 def row(question: Question, one: Search, error: float, laws: Found, clock: Found) -> dict[str, Any]:
-    """Return what an error costs a method: of the settings for it, and for smaller ones, that which is soonest done."""
+    """Return the row of a method at an error: its fastest setting that reaches this or a smaller error asked for."""
     floor, scene, of_laws = floor_of(question.truth), question.scene, laws_in(question.scene)
     reach = [a for e in question.errors if e <= error for _, a in reaching([one], e, floor)]
     attempt = min(reach, key=lambda a: clock.get(id(a), {}).get("time_s", math.inf), default=None)
@@ -237,7 +235,7 @@ def row(question: Question, one: Search, error: float, laws: Found, clock: Found
 
 
 def ending(one: Search, error: float, floor: float) -> tuple[str, str]:
-    """Return the status of a method that does not reach an error, and why."""
+    """Return the status and the reason of a method that does not reach an error."""
     last = one.finest
     why = ("unreached", f"no setting is as accurate, tried down to {last.setting if last else 'none'}")
     if error < floor:
@@ -250,7 +248,7 @@ def ending(one: Search, error: float, floor: float) -> tuple[str, str]:
 
 
 def with_verdicts(frame: pd.DataFrame) -> pd.DataFrame:
-    """Judge the times of each kind at each error; what is undecided says why."""
+    """Add verdicts on the times of each kind at each error, with a reason where one is undecided."""
     costs = frame.assign(cost=frame["time_s"], processes=PROCESSES, place=range(len(frame)))
     judged = standings(costs, ("kind", "error_asked")).sort_values("place", ignore_index=True)
     for _, part in judged.groupby(["kind", "error_asked"], sort=False):
@@ -258,6 +256,6 @@ def with_verdicts(frame: pd.DataFrame) -> pd.DataFrame:
         rivals = list(part.loc[part["at_least"] <= part["time_s"].min(), "method"])
         why = f"times cannot be told apart within a factor of {part.loc[unclear, 'margin'].max():.3g}"
         if rivals:
-            why = f"may be sooner done, but for want of time nobody knows: {', '.join(rivals[:NAMED])}"
+            why = f"cut off for want of time, may be faster: {', '.join(rivals[:MOST_RIVALS_NAMED])}"
         judged.loc[part.index[unclear], "reason"] = why
     return judged

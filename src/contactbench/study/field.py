@@ -1,4 +1,4 @@
-"""Which methods race on a scene: the leaders on similar problems in the tables, and the mission's contestants."""
+"""Choose the methods that race on a scene: the leaders on similar problems, and the contestants of the README."""
 
 from __future__ import annotations
 
@@ -19,36 +19,35 @@ from contactbench.scene.base import Scene
 from contactbench.scenes import SCENES
 from contactbench.tables.declared import TIMES, results
 
-#: a method leads on a problem if its cost is at most `LEADS` times the least; it races if it leads on at
-#: least the share `PART` of the problems
-LEADS, PART = 1.25, 0.2
-#: the most leaders taken from one set of problems: those that lead on the largest part of it
-MOST = 12
-#: how many random problems are consulted, those with the nearest damping; a smaller damping counts as this one
-NEAREST, UNDAMPED = 40, 1e-5
+#: a method leads on a problem if its cost is at most this multiple of the least
+LEADS = 1.25
+#: a method races if it leads on at least this share of the problems
+LEAST_SHARE = 0.2
+MOST_LEADERS = 12
+#: number of random problems consulted, the ones with the nearest damping
+NEAREST = 40
+#: a smaller damping counts as this one
+LEAST_DAMPING = 1e-5
 #: errors at which the costs on named scenes are compared
 ERRORS = (1e-3, 1e-6, 1e-9)
 
 
 def field(scene: Scene, errors: Collection[float]) -> list[str]:
-    """Return the methods that race by default, those of plug-ins included, the most likely to lead first.
-
-    None if no tables are installed.
-    """
+    """Return the methods that race by default, with plug-ins, the most likely to lead first; none without tables."""
     able = [name for name, method in METHODS.items() if method.refuses(scene) is None]
     here = [name for name in able if not METHODS[name].lacks(METHODS[name].engines[0])]
     leading: list[str] = []
     with suppress(BadInput):  # a table is missing
         rows, contact = similar(scene), [name for name in here if METHODS[name].family == CONTACT]
         leading = leaders(rows, here, errors)
-        if not {*leading} & {*contact}:  # what the contact form costs is part of the answer
+        if not {*leading} & {*contact}:  # at least one method that keeps the contact form races
             leading += leaders(rows, contact, errors)
     everywhere = [*contestants(), *brought()] if leading else []
     return list(dict.fromkeys(name for name in (*leading, *everywhere) if name in able))
 
 
 def contestants() -> list[str]:
-    """Return of each line of the mission's contestants the first of every kind of engine."""
+    """Return the first contestant of every line and kind of engine that is registered."""
     found: dict[tuple[int, str], str] = {}
     for place, line in enumerate(CONTESTANTS):
         for name in filter(METHODS.__contains__, line):
@@ -57,32 +56,32 @@ def contestants() -> list[str]:
 
 
 def leaders(rows: pd.DataFrame, methods: list[str], errors: Collection[float]) -> list[str]:
-    """Return the methods that lead on enough problems, at any of the errors and by any of the costs, best first."""
+    """Return the methods that lead on enough problems for some error and some cost, best first."""
     rows = rows[rows["method"].isin(methods)]
     measured, parts = rows["error"].unique(), dict[str, float]()
     nearest = {min(measured, key=lambda own: abs(np.log(own / error))) for error in errors if len(measured)}
     for table in (regrets(rows, error, cost) for error in nearest for cost in COSTS):
         share = table.le(LEADS).sum() / table.notna().sum()
-        parts |= {name: max(part, parts.get(name, 0.0)) for name, part in share[share >= PART].items()}
-    return sorted(parts, key=lambda name: -parts[name])[:MOST]
+        parts |= {name: max(part, parts.get(name, 0.0)) for name, part in share[share >= LEAST_SHARE].items()}
+    return sorted(parts, key=lambda name: -parts[name])[:MOST_LEADERS]
 
 
 def damping_of(scene: Scene) -> float:
     """Return the ratio of damping to frequency, estimated by a pilot run; nan if the pilot fails."""
     damping = np.nan
     with suppress(BadInput):
-        damping = max(float(features(scene).damping), UNDAMPED)
+        damping = max(float(features(scene).damping), LEAST_DAMPING)
     return damping
 
 
 def similar(scene: Scene) -> pd.DataFrame:
-    """Return the costs on the random problems of the kind with the nearest damping.
+    """Return the costs on the random problems of the same kind with the nearest damping.
 
-    Of a kind without any on its named scenes, and of one without those on all of them.
+    If the kind has no random problems, return the costs on its named scenes, or on all scenes if it has none.
     """
     problems, damping = results("problems").set_index(["seed", "scene"]), damping_of(scene)
     drawn = problems[(problems["hard"].fillna("") == "") & (problems["kind"] == scene.kind)]
-    gaps = np.log(drawn["damping"].astype(float).clip(lower=UNDAMPED) / damping).abs()
+    gaps = np.log(drawn["damping"].astype(float).clip(lower=LEAST_DAMPING) / damping).abs()
     near, rows = (gaps.nsmallest(NEAREST) if damping == damping else gaps), results("population")
     rows = rows[pd.MultiIndex.from_frame(rows[["seed", "scene"]]).isin(near.index)]
     return rows if len(rows) else costs_on(name for name, own in SCENES.items() if own.kind == scene.kind)

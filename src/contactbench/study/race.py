@@ -1,4 +1,4 @@
-"""A race to read: its tables and notes for the terminal, what to take, and its figure."""
+"""Present a race: tables and notes for the terminal, the recommended method for each error, and a figure."""
 
 from __future__ import annotations
 
@@ -21,13 +21,12 @@ from contactbench.report.numbers import DASH, count, duration, exact_power, name
 from contactbench.tables.declared import shipped_folder
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
-#: what a law is about, and what follows from what
+#: symbols of the laws in the tables, and the symbols that another one implies
 SYMBOLS = {"momentum_law": "J", "contact_drift": "η", "distribution_drift": "ker η", "pairing_drift": "pairs"}
 SYMBOLS |= {"attitude_drift": "RᵀR = 1", "sphere_drift": "|q| = R"}
 IMPLIED = {"η": ("ker η", "pairs")}
-#: what stands behind the title of a table of times
 LEGEND = "time at each error; kept at round-off: J, η, pairs of singular values"
-#: solvers of other libraries that are named beside the fastest
+#: number of solvers of other libraries that a recommendation names
 PEERS = 2
 #: rows of a short table, and columns of the terminal
 ROWS, WIDTH = 10, 100
@@ -35,10 +34,10 @@ ROWS, WIDTH = 10, 100
 
 # -- the terminal ----------------------------------------------------------------------------------
 def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
-    """Return a race for the terminal, at its end the recommendation, and where to read on.
+    """Return the text of a race for the terminal; the recommendation comes last.
 
-    every : all rows, settings and notes; else of more than `ROWS` methods the best so many, and their times alone.
-    scene : how a command names it, if not by its name.
+    every : show all rows, settings and notes; otherwise only the times of the best `ROWS` methods.  scene : words that
+    name the scene on the command line, by default its name.
     """
     recommended, (reference, *more) = frame.attrs["recommendation"], notes(frame)
     order, named = ranked(frame), {word for line in recommended for word in re.findall(r"[\w-]+", line)}
@@ -99,7 +98,7 @@ def settings_table(own: pd.DataFrame, order: Sequence[str]) -> str:
 
 
 def how_to_run(frame: pd.DataFrame, scene: str) -> str:
-    """Return what an error is of, and the run at the smallest that something is recommended for."""
+    """Return the definition of an error and a command that repeats the fastest run at the smallest error."""
     carry, timed = ",".join(frame.attrs["carry"]), frame[frame["time_s"].notna()]
     what = f"the motion{f' and {carry}' if carry else ''} at the ends of five runs, the last to t_end"
     first = timed[timed["kind"] == timed["kind"].max()].sort_values(["error_asked", "time_s"], kind="stable")
@@ -115,7 +114,7 @@ def how_to_run(frame: pd.DataFrame, scene: str) -> str:
 
 # -- notes -----------------------------------------------------------------------------------------
 def notes(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield what the reference is good for, and what was not measured and why."""
+    """Yield the accuracy of the reference, how times are judged, and what was not measured and why."""
     reference = frame.attrs["reference"]
     second = reference["confirmed"]
     agreed, confirmed = "two precisions of one engine agree", f"{second} of them confirmed by a second engine"
@@ -146,12 +145,12 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
         why = ", or a function takes no arrays" if functions else ""
         yield f"The laws of {', '.join(unknown)} are not measured: no time was left{why}."
     if frame.attrs["interrupted"]:
-        yield "Interrupted: this is what there was."
+        yield "Interrupted: the table shows the results until then."
 
 
-# -- who is before whom, and what is kept ------------------------------------------------------------
+# -- ranking, and laws kept -------------------------------------------------------------------------
 def ranked(frame: pd.DataFrame) -> list[str]:
-    """Return the methods that can run the scene, soonest done first: by errors reached, then by their mean ratio."""
+    """Return the methods that can run the scene, best first: by number of errors reached, then by mean time ratio."""
     able = frame[frame["status"] != "unsupported"]
     ratios = np.log(able["ratio"]).groupby(able["method"], sort=False)
     table = pd.DataFrame({"missed": -ratios.count(), "mean": ratios.mean()})
@@ -163,7 +162,7 @@ def laws_of(frame: pd.DataFrame) -> list[str]:
 
 
 def symbol(law: str) -> str:
-    """Return what a run keeps that keeps a law, never its drift."""
+    """Return the symbol of the quantity that a law preserves."""
     return SYMBOLS.get(law, str(LAWS[law].label).removesuffix(" drift"))
 
 
@@ -175,7 +174,7 @@ def symbols(laws: Iterable[str]) -> list[str]:
 
 
 def kept_laws(rows: pd.DataFrame) -> str:
-    """Return what a method keeps at every setting at which it was measured, and what there was no time for."""
+    """Return in words the laws that a method keeps at every measured setting, the undecided and the unmeasured ones."""
     laws, (kept, unknown) = laws_of(rows), kept_and_unknown(rows)
     hidden = {label for text in rows["laws_undecided"] for label in text.split(", ")}
     unclear = symbols(law for law in laws if symbol(law) in hidden)
@@ -187,7 +186,7 @@ def kept_laws(rows: pd.DataFrame) -> str:
 
 
 def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
-    """Return what is kept at every setting at which it was measured, and what was measured at none."""
+    """Return the symbols of the laws kept at every measured setting, and of the laws measured at none."""
     kept, unknown = [], []
     for law in laws_of(rows):
         known = rows.loc[rows[law].notna(), "laws_kept"]
@@ -198,9 +197,9 @@ def kept_and_unknown(rows: pd.DataFrame) -> tuple[list[str], list[str]]:
     return symbols(kept), symbols(unknown)
 
 
-# -- what to take -----------------------------------------------------------------------------------
+# -- recommendation ---------------------------------------------------------------------------------
 def recommendation(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield what to take for each error of a race, or what is missing to say so."""
+    """Yield a sentence for each error: the method to take, or the reason why there is none."""
     for error, rows in frame.groupby("error_asked", sort=False):
         timed, goal = rows[rows["time_s"].notna()], exact_power(float(str(error)))
         compiled = timed[timed["kind"] == "compiled"]
@@ -249,7 +248,7 @@ def best(ranked: pd.DataFrame, goal: str, frame: pd.DataFrame) -> str:
 
 
 def lack(rows: pd.DataFrame) -> str:
-    """Return why no method reaches an error."""
+    """Return the reason why no method reaches an error."""
     unresolved, cut = rows[rows["status"] == "unresolved"], rows[rows["status"].isin(CUT)]
     reached = rows[rows["error_reached"].notna()].sort_values("error_reached", kind="stable")
     if len(unresolved):
@@ -265,7 +264,7 @@ def lack(rows: pd.DataFrame) -> str:
 
 # -- figure ----------------------------------------------------------------------------------------
 def figure(frame: pd.DataFrame) -> Figure | None:
-    """Return time against error for each kind of engine, and evaluations; None where there is nothing to draw."""
+    """Return the figure: time against error for each kind of engine, and evaluations; None without any run."""
     timed = frame[frame["time_s"].notna()]
     timed = timed.assign(error=timed["error_reached"], cost=1e3 * timed["time_s"])
     tried = pd.DataFrame(frame.attrs["runs"], columns=["method", "setting", "status", "error", "evaluations"])
@@ -284,7 +283,7 @@ def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
 
 
 def front(tried: pd.DataFrame) -> pd.DataFrame:
-    """Return of each method the runs that no cheaper one is as accurate as: too coarse ones are accurate by chance."""
+    """Return the runs of each method that are more accurate than all its cheaper runs."""
     ordered = tried.sort_values(["cost", "error"], kind="stable")
     errors = ordered.groupby("method")["error"]
     return ordered[ordered["error"] < errors.transform(lambda own: own.cummin().shift(fill_value=np.inf))]

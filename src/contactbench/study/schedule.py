@@ -21,34 +21,32 @@ from contactbench.runs.settings import ENDS, carry_of, times
 from contactbench.scene.base import Elapsed, Scene
 from contactbench.truth import OutOfTime, Reference, confirmed, reference
 
-#: by when, in parts of the budget, the reference (half of it is for high precision, the rest for two solvers), its
-#: check, the search and the laws are over; the clock has the rest
+#: shares of the budget after which the reference, its check, the search and the laws end; the timing has the rest
 REFERENCE, CHECK, SEARCH, LAWS = 0.4, 0.25, 0.6, 0.85
-#: what is timed although all time is over
+#: share of the budget for timing that is granted even if the budget is spent
 LATE = 0.05
-#: seconds for the reference at least, which it takes to compile it on a loaded machine: without one there is no race
+#: least seconds for the reference, enough to compile it on a loaded machine
 LEAST_REFERENCE = 5.0
-#: calls of a run in the shortest race: to warm up, and a round of each visit
+#: fewest calls of a timed run: one to warm up, and one round per visit
 FEWEST_CALLS = 1 + VISITS
-#: seconds that compiling a method of an engine takes: without them it is not begun
+#: seconds to compile a method, by engine; a method is not begun with less time left
 COMPILING = {"jax": 5.0, "c++": 1.5}
-#: what a method gets in the search after its first run at least, as a share of the whole budget: runs of one setting
-#: each are no race
+#: least share of the budget for a method after its first run, so that it gets several settings
 SHARE = 0.05
-#: what a single run may take, as a share of the whole budget
+#: largest share of the budget for one run
 RUN_SHARE = 0.006
-#: what a derivative of the map costs, roughly: compilations of the solver, seconds each at least, and runs
+#: rough cost of the derivative of a map: compilations, least seconds of each, and runs
 COMPILATIONS, CACHED, RUNS = 2.0, 0.2, 100.0
-#: components from which on compiling it takes longer, as their cube
+#: number of components above which its compilation grows like their cube
 MANY = 20
-#: stages that the bar shows beside the methods
+#: stages that the progress bar counts beside the methods
 STAGES = 3
-#: why a method has no run
+#: status and reason of a method without a run
 NOT_BEGUN, INTERRUPTED = ("budget", "no time was left to begin it"), "interrupted"
-#: measures of a run that are no laws, or that another one covers
+#: measures that are not laws, or that another column covers
 LEFT_OUT = ("solution_error", "energy_increases")
 
-#: the columns of an attempt, by its identity
+#: measured columns by the identity of an attempt
 type Found = dict[int, dict[str, Any]]
 
 
@@ -59,9 +57,9 @@ def watched() -> bool:
 
 
 class Budget:
-    """The time that a race has, and what it had no time for.
+    """Track the time of a race.
 
-    interrupted : whether Ctrl-C ended a stage.  unrefined : methods without a last search for a coarser setting.
+    interrupted : whether Ctrl-C ended a stage.  unrefined : methods whose setting was found, but not refined.
     """
 
     def __init__(self, seconds: float, begun: float, progress: bool) -> None:
@@ -74,7 +72,7 @@ class Budget:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Show a stage by its name; Ctrl-C ends it with what there is."""
+        """Show a stage in the progress bar; Ctrl-C ends the stage and keeps its results."""
         self.bar.set_description(name)
         try:
             with np.errstate(all="ignore"):  # long steps overflow, and end as diverged
@@ -86,7 +84,7 @@ class Budget:
 
 # -- reference -------------------------------------------------------------------------------------
 def find_reference(scene: Scene, budget: Budget, given: Reference | None) -> tuple[Reference, int | None]:
-    """Return the truth at the ends of the runs and how many digits a second engine confirms."""
+    """Return the true states at the ends of the runs and the number of digits that a second engine confirms."""
     budget.bar.set_description("reference")
     seconds = max(budget.left(REFERENCE), LEAST_REFERENCE)
     try:
@@ -110,7 +108,7 @@ def ask(scene: Scene, truth: Reference, errors: tuple[float, ...], budget: Budge
 
 
 def floor_of(truth: Reference) -> float:
-    """Return what a reference may be off by, relative to the largest state: no error below is claimed."""
+    """Return the relative uncertainty of a reference, the least error that a race reports."""
     return max(10.0**-truth.digits, float(np.finfo(float).eps))
 
 
@@ -118,10 +116,10 @@ def floor_of(truth: Reference) -> float:
 def search(
     question: Question, methods: Sequence[str], first: Collection[str], budget: Budget
 ) -> list[Search]:
-    """Search the settings of every method: of those that may lead first, of what compiles for long last.
+    """Search the settings of every method, likely leaders first and slow compilers last.
 
-    In every pass over the methods each has an equal share of the time that is left, which the next ones get if it does
-    not need it; where shares are small the first ones get more, and the last are not begun.
+    In every pass each method has an equal share of the time left, and later methods get what earlier ones leave.  If
+    shares are small, each started method still gets a least share and the last methods are not begun.
     """
     searches, unfinished = [Search(question, name) for name in methods], dict[Search, Iterator[None]]()
     with budget.stage("search"), suppress(OutOfTime):
@@ -152,14 +150,14 @@ def search(
 
 
 def are_over(turns: Iterator[None], until: float, least: float) -> bool:
-    """Take a turn, and more until some time, or for `least` seconds; return whether there are no more."""
+    """Take turns until a time, at least one and for at least `least` seconds; return whether all are taken."""
     if any(True for _ in islice(turns, 1)):
         until = max(until, perf_counter() + least)
     return all(perf_counter() < until for _ in turns)
 
 
 def stop(each: Search, budget: Budget) -> None:
-    """Say why a search did not go on."""
+    """Record why a search ended early."""
     last = each.finest
     if each.why is None and each.done:
         budget.unrefined.append(each.method.name)
@@ -170,13 +168,13 @@ def stop(each: Search, budget: Budget) -> None:
 
 
 def reaching(searches: Iterable[Search], error: float, floor: float) -> list[tuple[Search, Attempt]]:
-    """Return the methods that reach an error, each with its setting."""
+    """Return the searches that reach an error, each with its cheapest attempt."""
     return [(each, a) for each in searches if error >= floor and (a := each.best(error)) is not None]
 
 
 # -- laws ------------------------------------------------------------------------------------------
 def measure_laws(question: Question, searches: Sequence[Search], budget: Budget) -> Found:
-    """Measure the laws at the settings that reach the errors, those first that may keep some and are soon done."""
+    """Measure the laws at the settings that reach the errors, geometric and quick methods first."""
     found: Found = {}
     with budget.stage("laws"):
         for error in question.errors:
@@ -190,11 +188,11 @@ def measure_laws(question: Question, searches: Sequence[Search], budget: Budget)
 
 
 def laws_at(question: Question, search: Search, attempt: Attempt, budget: Budget) -> dict[str, Any]:
-    """Return how far a run that carries every field is from the laws; nothing where that would take too long."""
+    """Return the deviations from the laws of a run that carries every field; nothing if there is no time."""
     scene, left, known = question.scene, budget.left(LAWS), question.truth
     found: dict[str, Any] = {}
-    if left > COMPILING.get(search.engine, 0.0):  # another field is another program
-        with suppress(BadInput):  # its truth takes too long, or a function takes no arrays
+    if left > COMPILING.get(search.engine, 0.0):  # carrying every field compiles another program
+        with suppress(BadInput):  # the reference takes too long, or a function takes no arrays
             solution = search.along(attempt)()
             given = solution.carry == known.carry and np.array_equal(solution.elapsed, known.t)
             solution.truth = (
@@ -206,14 +204,14 @@ def laws_at(question: Question, search: Search, attempt: Attempt, budget: Budget
 
 
 def differentiation_time(search: Search, attempt: Attempt) -> float:
-    """Return about how many seconds the derivative of the map takes."""
+    """Estimate the seconds that the derivative of the map takes."""
     compilation = max(search.compile_s, CACHED) * (1 + (search.question.scene.motion / MANY) ** 3)
     return COMPILATIONS * compilation + RUNS * attempt.seconds
 
 
 # -- times -----------------------------------------------------------------------------------------
 def time_runs(question: Question, searches: Sequence[Search], budget: Budget) -> Found:
-    """Time the settings that reach the errors side by side; the slowest are left out where time is short."""
+    """Time the settings that reach the errors in turns; leave out the slowest if time is short."""
     floor, given = floor_of(question.truth), max(budget.left(), LATE * budget.seconds)
     reach = {id(a): a for e in question.errors for _, a in reaching(searches, e, floor) if a.run}
     attempts = sorted(reach.values(), key=lambda attempt: attempt.seconds)
@@ -227,5 +225,5 @@ def time_runs(question: Question, searches: Sequence[Search], budget: Budget) ->
 
 
 def halves(visits: Sequence[Visit]) -> float:
-    """Return the least round of every other visit over that of the rest."""
+    """Return the least round of the odd visits over the least round of the even visits."""
     return least(visits[1::2]) / least(visits[::2]) if len(visits) > 1 else math.nan

@@ -1,8 +1,8 @@
-"""Finished cells: a file each in ``results/.cells/PROFILE``, there as a whole or not at all, merged into the tables.
+"""Keep finished cells of the benchmark as files in ``results/.cells/PROFILE`` and merge them into the tables.
 
-A merge rewrites the tables under a lock and only then renames the files it has read; to merge a file twice does no
-harm, so that no kill loses anything.  The files stay, and say which cells are done.  Once all cells of a run
-are, rows of the tables that none of them has made are dropped: their benchmark no longer exists.
+A merge rewrites the tables under a lock and then renames the files it has read.  Merging a file twice is harmless, so a
+killed process loses nothing.  The files stay and record which cells are done.  When all cells of a run are done, rows
+that none of them made are dropped, since their benchmark no longer exists.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from contactbench.tables.schema import PROFILES, TABLES, Row, Table
 from contactbench.tables.store import check, keys, merge, note, read
 
 FOLDER = ".cells"
-#: of a file that is not merged yet, of one that is, and of the time at which a selection was last begun
+#: endings of files: a cell not merged yet, a merged cell, and the time at which a selection was last begun
 NEW, DONE, BEGUN = ".new", ".done", ".begun"
 
-type Cell = tuple[str, str]  #: the file of an experiment and the name of one of its cells
-type Rows = list[tuple[str, Row]]  #: each with the name of its table
+type Cell = tuple[str, str]  #: file of an experiment, name of its cell
+type Rows = list[tuple[str, Row]]  #: name of the table, row
 
 
 @dataclass(frozen=True)
 class Entry:
-    """The rows of a cell in a file; cell : None for rows of one that failed, which is not done."""
+    """Hold the rows of a cell in a file; cell : None if the cell failed and is not done."""
 
     path: Path
     run: str
@@ -44,12 +44,12 @@ class Entry:
 
 
 class DiskFull(BadInput):
-    """The disk takes no more; what was finished before is there."""
+    """Report a full disk; cells finished before are kept."""
 
 
 @contextlib.contextmanager
 def disk() -> Iterator[None]:
-    """Raise `DiskFull`, in one line, in place of any `OSError` of the body."""
+    """Raise `DiskFull` in place of any `OSError` of the block."""
     try:
         yield
     except OSError as error:
@@ -58,9 +58,9 @@ def disk() -> Iterator[None]:
 
 
 class Cells:
-    """The cells of one run, which one or several processes finish, and those of the runs before it.
+    """Manage the cells of a run, finished by one or several processes, and of earlier runs.
 
-    A cell is done if it was finished since a run with this selection (empty: all) last began anew.
+    A cell is done if it was finished after a run with the same selection (empty: all cells) last began anew.
     """
 
     def __init__(self, results: Path, profile: str, run: str, selection: str = "") -> None:
@@ -71,7 +71,7 @@ class Cells:
     # -- one cell ----------------------------------------------------------------------------------
     @disk()
     def save(self, rows: Iterable[tuple[Table, Row]], cell: Cell, finished: bool = True) -> None:
-        """Keep the rows of a cell: no kill takes them away when this returns (a failure of power may)."""
+        """Save the rows of a cell; after that a kill cannot lose them, but a power failure can."""
         named = [[table.name, dict(row)] for table, row in rows]
         entry = {"run": self.run, "cell": cell if finished else None, "rows": named}
         with replacing(self.folder / f"{_digest(*cell)}-{self.run}{NEW}", sync=False) as file:
@@ -86,7 +86,7 @@ class Cells:
 
     # -- all of them -------------------------------------------------------------------------------
     def begin(self, record: Row) -> None:
-        """Keep where and with what the run is made, and merge what killed runs have left."""
+        """Save the record of the run, and merge cells left by killed runs."""
         with replacing(self._record(self.run)) as file:
             json.dump(record, file)
         self.merge()
@@ -102,9 +102,9 @@ class Cells:
 
     @disk()
     def merge(self, expected: Iterable[Cell] = (), others: Collection[str] = ()) -> None:
-        """Put all new cells into the tables, whichever run finished them.
+        """Merge all new cells of any run into the tables.
 
-        expected : all cells of a whole run.  others : scenes and methods that it leaves as they are.
+        expected : all cells of a whole run.  others : scenes and methods whose rows stay as they are.
         """
         (self.results / FOLDER).mkdir(parents=True, exist_ok=True)
         with FileLock(self.results / FOLDER / "lock"):
@@ -153,7 +153,7 @@ def _by_table(cells: Iterable[Rows]) -> dict[str, list[Row]]:
 
 
 def _fits(entry: Entry) -> bool:
-    """Return whether the tables can take the rows; of another version, or a plug-in not here, they stay aside."""
+    """Return whether the tables accept the rows; rows of another version or an absent plug-in are left out."""
     try:
         for name, row in entry.rows:
             check(TABLES[name], row)
@@ -168,7 +168,7 @@ def _digest(*names: str) -> str:
 
 
 def _read(path: Path) -> Entry | None:
-    """Return what a file says; None where it is damaged: its cell is run again."""
+    """Return the contents of a file, or None if it is damaged, so that its cell runs again."""
     match _load(path):
         case {"run": str(run), "cell": None | [str(), str()] as cell, "rows": list(rows)}:
             return Entry(path, run, (cell[0], cell[1]) if cell else None, rows)

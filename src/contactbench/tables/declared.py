@@ -1,4 +1,4 @@
-"""The tables of the benchmark, one per question: tables.toml says what their columns are."""
+"""Declare the tables of the benchmark, whose columns tables.toml defines."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from contactbench.tables.schema import TABLES, Column, Rule, Table
 if TYPE_CHECKING:
     import pandas as pd
 
-type Data = Mapping[str, Any]  #: what is read from tables.toml
+type Data = Mapping[str, Any]  #: parsed TOML
 DECLARED: Data = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
-#: why a column has no rule
-FOLLOWS = "it follows from the deviation, which is compared, and what round-off may amount to"
+#: why the verdict on a law has no rule
+FOLLOWS = "it follows from the deviation, which is compared, and the bound of round-off"
 
 
 def law_columns(name: str) -> dict[str, Column]:
-    """Return the column of a law, and of one that a map keeps or not whether it is claimed and kept."""
+    """Return the column of a law; for a structural law also whether it is claimed and kept."""
     law = LAWS[name]
     columns = {name: Column(law.definition, "number", Rule[law.gate.value], label=law.label)}
     if law.structural:
@@ -42,7 +42,7 @@ def columns(declared: Data) -> dict[str, Column]:
     return found
 
 
-#: the laws of this package; those that no question reads have no column
+#: the laws of this package; only the laws in tables.toml have a column
 OWN_LAWS = frozenset(LAWS)
 
 
@@ -71,7 +71,7 @@ CLAIMS_TABLE = declare("claims")
 MOTION = declare("motion")
 
 
-# -- those that come with the package ----------------------------------------------------------------
+# -- tables shipped with the package -----------------------------------------------------------------
 def shipped_folder() -> Path | None:
     here = Path(__file__).resolve()
     for folder in (here.parents[3] / "results", here.parents[1] / "_results"):
@@ -88,14 +88,14 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
     Parameters
     ----------
     name
-        Of a table: "runs", "times", "orders", "limits", "ring", "problems", "population", "claims" or "motion".
+        "runs", "times", "orders", "limits", "ring", "problems", "population", "claims" or "motion".
     folder
-        Of a run of your own; by default the tables that came with the package.
+        The results folder of your own run; by default the tables shipped with the package.
 
     Returns
     -------
     DataFrame
-        A row for each run, or what the table is about.
+        The rows of the table.
 
     Raises
     ------
@@ -109,12 +109,14 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
     >>> runs.attrs["columns"].keys() == set(runs.columns)
     True
     """
-    from contactbench.tables.store import read  # takes long to load, as pandas does
+    from contactbench.tables.store import read  # slow to import, as pandas is
 
     table = TABLES[name]
     where = shipped_folder() if folder is None else Path(folder)
     if where is None:
-        raise BadInput("no result tables in this installation; give that of a run, results(name, folder)")
+        raise BadInput(
+            "no result tables in this installation; give the folder of a run: results(name, folder)"
+        )
     if not table.path(where).is_file():
         raise BadInput(f"folder = {str(where)!r}: has no table {name!r}")
     frame = read(table, where)

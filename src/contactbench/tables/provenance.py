@@ -1,7 +1,7 @@
-"""Where and with what the tables were made: environment.json, the list of runs behind them.
+"""Record the machine, packages and commit of every run behind the tables, in environment.json.
 
-A run stays in the list as long as a table has rows of it: a run that makes a table as a whole takes the
-table away from all before it.
+A run stays in the list while a table holds rows of it.  A run that makes a whole table replaces all earlier runs of
+that table.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from contactbench.tables.schema import TABLES, Row
 
 PACKAGES = """contactbench numpy scipy pandas matplotlib mpmath
 llvmlite numba jax jaxlib diffrax scikit-sundae heyoka cyrk"""
-#: what decides the tables
+#: files and folders that decide the numbers in the tables
 SOURCES = ("src", "bench", "references", "pyproject.toml", "constraints.txt", "tox.ini")
 CHANGES = ("status", "--porcelain", "--untracked-files=no", "--", *SOURCES)
 THREADS = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
@@ -70,8 +70,7 @@ def _cpu() -> str:
 
 
 def _instructions() -> str:
-    """Return the processor as the compiler sees it, and a digest of the instructions it has: they decide how numbers
-    are rounded."""
+    """Return the compiler's name of the processor and a digest of its instructions, which decide on rounding."""
     from llvmlite import binding
 
     features = ",".join(sorted(name for name, there in binding.get_host_cpu_features().items() if there))
@@ -90,7 +89,7 @@ def new_run_id() -> str:
 
 
 def runs(results: Path) -> list[dict[str, Any]]:
-    """Return the runs behind the tables of a folder, oldest first, none without a record; `BadInput` if damaged."""
+    """Return the recorded runs of a folder, oldest first; raise `BadInput` if the record is damaged."""
     path = results / "environment.json"
     if not path.exists():
         return []
@@ -106,16 +105,16 @@ def runs(results: Path) -> list[dict[str, Any]]:
 
 
 def save_run(name: str, record: Row, made: Iterable[str], whole: Iterable[str], results: Path) -> None:
-    """Add a run that made rows of some tables, and some tables as a whole, and forget runs without rows."""
+    """Record a run and forget runs without rows; made : tables with rows of it; whole : tables it made completely."""
     others = {run["run"]: run for run in runs(results)}
     own = {**others.pop(name, {"tables": {}})["tables"], **dict.fromkeys(made, "part")}
-    alone = own.keys() & set(whole)  # another run made the rest of what is whole
+    alone = own.keys() & set(whole)  # tables with rows of this run only
     if not own:
         return
     mine = {"run": name, **record, "tables": own | dict.fromkeys(alone, "whole")}
     before, clock = [], {"run": "", "utc": ""}
     for run in others.values():
-        # what differs in nothing but when it was, the later one speaks for both
+        # of two runs that differ only in their time, the later one is kept
         if {**run, **clock} != {**mine, **clock}:
             kept = {table: part for table, part in run["tables"].items() if table in TABLES.keys() - alone}
             before += [{**run, "tables": kept}] if kept else []

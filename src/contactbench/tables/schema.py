@@ -1,6 +1,6 @@
-"""What a result table is: typed columns, how each may differ between two runs, and the registry of tables.
+"""Define result tables: typed columns, the rule by which each may differ between two runs, and the registry.
 
-A row is keyed by the table's key columns; NAME.csv has all of them.
+The key columns of a table identify a row of NAME.csv.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from contactbench.registry import Registry
 if TYPE_CHECKING:
     import pandas as pd
 
-#: what a row holds, by column
+#: the values of a row by column
 type Row = Mapping[str, object]
 
-#: how much is run, from little to much; each makes the rows of those before it, and more
+#: amounts of work, increasing; each profile makes all rows of the smaller ones
 PROFILES = ("smoke", "standard", "full")
-SEPARATOR = " // "  #: stands between the measurements that one cell lists
+SEPARATOR = " // "  #: between the measurements in one text
 BEYOND = "beyond the paper"  #: the place (`where`) of a claim that the paper does not make
 
 
 class Rule(Enum):
-    """How a column may differ between two runs; the regression gate has the numbers."""
+    """Say how a column may differ between two runs; the regression gate has the numbers."""
 
     same = "must not change"
     count = (
@@ -44,7 +44,7 @@ class Rule(Enum):
     measured = "what a claim measured: a factor of two or a hundredth, above round-off and far from its bound"
     point = "a coordinate of a curve: within a hundredth of the largest along the curve, above round-off"
     end = "how far a run got: exact where it ended well, else within a tenth"
-    time = "by its ratio to the other times of its table: those of a method within a factor of two"
+    time = "relative to the other times of its table, within a factor of two for each method"
     profile = "may be of a smaller profile, never only of a larger one"
 
     @property
@@ -54,12 +54,12 @@ class Rule(Enum):
 
 @dataclass(frozen=True)
 class Column:
-    """One fact about a row.
+    """Define a column.
 
-    meaning : what it is, a phrase.  rule : how it may differ between two runs; ungated : why it has no rule (a key
-    needs neither, nor what a clock said).  timed : it comes from a clock.  exact : an input, written in full; other
-    numbers have six significant digits.  label : short name for headings.  infinite : infinity is a value of it (no
-    limit); elsewhere it is blank.
+    meaning : a phrase that explains it.  rule : how it may differ between two runs.  ungated : why it has no rule (keys
+    and times need no reason).  timed : whether a clock measures it.  exact : whether numbers are written in full, since
+    they are inputs; others have six digits.  label : short name for headings.  infinite : whether infinity is a value,
+    such as no limit; in other columns it is blank.
     """
 
     meaning: str
@@ -74,10 +74,10 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A result table.
+    """Define a result table.
 
-    own : its columns; more : gives those that plug-ins add.  key : the columns that name a row.  whole : leading key
-    columns of rows that are always made together: a new run replaces all of them.
+    own : its columns.  more : returns the columns that plug-ins add.  key : the columns that identify a row.  whole :
+    leading key columns; rows that agree in them are made together, and a new run replaces all of them.
     """
 
     name: str
@@ -112,7 +112,7 @@ TABLES = Registry("table", Table)
 
 
 def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
-    import pandas as pd  # takes long to load, and `import contactbench` needs the tables' names alone
+    import pandas as pd  # slow to import; `import contactbench` needs only the names of the tables
 
     if column not in rows:
         return pd.Series(default, rows.index, dtype=float)
@@ -120,11 +120,11 @@ def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Seri
 
 
 def floor(rule: Rule | None, rows: pd.DataFrame) -> np.ndarray:
-    """Return, row by row, the size below which an error with this rule is round-off; zero for what is no error.
+    """Return for each row the size below which an error is round-off; zero if the rule is not for errors.
 
-    Below it the gate does not judge, and tables show one digit.  It is the larger of 100 ε and √n ε, since the rounding
-    errors of n evaluations walk at random, times the condition number of the motion where the table has one.  Rows
-    computed with 50 digits are limited by the references, of 40 digits: it is ten times the uncertainty of these.
+    Below it the gate does not judge, and tables show one digit.  It is max(100, √n) ε times the condition number of the
+    motion, if the table has one: the rounding errors of n evaluations walk at random.  For rows computed with 50 digits
+    it is ten times the uncertainty of the references, which have 40 digits.
     """
     if rule is None or not rule.decades:
         return np.zeros(len(rows))

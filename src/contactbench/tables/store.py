@@ -1,8 +1,8 @@
-"""Result tables in and out of CSV: typed reading, merging by key, digits that mean something.
+"""Read and write result tables as CSV, and merge new rows by key.
 
-New rows replace rows of the same key and leave the rest, so a partial run updates its own part.  Rows
-stand in a fixed order and numbers have six significant digits (an error that is round-off one, a time
-three), so that a rerun on the same machine gives the same file.  Files are replaced atomically.
+New rows replace rows of the same key and leave the rest, so that a partial run updates only its own part.  Rows have a
+fixed order and numbers six significant digits (times three, round-off one), so that a rerun on the same machine gives
+the same file.  Files are replaced atomically.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from contactbench.tables.schema import Column, Row, Table, floor
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
 FLAGS = {"True": True, "False": False, True: True, False: False}
-#: types in a frame, and in a message
+#: pandas types, and words for messages, by type of column
 DTYPES = {"text": "str", "number": "float64", "whole": "Int64", "flag": "bool", "answer": "boolean"}
 WORDS = {"number": "finite number", "whole": "whole number", "flag": "truth value", "answer": "truth value"}
 LOG = logging.getLogger("contactbench")
@@ -32,15 +32,15 @@ type Key = tuple[object, ...]  #: the values of a row's key columns
 
 
 class OldTable(BadInput):
-    """A table written by another version, whose columns meant something else."""
+    """Report a table that another version wrote, with other columns."""
 
 
 # -- reading ---------------------------------------------------------------------------------------
 def read(table: Table, results: Path) -> pd.DataFrame:
-    """Return the table's rows, typed; none if there is no file.
+    """Return the rows of a table with typed columns; no rows if there is no file.
 
-    Columns that the file lacks are blank, columns that the table does not know are left out with a note.
-    Raises `OldTable` for a file without a key column, of another version, and `BadInput` for one of no such table.
+    Columns that the file lacks are blank; unknown columns are left out with a warning.  Raises `OldTable` if the file
+    lacks a key column, since another version wrote it, and `BadInput` if it is damaged or another table.
     """
     path = table.path(results)
     frame = read_file(table, path) if path.exists() else pd.DataFrame()
@@ -89,7 +89,7 @@ def note(message: str) -> None:
 
 
 def set_types(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
-    """Return the frame in the types of the table: a missing flag is not set, infinity is blank where it is no value."""
+    """Convert columns to the types of the table; missing flags become False, infinities that are no value blank."""
     found = {}
     for name, values in frame.items():
         column = table.columns[str(name)]
@@ -146,10 +146,10 @@ def merge(
     profiles: Sequence[str] = (),
     others: Collection[str] = (),
 ) -> pd.DataFrame:
-    """Put rows into the table's files, one of an older version replaced; return the merged table.
+    """Merge rows into the file of a table and return the merged table; a file of an older version is replaced.
 
-    made : the keys of all rows of these profiles, where the table was made as a whole: the rest is dropped, and named,
-    but for rows of these other scenes and methods alone.
+    made : keys of all rows that the profiles make, if a run made the whole table; other rows of these profiles are
+    dropped with a warning.  others : scenes and methods whose rows stay anyway.
     """
     try:
         old = read(table, results)
@@ -174,14 +174,15 @@ def merge(
     return frame
 
 
-#: rows that nobody makes any more, shown by name
-SHOWN = 3
+MOST_DROPPED_NAMED = 3
 
 
 def name_dropped(table: Table, rows: pd.DataFrame) -> None:
     if len(rows):
-        where = [" ".join(filter(None, map(str, key))) for key in index(rows, list(table.key))[:SHOWN]]
-        more = ", …" * (len(rows) > SHOWN)
+        where = [
+            " ".join(filter(None, map(str, key))) for key in index(rows, list(table.key))[:MOST_DROPPED_NAMED]
+        ]
+        more = ", …" * (len(rows) > MOST_DROPPED_NAMED)
         LOG.warning(
             f"{table.name}: dropped {len(rows)} rows that no profile makes any more: {', '.join(where)}{more}"
         )
@@ -212,7 +213,7 @@ def in_order(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     ranks = {"scene": list(SCENES), "method": list(METHODS)}
 
     def rank(column: pd.Series) -> pd.Series:
-        if column.name in ranks:  # names of no registry, a plug-in's, after the others
+        if column.name in ranks:  # unregistered names, of plug-ins not loaded, come last
             names = dict.fromkeys([*ranks[str(column.name)], *sorted(set(column))])
             return column.map({name: i for i, name in enumerate(names)})
         return -column if column.name == "setting" else column
@@ -227,7 +228,7 @@ def write(frame: pd.DataFrame, table: Table, results: Path) -> None:
 
 
 def as_text(values: pd.Series, column: Column) -> list[str]:
-    """Return a column as text: numbers in full, scientific where they count in decades, or in six digits."""
+    """Return a column as text; numbers in full if exact, in scientific notation if errors, else with six digits."""
 
     def number_text(value: float) -> str:
         if column.exact or math.isinf(value):

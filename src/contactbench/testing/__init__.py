@@ -1,10 +1,10 @@
-"""Test whether methods and scenes keep their contracts, for those who bring their own.
+"""Check that your own methods and scenes keep the contracts of this package.
 
     from contactbench.testing import check_method, check_scene
     check_method(cb.METHODS["mine"])
 
-Each takes the numbered rules of the contract (`methods.base.Method`, `scene.base.Scene`) one after the other,
-returns what it found, and raises `Violation`, an `AssertionError` that says which is broken and how.
+Each checks the numbered rules of its contract (`methods.base.Method`, `scene.base.Scene`) in turn, returns a finding
+per rule, and raises `Violation`, an `AssertionError` that names the broken rule and how it is broken.
 """
 
 from contactbench.testing.method import METHOD_RULES, check_method, method_findings

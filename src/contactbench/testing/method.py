@@ -1,4 +1,4 @@
-"""The rules of `methods.base.Method`, by their numbers there."""
+"""Check the rules of `methods.base.Method`, by their numbers there."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from contactbench.solution import Status
 from contactbench.testing.rules import Finding, follow, require
 from contactbench.truth import blow_up_time, decimal_context
 
-#: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
+#: scenes with sizeable damping and other data than the registered ones, to which a method may be tuned
 CASES = (
     SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0),
     SCENES["rigid_body"].with_(inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=4.0),
     SCENES["rigid_body_anisotropic"].with_(M=(0.8, 0.9, -0.5), t_end=4.0),
 )
-#: steps in the span, coarse and fine, and tolerances likewise
+#: numbers of steps, coarse and fine, and tolerances likewise
 STEPS, RTOLS = (80, 1280), (1e-5, 1e-9)
-#: of another call of the same program; of another compiler over 80 steps, and of an invariant over ten
+#: allowed difference between calls of one program, between engines over 80 steps, and of an invariant over ten steps
 SAME, COMPILED, ROUND_OFF = 1e-14, 1e-13, 1e-12
 #: factor on these bounds for a multistep method
 MULTISTEP = 10
-#: error over tolerance, at most, of a run this short; and what round-off of the phase leaves of a closed form
+#: largest error over tolerance in a run this short, and allowed drift of an exact method by rounding of the phase
 GROWTH, EXACT = 1e3, 1e-10
 
 
@@ -76,7 +76,7 @@ def declares(case: MethodCase) -> None:
     require(method.family in FAMILIES, f"family = {method.family!r}: must be one of {', '.join(FAMILIES)}")
     require(method.engines and set(method.engines) <= set(ENGINES), f"engines = {method.engines!r}")
     require(method.order or method.control != "step", f"order = {method.order!r}")
-    require(method.tolerance, "tolerance: says nothing of what rtol bounds")
+    require(method.tolerance, "tolerance: does not say which error rtol bounds")
 
 
 def refuses(case: MethodCase) -> None:
@@ -167,7 +167,7 @@ def counts(case: MethodCase) -> None:
         known = found.steps == STEPS[False] and (method.iterates or found.evaluations == expected)
         require(known, f"{found.evaluations} evaluations in {found.steps} steps, not {expected}")
         require(found.kind == method.kind_on(case.scene), f"counts {found.kind}")
-    # what cannot be counted on an engine is counted on another
+    # evaluations are counted on an engine that calls back into Python
     engine = next((e for e in (case.engine, *method.engines) if e in CALLBACKS), None)
     if engine and found.kind in COUNTED:
         twin, calls = with_counters(case.scene, plain=True)
@@ -224,7 +224,7 @@ def differentiates(case: MethodCase) -> str | None:
     exact = MethodCase(METHODS["rk4"], "llvm", case.scene).run(fine=True)
     sign = np.sign(run().y * exact().y)[..., None]  # a quaternion and its negative are one attitude
     off = gap(sign * run.sensitivity(run.start), exact.sensitivity(exact.start))
-    # what the fine setting leaves of an error, constants of size one
+    # error of the fine setting, with error constants of size one
     step, power = case.scene.t_end / STEPS[True], min(case.method.order or 1, 3)
     bound = 10 * step**power if case.method.control == "step" else GROWTH * RTOLS[True]
     require_below(bound, off, "off the derivative of the flow")

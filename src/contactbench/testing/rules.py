@@ -1,4 +1,4 @@
-"""How the rules of a contract are followed: each a function of a case that raises, or returns why it does not apply."""
+"""Check the rules of a contract: each is a function of a case that raises, or returns why it does not apply."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Finding(NamedTuple):
     Attributes
     ----------
     rule, engine, scene
-        Its number and where it was followed; no engine for a scene.
+        The number of the rule and where it was checked; no engine for a scene.
     not_here
         Why the rule does not apply there, or empty.
     """
@@ -40,7 +40,7 @@ class Finding(NamedTuple):
 
 
 def require(condition: object, message: str) -> None:
-    """Raise `AssertionError` unless the condition holds; not by `assert`, which may be switched off."""
+    """Raise `AssertionError` unless the condition holds, also under ``python -O``, which drops assert statements."""
     if not condition:
         raise AssertionError(message)
 
@@ -48,7 +48,7 @@ def require(condition: object, message: str) -> None:
 def follow(
     rules: Mapping[int, Callable[[Any], str | None]], case: Any, what: str, engine: str = ""
 ) -> Iterator[Finding]:
-    """Follow rules one after the other, up to the first that is broken; what a rule asks for is in its docstring."""
+    """Check rules in turn and stop at the first broken one; its docstring is the remedy in the message."""
     for number, rule in rules.items():
         try:
             not_here = rule(case) or ""

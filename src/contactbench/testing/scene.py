@@ -1,4 +1,4 @@
-"""The rules of `scene.base.Scene`, by their numbers there; derivatives are central differences at 50 digits."""
+"""Check the rules of `scene.base.Scene`, by their numbers there; derivatives are central differences at 50 digits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STATES = 3
 
 @dataclass(frozen=True)
 class SceneCase:
-    """A scene, also at 50 digits, and states off its initial one."""
+    """Hold a scene, its twin at 50 digits, and some states away from the initial one."""
 
     scene: Scene
 
