@@ -55,7 +55,7 @@ def entry(name, order, recorded, *times, error=1e-3, again=None, lasts=0.001, **
     known = {"scene": "s", "method": name, "engine": "llvm", "control": "step"} | key
     record = lambda row: recorded.update({name: (row, len(order))})  # noqa: E731
     return Entry(
-        Timing(known, None, (), error), {}, Scripted(name, order, *times, lasts=lasts), again, record
+        Timing(known, None, (), error), {}, Scripted(name, order, *times, lasts=lasts), again, [record]
     )
 
 
@@ -110,7 +110,27 @@ def test_what_lasts_long_is_visited_less_often_and_recorded_once():
     assert set(recorded) == {*"abc"}
 
 
+def test_what_lasts_long_and_does_not_contend_is_visited_twice():
+    order, recorded, table = [], {}, Timetable(set(), visits=8)
+    for name, time in {"a": 1.0, "b": 9.0}.items():
+        table.entries.append(entry(name, order, recorded, *[time] * 8, lasts=2 * max(SPARED)))
+    table.go()
+    assert Counter(order) == {"a": 2, "b": 2}
+    assert all("halves" in row for row, _ in recorded.values())
+
+
 QUESTION = ("particle", "contact-strang", "llvm", "step", 0.1)
+
+
+def test_cells_that_time_the_same_call_share_its_visits():
+    rows, table = [], Timetable(set(), visits=2)
+    key = {"scene": "particle", "method": "contact-strang", "engine": "llvm", "control": "step"}
+    with table:
+        for _ in range(2):
+            table.add(Timing(key, bare, (QUESTION,), 1e-3), rows.append)
+        table.go()
+    assert len(table.entries) == 1
+    assert rows == [rows[0]] * 2
 
 
 def test_another_process_prepares_and_times_what_it_is_told():

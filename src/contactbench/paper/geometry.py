@@ -61,8 +61,15 @@ def points(dimension: int, count: int = 64, seed: int = SEED) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=(count, dimension))
 
 
+def once(function: Callable[..., Array]) -> Callable[..., Array]:
+    """Compile a function that is called once: to optimise it would take longer than all its calls."""
+    options = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+    compiled: Callable[..., Array] = jax.jit(function, compiler_options=options)
+    return compiled
+
+
 def everywhere(function: Map, at: np.ndarray) -> np.ndarray:
-    return np.asarray(jax.jit(jax.vmap(function))(jnp.asarray(at)))
+    return np.asarray(once(jax.vmap(function))(jnp.asarray(at)))
 
 
 def largest(function: Map, at: np.ndarray) -> float:

@@ -93,7 +93,7 @@ def action_slope(method: str, scene: Mechanical, h: float, recursion: Callable[.
             s = recursion(a, b, s)
         return s
 
-    return float(np.abs(jax.jit(geometry.gradient(action))(q[1:-1])).max())
+    return float(np.abs(geometry.once(geometry.gradient(action))(q[1:-1])).max())
 
 
 @claim("C23")

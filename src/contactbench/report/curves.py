@@ -15,7 +15,7 @@ from contactbench.plugins import OWN
 from contactbench.report.drawing import Axis, Curve, Span
 from contactbench.report.look import CONTACT, CONTESTANTS, look
 
-#: errors below this are drawn at it: round-off has no size on a logarithmic axis
+#: errors in double precision below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17
 #: deviations that are round-off
 ROUND_OFF = Span(FLOOR, STRUCTURE, "round-off")
@@ -35,16 +35,18 @@ def floats(values: Iterable[object]) -> tuple[float, ...]:
     return tuple(series.to_numpy(dtype=float, na_value=np.nan).tolist())
 
 
-def above(values: pd.Series, scale: float = 1.0) -> tuple[float, ...]:
-    return tuple(np.maximum(np.array(floats(values)) * scale, FLOOR).tolist())
+def above(values: pd.Series, scale: float = 1.0, floor: float = FLOOR) -> tuple[float, ...]:
+    return tuple(np.maximum(np.array(floats(values)) * scale, floor).tolist())
 
 
-def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[Curve, ...]:
-    """Return a curve for each method; y in units of 1/scale."""
+def by_method(
+    rows: pd.DataFrame, x: str, y: str, scale: float = 1.0, floor: float = FLOOR
+) -> tuple[Curve, ...]:
+    """Return a curve for each method; y in units of 1/scale, drawn at `floor` where it is less."""
     curves = []
     for method, line in rows.groupby("method", sort=False):
         family = str(line["family"].iloc[0]) if "family" in line else ""
-        points = floats(line[x]), above(line[y], scale)
+        points = floats(line[x]), above(line[y], scale, floor)
         curves.append(Curve(*points, str(method), str(method), family=family))
     return tuple(curves)
 

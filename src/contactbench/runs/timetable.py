@@ -75,7 +75,7 @@ class Entry:
     known: Row
     call: Call
     again: Remote | None
-    record: Callable[[Row], None]
+    records: list[Callable[[Row], None]]
     told: Row = field(default_factory=dict)
 
     @property
@@ -86,7 +86,8 @@ class Entry:
     def finish(self, visits: Sequence[Visit], again: Sequence[Visit]) -> None:
         columns = time_columns(visits) | (ratio_column("process", least, visits, again) if again else {})
         self.told |= columns
-        self.record(self.timing.key | self.known | columns)
+        for record in self.records:
+            record(self.timing.key | self.known | columns)
 
 
 @dataclass
@@ -99,20 +100,30 @@ class Timetable(AbstractContextManager["Timetable"]):
     ahead: set[Cell]
     visits: int
     entries: list[Entry] = field(default_factory=list)
+    #: entries by the key of their row
+    known: dict[tuple[object, ...], Entry] = field(default_factory=dict)
     #: how many rows of an engine there are so far
     numbers: Counter[str] = field(default_factory=Counter)
     #: the second process
     other: Worker | None = None
 
     def add(self, timing: Timing, record: Callable[[Row], None]) -> Entry:
-        """Prepare a call.  Those of an engine whose numbers are squares are timed in a second process too."""
+        """Prepare a call, unless another cell has prepared the same.
+
+        Those of an engine whose numbers are squares are timed in a second process too.
+        """
+        if (same := self.known.get(tuple(timing.key.values()))) is not None:
+            same.records.append(record)
+            return same
         number = self.numbers[timing.key["engine"]]
         self.numbers[timing.key["engine"]] += 1
         again = self.second(timing) if isqrt(number) ** 2 == number else None
         known, call = timing.prepare(*timing.arguments)
         call.warm_up()
-        self.entries.append(Entry(timing, known, call, again, record))
-        return self.entries[-1]
+        entry = Entry(timing, known, call, again, [record])
+        self.entries.append(entry)
+        self.known[tuple(timing.key.values())] = entry
+        return entry
 
     def second(self, timing: Timing) -> Remote:
         """Let a second process prepare a call on another core than this one's, and time it on the same."""
@@ -130,7 +141,12 @@ class Timetable(AbstractContextManager["Timetable"]):
         race = Race([call for _, call in pairs])
         for sweep in tqdm(range(self.visits), "timing", unit="sweep", disable=None):
             if sweep == FIRST:
-                wanted = self.shared_out([own for own, _ in self.visited(race)])
+                shares = self.shared_out([own for own, _ in self.visited(race)])
+                # two visits at least, by which they differ is the margin
+                wanted = [
+                    min(self.visits, max(share, apart + 1))
+                    for share, apart in zip(shares, between, strict=True)
+                ]
             due = [i for i, (n, _) in enumerate(pairs) if sweep < wanted[n] and sweep % between[n] == 0]
             for _ in race.sweep(some=due):
                 pass
