@@ -15,6 +15,8 @@ from contactbench.truth.two_solvers import doubles
 UNITS = (1.0, 1e3, 1e-3)
 #: methods whose steps follow roundings in no way; by how much others' errors and counts change
 EXACTLY, ALIKE = ("rk4", "rk8-7", "scipy-dop853"), 0.05
+#: a turn of seven: an iteration counts what is at rest in parts of the whole state
+A_TURN = 1 / 6
 
 
 def two_masses(unit=1.0, **given):
@@ -70,7 +72,8 @@ def test_the_unit_of_one_component_changes_neither_errors_nor_steps(scene, metho
         one, *others = (cb.LAWS["solution_error"](run) for run in runs)
         assert others == pytest.approx([one, one], rel=ALIKE, abs=1e-12)
         counts = [run.counts.evaluations for run in runs]
-        assert counts == pytest.approx([counts[0]] * 3, rel=0.0 if method in EXACTLY else ALIKE)
+        alike = A_TURN if METHODS[method].iterates else 0.0 if method in EXACTLY else ALIKE
+        assert counts == pytest.approx([counts[0]] * 3, rel=alike)
 
 
 def test_the_unit_of_one_component_changes_no_setting_of_a_race():
