@@ -165,7 +165,6 @@ def test_derivative_is_taken_at_the_initial_data_of_the_call(method):
 
 @pytest.mark.parametrize("scene", ["particle", "forced_oscillator", "rigid_body"])
 @pytest.mark.parametrize("method", ["scipy-radau", "cvode-bdf", "cyrk-dop853"])
-@pytest.mark.quick(scene="particle")
 @pytest.mark.quick(method="cyrk-dop853")
 def test_variational_equations_have_the_derivative_of_the_motion(method, scene):
     """By a run of their own, of the solver's accuracy, against the differences of the motion."""

@@ -114,10 +114,9 @@ def test_contact_methods_damp_exactly_where_the_eigenvalues_are_complex(gamma):
     assert linear.spectral_radius(cb.METHODS["rk4"], 0.0, 1.0, 0.3) < 1 - 1e-6  # numerical damping
 
 
-@pytest.mark.parametrize("t_end", [1e4, 1e5])
-def test_the_exact_solution_has_no_error_of_its_rate(t_end, registries):
+def test_the_exact_solution_has_no_error_of_its_rate(registries):
     cb.METHODS.add(Truth("planted-truth"))
-    row = weak_row(cb.METHODS["planted-truth"], t_end)
+    row = weak_row(cb.METHODS["planted-truth"], 1e4)
     assert row["status"] == "ok"
     assert row["true"] == pytest.approx(1e-5, rel=1e-4)
     assert row["error"] <= 1e-12
