@@ -20,7 +20,6 @@ from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import norms
 from contactbench.scenes.driven import DRIVEN
 from contactbench.solution import Solution, Status
-from contactbench.truth import OutOfTime
 from own_scenes import TIMED, UNDERFLOW
 
 TIMES = np.linspace(0.0, 20.0, 41)
@@ -276,21 +275,6 @@ def test_laws_end_in_time_and_say_what_there_was_no_time_for(monkeypatch):
     assert "60 runs take about 120 s, 17 s were left" in notes["contact_drift"]
     assert next(now) < 40
     assert run.laws(seconds=math.inf).loc["contact_drift", "deviation"] > 0  # is taken where there is more
-
-
-def test_a_reference_that_takes_too_long_is_sought_again(monkeypatch):
-    given = list[float]()
-
-    def late(*_, seconds):
-        given.append(seconds)
-        raise OutOfTime("no reference in time", 1.0)
-
-    run = short_run()
-    with monkeypatch.context() as patch:
-        patch.setattr(laws, "reference", late)
-        assert run.laws(seconds=7.0).loc["solution_error", "note"] == "no reference in time"
-    assert 0 < given[0] <= 7
-    assert run.laws().loc["solution_error", "deviation"] > 0
 
 
 @pytest.mark.parametrize("seconds", [0, -1.0, math.nan, "ten", None])
