@@ -49,15 +49,20 @@ def test_a_run_is_that_of_solve(scene, method):
         np.testing.assert_allclose(found, expected[: len(found)], rtol=0, atol=1e-14)
 
 
-def test_gradients_are_those_of_the_numerical_map():
+@pytest.mark.parametrize("way", few_slow(["forward", "backward"], "backward"))
+def test_gradients_are_those_of_the_numerical_map(way):
+    derive, adjoint = {
+        "forward": (jax.jacfwd, diffrax.ForwardMode()),
+        "backward": (jax.grad, diffrax.RecursiveCheckpointAdjoint()),
+    }[way]
+
     def last(gamma):
-        options = {"args": {"gamma": gamma}, "max_steps": 8, "t_end": 0.5}
-        return solve("particle", "contact-strang", **options).ys[0][-1, 0]
+        options = {"args": {"gamma": gamma}, "max_steps": 8, "adjoint": adjoint}
+        return solve("particle", "contact-strang", 0.5, **options).ys[0][-1, 0]
 
     h = 1e-5
-    expected = (last(0.1 + h) - last(0.1 - h)) / (2 * h)
-    backward = float(jax.grad(last)(0.1))
-    assert backward == pytest.approx(float(expected), rel=1e-8)
+    difference = (last(0.1 + h) - last(0.1 - h)) / (2 * h)
+    assert float(derive(last)(0.1)) == pytest.approx(float(difference), rel=1e-8)
 
 
 def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum():
