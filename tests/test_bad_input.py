@@ -13,8 +13,9 @@ import contactbench as cb
 from cases import refusal
 from contactbench.cli import main
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.testing import check_method
+from contactbench.testing import check_method, check_scene
 from own_scenes import scene_of
+from properties import GENERAL
 
 PARTICLE = cb.SCENES["particle"]
 BODY, ANISOTROPIC = "rigid_body", "rigid_body_anisotropic"
@@ -60,6 +61,10 @@ def damped(damping):
 
 def equations(rhs, **more):
     return lambda: cb.Equations(rhs=rhs, y0=(1.0, 2.0), t_end=1.0, **more)
+
+
+def mine_pushed(force):
+    return lambda: cb.Driven(**GIVEN, potential=lambda q, t: q[0] * force(t))
 
 
 # -- calls -----------------------------------------------------------------------------------------
@@ -111,6 +116,7 @@ CALLS = [
     (solve(), "step is missing: rk4 has a fixed step; give step, or rtol"),
     (solve("quinlan-tremaine12", rtol=1e-6), "rtol = 1e-06: no step of quinlan-tremaine12 is chosen from a"),
     (rk4(rtol=1e-3), "step = 0.1 and rtol = 0.001: rk4 takes one of them"),
+    (rk4(atol=1e-3), "atol = 0.001: rk4 has a fixed step and takes no atol"),
     (solve("cvode-bdf", step=0.1), "give rtol"),
     (solve("cvode-bdf", rtol=1e-30), "takes 2.3e-16 to 0.1"),
     (rk4(step=math.nan), "step = nan: must be a finite number"),
@@ -143,6 +149,7 @@ CALLS = [
     # equations of no Hamiltonian
     (lambda: cb.Equations(y0=(1.0,), t_end=1.0), "rhs: is missing, a function lambda t, y: …"),
     (equations(lambda y: y), "right_hand_side: is called with t, y; it takes y"),
+    (equations(lambda t, y: y[0]), "rhs: must return 2 numbers, a tuple; it returns 1.0"),
     (equations(lambda t, y: y[:1]), "where rhs = (1.0,): must be 2 numbers"),
     (equations(lambda t, y: y, s=1.0), "s = 1.0: equations have no action"),
     (rk4(events=abs), "cb.scipy.Contact"),
@@ -160,6 +167,9 @@ CALLS = [
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
     (changed("lane_emden_0", kappa=0.1), "without time"),
+    (changed("lane_emden_0", gamma=0.1), "has it in it"),
+    (lambda: GENERAL.with_(gamma=0.1), "Γ has them in it"),
+    (changed(gama=0.1), "did you mean 'gamma'?"),
     (changed("lane_emden_0", rate=None), "its rate is missing"),
     (changed(q=(1.0,)), "q has 1 components and p 2"),
     (changed(BODY, inertia=(1.0, -2.0, 3.0)), "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
@@ -179,12 +189,16 @@ CALLS = [
     (composed(kick=[0.5, "0.5000000001"]), "kick: coefficients add up to 1.0000000001"),
     (composed(kick=[0.5, 0.25, 0.25]), "kick has 3 coefficients and drift 1"),
     (composed(kick=[0.5, "x"]), "kick[1] = 'x': must be a number"),
+    (composed(kick=[]), "kick = []: must have at least one coefficient"),
     (composed(name="rk4"), "method 'rk4' is already registered"),
     # functions that do not fit each other, whoever needs them first
     (wrong_user(hessian=lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))), "derivative: entry (2, 1) is"),
     (wrong_user(rotation_invariant=True), "exerts a torque"),
     (made(cb.GeneralDamping, s=0.5, damping=lambda s: s**3), "damping_slope is not the damping's"),
     # functions that return no number, fail, or leave
+    (wrong_user(potential=lambda q: q), "its potential is (0.7, -0.4)"),
+    (mine_pushed(lambda t: t % 1), "cb.math.floor"),
+    (mine_pushed(lambda t: (t > 1) * (t < 2)), "cb.math.where"),
     (wrong_user(gradient=lambda q: q[5]), "test_bad_input.py, line "),
     (wrong_user(gradient=None, potential=lambda q: q[2]), "out of range; q has 2 components, from q[0] on"),
     (lambda: cb.solve(lambda t, y: y, "rk4", step=0.1), "it is cb.Equations(rhs=f, y0=…, t_end=…)"),
@@ -194,6 +208,7 @@ CALLS = [
     (made(cb.Driven, rate=lambda t: None), "rate: must return a real number; it returns None"),
     (made(cb.Driven, span=lambda t, h, xp: 1.0), "span: must return a pair"),
     (lambda: cb.reference(user(exact=lambda t: t), [1.0]), "scene 'mine': its closed form: TypeError"),
+    (lambda: check_scene("particle"), "scene = 'particle': must be a scene"),
     (lambda: check_method("rk4"), "method = 'rk4': must be a method"),
 ]
 
@@ -232,6 +247,17 @@ def test_a_step_map_that_makes_no_state_is_refused(says, engine):
     message = refusal(run_of(FixedStep("mine", 1, STEPS[says]), engine))
     assert says in message
     assert "method 'mine'" in message
+
+
+def test_an_error_later_in_a_run_is_told_as_theirs():
+    left = [9]
+
+    def step(scene, x, h, xp):
+        left[0] -= 1
+        float(x.q[0])  # a step map that wants values is not recorded, but called step by step
+        return x if left[0] else {}["a"]
+
+    assert "step (test_bad_input.py, line" in refusal(run_of(FixedStep("mine", 1, step), "python"))
 
 
 # -- what is taken ---------------------------------------------------------------------------------
@@ -299,6 +325,8 @@ LINES = [
     ("solve particle rk4 --step 0.1 --plugin /nonexistent/x.py", "no such file"),
     ("report --results /nonexistent", "no tables there"),
     ("compare particle rk4 --error small", "--error small: must be errors separated by commas"),
+    ("compare particle rk4 --error -1e-3,1e-2", "error = -0.001: must be between 0 and 1"),
+    ("compare particle rk4 --budget soon", "--budget soon: must be a time, as in 60s or 2m"),
     ("compare particle rk4 --budget 0", "budget = 0.0: must be > 0"),
     ("compare particle rk4 --plot out.txt", "--plot out.txt: must end in .svg, .png, .pdf"),
     ("compare particle --error 1e-6 1e-9", "separate errors by commas, as in --error 1e-6,1e-9"),

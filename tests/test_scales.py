@@ -1,12 +1,16 @@
 """Values of any scale: the truth of a motion in other units is that of the motion itself, and so is its ending."""
 
+import math
+
 import numpy as np
 import pytest
 
 import contactbench as cb
 from cases import mine
 from contactbench.methods.prepared import METHODS
+from contactbench.numbers.control import XlaNumbers
 from contactbench.scene.base import Elapsed
+from contactbench.scene.general_damping import decayed
 from contactbench.testing import check_scene
 from contactbench.xla import jax, jnp
 
@@ -209,6 +213,15 @@ def test_a_step_map_takes_moments_of_inertia_in_any_order():
     inertia = (body.inertia[2], *body.inertia[:2])
     want = cb.step_map(body.with_(inertia=inertia), "contact-strang")(step.start, 0.1)
     assert step(step.start, 0.1, (*inertia, body.gamma)) == want
+
+
+def test_the_tangent_of_a_damping_of_ones_own_is_right_where_it_vanishes():
+    """At s = 0 the factor on p has a derivative by s of its own."""
+    damping = {"damping": lambda s: 0.3 * s + 0.4 * s * s, "damping_slope": lambda s: 0.3 + 0.8 * s}
+    scene = mine(MOTIONS["quartic"][0], 0.5, 0.8, kind=cb.GeneralDamping, **damping)
+    xp, h = XlaNumbers(), 0.5
+    _, slope = jax.jvp(lambda s: xp.exp(decayed(scene, s, h, xp)[1]), (0.0,), (1.0,))
+    assert math.isclose(slope, math.exp(-0.3 * h) * 0.8 * math.expm1(-0.3 * h) / 0.3, rel_tol=1e-12)
 
 
 # -- functions beside others ----------------------------------------------------------------------------------

@@ -41,6 +41,12 @@ def test_a_run_has_the_bits_of_solve(scene, method):
     np.testing.assert_allclose(found.y[:, -1], last(scene, method.name, step=0.13), rtol=roundings)
 
 
+def test_a_body_with_isotropic_damping_agrees_to_round_off():
+    scene = cb.SCENES["rigid_body"]
+    found = run(cb.scipy.Contact("contact-strang", scene))
+    np.testing.assert_allclose(found.y[:, -1], last(scene, "contact-strang", step=0.13), rtol=0, atol=5e-14)
+
+
 def test_carry_and_initial_data_are_the_users_own():
     solver = cb.scipy.Contact("contact-rkn6", "particle", carry=())
     found = run(solver, y0=[0.5, 0.2, 0.0, 0.1], max_step=0.1)

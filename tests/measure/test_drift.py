@@ -45,7 +45,7 @@ def test_fixed_steps_are_differentiated_without_differences(method):
 
 
 @pytest.mark.parametrize(
-    "method", few_slow(["scipy-dop853", "cvode-bdf", "heyoka-taylor", *DIFFRAX], "diffrax-dopri8")
+    "method", few_slow(["scipy-dop853", "cvode-bdf", "heyoka-taylor", *DIFFRAX], *DIFFRAX)
 )
 def test_where_the_solver_chooses_the_steps_its_drifts_have_error_bars(method):
     solution = cb.solve(CENTRAL, method, rtol=1e-6, save_at=saved(CENTRAL))

@@ -20,6 +20,7 @@ from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import norms
 from contactbench.scenes.driven import DRIVEN
 from contactbench.solution import Solution, Status
+from contactbench.truth import OutOfTime
 from own_scenes import TIMED, UNDERFLOW
 
 TIMES = np.linspace(0.0, 20.0, 41)
@@ -220,7 +221,7 @@ HARD += [scene.with_(t_end=min(scene.t_end, 20.0)) for scene in (*DRIVEN, *TIMED
 @pytest.mark.quick(
     method="contact-rkn4", scene=("heavy_top", "needle", "underflow", "lane_emden_5", "duffing")
 )
-@pytest.mark.quick(method="contact-gauss4", scene="duffing")
+@pytest.mark.quick(method="contact-gauss4", scene=("duffing", "forced_pulsating"))
 def test_contact_methods_keep_what_they_claim_at_a_coarse_step(method, scene):
     """To round-off times the growth of the map, which is 10⁷ tumbling."""
     solution = cb.solve(scene, method.name, step=scene.t_end / 100, save_at=scene.begins + saved(scene))
@@ -275,6 +276,21 @@ def test_laws_end_in_time_and_say_what_there_was_no_time_for(monkeypatch):
     assert "60 runs take about 120 s, 17 s were left" in notes["contact_drift"]
     assert next(now) < 40
     assert run.laws(seconds=math.inf).loc["contact_drift", "deviation"] > 0  # is taken where there is more
+
+
+def test_a_reference_that_takes_too_long_is_sought_again(monkeypatch):
+    given = list[float]()
+
+    def late(*_, seconds):
+        given.append(seconds)
+        raise OutOfTime("no reference in time", 1.0)
+
+    run = short_run()
+    with monkeypatch.context() as patch:
+        patch.setattr(laws, "reference", late)
+        assert run.laws(seconds=7.0).loc["solution_error", "note"] == "no reference in time"
+    assert 0 < given[0] <= 7
+    assert run.laws().loc["solution_error", "deviation"] > 0
 
 
 @pytest.mark.parametrize("seconds", [0, -1.0, math.nan, "ten", None])

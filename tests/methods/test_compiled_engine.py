@@ -13,6 +13,7 @@ import pytest
 import contactbench as cb
 from cases import ALL_SCENES, FIXED, REPOSITORY, pairs, random_state, run
 from contactbench.measure import isolation
+from contactbench.methods.loops import loop_of
 from contactbench.numbers.control import repeat
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
@@ -23,6 +24,8 @@ from contactbench.trace.form import FUNCTIONS, execute
 from contactbench.trace.kept import read_kept, write_kept
 from contactbench.trace.program import record
 from contactbench.trace.recording import ALIASES
+
+PARTICLE = cb.SCENES["particle"]
 
 
 # -- sources ---------------------------------------------------------------------------------------
@@ -116,6 +119,23 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
             # large coefficients of both signs; and next to the centre of force the motion makes more of it
             round_off = 2e-14 if method.one_step and scene.name != "kepler_drag" else 2e-13
             np.testing.assert_allclose(solution.y, written, rtol=0, atol=round_off * np.abs(written).max())
+
+
+def test_what_python_cannot_compute_ahead_is_compiled():
+    """exp(800) is infinite to a processor, an error to Python."""
+    scene = cb.SCENES["antidamping"].with_(gamma=-20.0)
+    loop = loop_of(cb.METHODS["contact-strang"], scene, ())
+    vars(loop).pop("setup", None)
+    rows = loop.table(np.array(scene.numbers()), np.array([[80.0, 1.0]]))
+    assert "setup" in vars(loop)
+    assert np.isinf(rows).any()
+
+
+def test_very_many_different_steps_are_taken_in_parts(monkeypatch):
+    options = {"step": 0.03, "save_at": np.cumsum(np.random.default_rng(1).uniform(0.01, 0.1, 100))}
+    whole = cb.solve(PARTICLE, "contact-bm6", **options).y
+    monkeypatch.setattr("contactbench.methods.loops.AHEAD", 2000)
+    np.testing.assert_array_equal(cb.solve(PARTICLE, "contact-bm6", **options).y, whole)
 
 
 # -- what cannot be recorded -----------------------------------------------------------------------

@@ -46,7 +46,7 @@ def test_c_functions_are_the_scene(scene, fields):
 # -- runs ------------------------------------------------------------------------------------------
 @peers
 @by_name([PARTICLE, BODY, ANISOTROPIC])
-@pytest.mark.quick(scene="rigid_body")
+@pytest.mark.quick(scene="rigid_body", method=("cvode-adams", "cyrk-dop853", "cyrk-lsoda"))
 def test_saved_states_are_as_accurate_as_the_last(method, engine, scene):
     """At times between steps: the interpolation must not show."""
     rtol = 1e-8

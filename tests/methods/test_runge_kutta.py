@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import mine
+from cases import few_slow, mine
 from contactbench.measure.order import order_at
 from contactbench.methods.runge_kutta import read_tableau
 from contactbench.solution import Status
@@ -53,7 +53,7 @@ def changed(rows):
                 yield (*rows[:i], (*row[:j], a * 1.001, *row[j + 1 :]), *rows[i + 1 :])
 
 
-@pytest.mark.parametrize("name", TABLEAUX)
+@pytest.mark.parametrize("name", few_slow(TABLEAUX, "rkn12-10"))
 def test_a_changed_coefficient_is_noticed(name):
     """In doubles, by the conditions up to order nine and the sums of rows."""
     tableau = TABLEAUX[name]
@@ -82,7 +82,7 @@ def test_the_order_is_measured_under_a_damping_that_changes(name):
 
 # -- fixed steps -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["rkn8", "rkn12", "rkn8-6", "rkn12-10"])
-@pytest.mark.parametrize("scene", ["forced_oscillator", "forced_pulsating"])
+@pytest.mark.parametrize("scene", few_slow(["forced_oscillator", "forced_pulsating"], "forced_oscillator"))
 def test_undamped_coordinates_solve_the_equations(name, scene):
     scene = scene_of(scene)
     chosen = {"rtol": 1e-12} if "-" in name else {"step": scene.t_end / 400}

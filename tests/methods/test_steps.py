@@ -279,6 +279,16 @@ def test_a_motion_that_leaves_any_scale_ends_then_and_is_right_before(scene):
     np.testing.assert_allclose(run.y[:2], true.y, rtol=1e-6)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [np.inf, np.nan])
+def test_pilots_beyond_any_scale_are_infinitely_far_apart(size):
+    request = cb.prepare("particle", "rk4", rtol=1e-6, carry=()).request
+    start, coarse, fine = np.arange(1.0, 5.0), np.full((1, 4), 0.5), np.full((1, 4), 0.5)
+    coarse[0, 0], fine[0, 1] = size, size
+    for engine in ("llvm", "python"):
+        assert distance(dataclasses.replace(request, engine=engine), start, coarse, fine)() == np.inf
+
+
 @pytest.mark.parametrize("name", ["particle", "forced_oscillator", "rigid_body", "double_pendulum"])
 @pytest.mark.parametrize("engine", ["llvm", "python"])
 def test_the_distance_of_pilots(name, engine):

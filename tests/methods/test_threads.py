@@ -32,8 +32,8 @@ def starts(thread):
 @pytest.mark.parametrize("times", TIMES)
 @pytest.mark.parametrize("shared", [True, False], ids=["one run", "a run each"])
 @pytest.mark.parametrize(("method", "engine"), PAIRS, ids=[f"{m.name}-{e}" for m, e in PAIRS])
-@pytest.mark.quick(method=("heyoka-taylor", "cvode-bdf"), engine=("llvm", "c"), times="end")
-@pytest.mark.quick(method="contact-rkn6", engine="llvm", times="end")
+@pytest.mark.quick(method=("heyoka-taylor", "cvode-bdf"), engine=("llvm", "c"), shared=True, times="end")
+@pytest.mark.quick(method="contact-rkn6", engine="llvm", shared=True, times="end")
 def test_threads_do_not_disturb_each_other(method, engine, shared, times):
     calls = 600 if (method.name, engine) in STATEFUL else 60  # 10⁴ of all pairs
     run = prepared(method, engine, times)

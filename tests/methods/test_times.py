@@ -141,7 +141,6 @@ def test_times_too_far_apart_are_warned_of():
 SQUARE = {"forces": [float(k % 2) for k in range(100)], "breaks": tuple((0.2 * np.arange(1, 100)).tolist())}
 #: of which each is known to have been passed on the wrong side, by a rounding of a time
 BROKEN = [
-    (0.0, 20.0, {"forces": (0.0, 1.0), "breaks": (10.0,)}),
     (0.0, 2.0, {"forces": (0.0, 1.0), "breaks": (0.9,)}),
     (1.0, 2.0, {"forces": (0.0, 1.0), "breaks": (1.99,)}),
     (1e6, 20.0, {"forces": (0.3, 1.0, -1.0), "breaks": (1e6 + 1 / 3, 1e6 + 7.7)}),

@@ -110,6 +110,7 @@ def test_the_only_law_is_the_error_and_there_are_no_energies():
     run = cb.solve(VAN_DER_POL, "rk4", step=0.1)
     assert run.laws().index.tolist() == ["solution_error"]
     assert run.energies() == []
+    assert [len(axes.lines) for axes in run.plot().axes] == [2, 2, 0]
     assert run.labels == ["y1", "y2", "t"]
 
 

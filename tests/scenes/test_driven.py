@@ -91,7 +91,7 @@ STEPS = {FORCED_OSCILLATOR.name: 64, LANE_EMDEN_5.name: 64, FORCED_PULSATING.nam
 
 
 @pairs(CONTACT, [FORCED_OSCILLATOR, LANE_EMDEN_5, FORCED_PULSATING])
-@pytest.mark.quick(scene="forced_pulsating", method=("contact-rkn8", "contact-gauss4"))
+@pytest.mark.quick(scene="forced_pulsating", method=("contact-rkn4", "contact-gauss4"))
 @pytest.mark.quick(scene="forced_oscillator", method=("contact-strang", "contact-rkn6"))
 def test_order_at_fifty_digits(method, scene):
     assert order_at(method, scene, 2.0, STEPS[scene.name]) == pytest.approx(method.order, abs=0.1)
