@@ -130,6 +130,7 @@ CALLS = [
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=(0.1, 0.2)), "cb.diffrax.Contact"),
     (lambda: cb.Driven(**GIVEN, potential=lambda q: q[0]), "is called with q, t; it takes q"),
     (lambda: cb.SCENES["rigid_body"].with_(inertia=np.eye(3)), "three principal moments"),
+    (lambda: cb.SCENES["heavy_top"].with_(gamma=abs), "solve_ivp"),
     (lambda: cb.SCENES["heavy_top"].with_(potential=lambda u: math.sin(u[0])), "use cb.math.sin"),
     (lambda: cb.compare("oscillator", []), "methods = []: must be names"),
     (rk4(gamma=0.2), "scene.with_(gamma=…)"),

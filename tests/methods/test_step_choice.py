@@ -87,7 +87,7 @@ def test_a_method_without_a_step_says_so_in_terms_of_the_tolerance(monkeypatch):
     assert run.counts.evaluations > witness.counts.evaluations + 100
 
 
-SLOW = range(4, 8)
+SLOW = (2, 4, 5, 6, 7)
 
 
 @pytest.mark.parametrize("seed", few_slow(range(8), *SLOW))

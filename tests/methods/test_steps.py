@@ -148,6 +148,13 @@ def test_error_is_within_the_tolerance_at_a_few_times_the_cost_of_the_longest_st
         assert chosen.counts.evaluations < 9 * run.counts.evaluations
 
 
+def test_a_round_off_gap_of_pilots_does_not_make_their_step_the_one():
+    """Pilots of order 12 fall as their order says beside round-off alone; 64 steps were taken for any tolerance."""
+    options = {"save_at": [20.0], "carry": ()}
+    runs = [cb.solve("particle", "rkn12", rtol=rtol, **options) for rtol in (1e-3, 1e-8, 1e-13)]
+    assert [run.counts.steps for run in runs] == [12, 32, 39]
+
+
 PAIR = {"q": (1.0, 0.0), "p": (-0.0647722295317518, -0.02106457787689715), "t_end": 13375.220471761308}
 STIFF_START = {
     "a well that coarse steps fly out of": cb.Mechanical(

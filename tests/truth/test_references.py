@@ -254,6 +254,7 @@ PLAIN = mine(lambda q: math.sin(q[0]), gradient=lambda q: (math.cos(q[0]),))
     ("ask", "says"),
     [
         (lambda: reference(ESCAPING, [20.0]), "blows up at t = 3.409"),
+        (lambda: truth.extrapolation(ESCAPING, ["20.0"], (), 8), "blows up at t = 3.409"),
         (lambda: reference(PLAIN, [1.0]), "fail in high precision"),
     ],
 )

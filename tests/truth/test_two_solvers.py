@@ -33,7 +33,6 @@ def test_two_solvers_in_doubles_have_the_digits_that_they_say(name):
     assert digits(found, true.y) >= known >= 10
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_what_leaves_has_no_reference():
     scene = mine(lambda q: -(q[0] ** 4), 2.0, t_end=20.0, gamma=0.1)
