@@ -13,6 +13,7 @@ from itertools import islice
 import numpy as np
 import pandas as pd
 
+from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import WIDEST
 from contactbench.questions import claims, cost, hard, laws, orders, problems, ring, which
 from contactbench.questions.answers import evaluate
@@ -271,7 +272,7 @@ def worst(frames: Frames, found: Mapping[str, pd.Series], law: str) -> Cell:
     rows = [row for scene, row in found.items() if claimed(frames, scene, law) and not np.isnan(row[law])]
     if not rows:
         return Cell(DASH)
-    kept = all(row.get(f"{law}_kept", False) for row in rows)
+    kept = all(row[law] <= STRUCTURE or row.get(f"{law}_kept", False) for row in rows)
     return as_cell(max(row[law] for row in rows), scientific, Mark.kept if kept else None)
 
 
@@ -363,4 +364,6 @@ def machine(runs: Sequence[Mapping[str, object]]) -> Text:
         f"commit `{str(run.get('commit', ''))[:12] or 'unknown'}`{' with local changes' if run.get('dirty') else ''}"
         for run in runs
     )
-    return Text(f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units.")
+    return Text(
+        f"Measured on {'; '.join(places)} ([environment.json](environment.json)). All quantities are dimensionless."
+    )
