@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 from contactbench.cli.printing import print_item
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 #: from these orders on a method suits moderate and small errors
 MODERATE, SMALL = 4, 8
+#: a method that runs on so few scenes names them
+FEW = 3
 #: columns of a name and of a label
 NAMES, LABELS = 25, 11
 
@@ -53,27 +55,29 @@ def order_of(method: Method) -> str:
 
 
 def good_for(method: Method) -> str:
-    """Return what a method suits and keeps, in the words that follow from its declared properties."""
+    """Return the problems that a method suits, in the words that follow from its declared properties."""
+    from contactbench.methods.base import CALLBACKS
+
     order = method.order or SMALL
     size = "small" if order >= SMALL else "moderate" if order >= MODERATE else "large"
     found = {
         f"{size} errors": not method.exact,
-        "tolerances": method.adaptive,
+        "by tolerance": method.adaptive,
         "close encounters": method.follows,
         "stiff motion": method.stiff,
-        "long runs with few saved times": not (method.one_step or method.follows),
+        "forces in plain Python": {*method.engines} <= {*CALLBACKS},
+        "long runs": not (method.one_step or method.follows),
         "any H(q, p, s)": method.contact and method.iterates,
-        "keeps the contact form": method.contact,
     }
     return ", ".join(words for words, true in found.items() if true)
 
 
 def keeps(method: Method) -> str:
-    """Return the laws that a method keeps at every size of steps."""
+    """Return the laws that a method keeps at every step size."""
     from contactbench.methods.base import FAMILIES
 
-    found = {"the contact form": method.contact, "J of a symmetry": method.family == FAMILIES[0]}
-    return " and ".join(words for words, true in found.items() if true) or "no law beyond its error"
+    found = {"η": method.contact, "J": method.family == FAMILIES[0]}
+    return " and ".join(words for words, true in found.items() if true)
 
 
 # -- all that an item declares; the first line stands in its list ---------------------------------------
@@ -81,14 +85,17 @@ def of_method(method: Method) -> Iterator[tuple[str, object]]:
     import contactbench as cb
     from contactbench.methods.base import CALLBACKS
 
-    lacks = method.lacks(method.engines[0])
-    yield "good for", f"{order_of(method)}: {good_for(method)}{f'; {lacks}' if lacks else ''}"
-    yield "steps", f"chosen by rtol, which bounds {method.tolerance}" if method.adaptive else method.stepping
+    kept, lacks = keeps(method), method.lacks(method.engines[0])
     fits = [scene for scene in cb.SCENES.values() if method.refuses(scene) is None]
+    few = ", ".join(scene.name for scene in fits) if 0 < len(fits) <= FEW else ""
+    suits = good_for(method), f"keeps {kept}" if kept else "", few and f"runs on {few} alone", lacks
+    yield "good for", f"{order_of(method)}: {'; '.join(filter(None, suits))}"
+    yield "steps", f"chosen by rtol, which bounds {method.tolerance}" if method.adaptive else method.stepping
     costs = [method.step_cost(fits[0], engine) for engine in method.engines if fits and engine in CALLBACKS]
     if any(costs):
         yield "cost", f"about {costs[0]:g} evaluations a step of {fits[0].name}"
-    yield "keeps", keeps(method)
+    by_design = "by construction, at every step size; J where the potential has the symmetry"
+    yield "keeps", f"{kept}, {by_design}" if kept else "the laws to its error"
     yield "engines", ", ".join(method.engines)
     yield "scenes", f"{len(fits)} of {len(cb.SCENES)}"
     yield "source", method.about
@@ -108,7 +115,7 @@ def of_claim(claim: Claim) -> Iterator[tuple[str, object]]:
     yield "measure", f"contactbench claim {claim.name}"
 
 
-DETAILS = {
+DETAILS: dict[str, Callable[[Any], Iterator[tuple[str, object]]]] = {
     "scenes": of_scene,
     "methods": of_method,
     "laws": lambda law: iter([("about", law.definition)]),

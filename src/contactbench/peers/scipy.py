@@ -48,8 +48,20 @@ class Scipy(Callback):
 
 
 for _solver, _order, _stages, _cost, _about in (
-    ("DOP853", 8, 12, 13, "explicit Runge–Kutta 8(5,3), Python callbacks"),
-    ("Radau", 5, None, 9, "implicit Radau IIA, analytic Jacobian"),
+    (
+        "DOP853",
+        8,
+        12,
+        13,
+        "explicit Runge–Kutta 8(5,3), Python callbacks; Virtanen et al., doi:10.1038/s41592-019-0686-2",
+    ),
+    (
+        "Radau",
+        5,
+        None,
+        9,
+        "implicit Radau IIA, analytic Jacobian; Virtanen et al., doi:10.1038/s41592-019-0686-2",
+    ),
 ):
     _known = _solver, "scipy", _order, _stages, _stages is None
     _named = f"scipy-{_solver.lower()}", _about, Scipy, ("python",), (CLAMPED, 1e-1)

@@ -364,7 +364,7 @@ class Scene(metaclass=Kind):
         """Return its initial data, coefficients, end time and parameters, to be shown."""
         names = (*self.initial_fields, *self.coefficients, "t_end")
         shown: dict[str, Any] = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
-        return shown | self.parameters
+        return {**shown, **self.parameters}
 
     def _repr_html_(self) -> str:
         return html_table(self.values(), f"{self.name}: {self.about or self.kind}")
