@@ -20,7 +20,7 @@ FUNCTIONS = {
     name: getattr(contest, name)
     for name in ("contests", "credited", "drawn", "families", "hard_runs", "random_contests", "ring_costs")
 } | {"mean_regrets": regret.mean_regrets}
-#: what is counted beside an answer, in words
+#: other counts that stand beside an answer, in words
 BESIDE = {
     "alone": ", alone on {}",
     "credited": "; {} without fixed costs and with calls by address credited",
@@ -44,9 +44,9 @@ def count(frames: Frames, query: str) -> tuple[int, int]:
 
 
 def share(frames: Frames, question: str, what: str, query: str, **beside: str) -> Answer | None:
-    """Return the answer to a question by the share of what is counted; None where there is nothing to count.
+    """Return the answer to a question by the share of rows that are true; None where there are none.
 
-    query : gives a series of truth values.  beside : queries by the keys of `BESIDE` of what is counted beside it.
+    query : gives a series of truth values.  beside : queries of other counts, by the keys of `BESIDE`.
     """
     part, whole = count(frames, query)
     if not whole:

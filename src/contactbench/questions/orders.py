@@ -89,7 +89,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
         return None
     curves = by_method(
         rows, "step", "error", floor=0.0
-    )  # at 50 digits round-off is far below that of doubles
+    )  # at 50 digits round-off is far below double precision
     curves = only(curves, choose(curves, lowest, by_order=True))
     x = Axis("step size h (smaller to the right)", "log", inverted=True)
     y = Axis("error of the solution", "log")
