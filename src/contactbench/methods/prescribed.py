@@ -144,7 +144,7 @@ def steps_until(steps: np.ndarray, times: np.ndarray) -> np.ndarray:
     off[1:] |= np.diff(nearest) == 0
     if off.any():
         time = times[np.argmax(off)]
-        why = f"step: {len(steps)} steps to t = {ends[-1]:.10g}, but none ends at t = {time:.10g}"
+        why = f"step: {len(steps)} steps to t = {ends[-1]:.10g}, none of which ends at t = {time:.10g}"
         raise BadInput(why)
     return nearest + 1
 
