@@ -18,19 +18,8 @@ from contactbench.tables.schema import TABLES
 #: what the lines may call beside pandas
 FUNCTIONS = {
     name: getattr(contest, name)
-    for name in (
-        *(
-            "contests",
-            "credited",
-            "drawn",
-            "families",
-            "hard_runs",
-            "random_contests",
-            "ranked",
-            "ring_costs",
-        ),
-    )
-} | {"mean_regrets": regret.mean_regrets}
+    for name in ("contests", "credited", "drawn", "families", "hard_runs", "random_contests", "ring_costs")
+} | {"ranked": contest.ranked, "mean_regrets": regret.mean_regrets}
 #: other counts that stand beside an answer, in words
 BESIDE = {
     "alone": ", alone on {}",
@@ -90,6 +79,5 @@ def fold(answers: Iterable[Answer], title: str = "How each count is made") -> Fo
 
 def made_by(queries: Mapping[str, str]) -> Fold | None:
     """Return the lines that a table is made by, each under its words."""
-    return fold(
-        [Answer(words, "", "", (query,)) for words, query in queries.items()], "How the table is made"
-    )
+    made = [Answer(words, "", "", (query,)) for words, query in queries.items()]
+    return fold(made, "How the table is made")

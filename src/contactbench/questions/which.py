@@ -114,10 +114,9 @@ def hard_view(frames: Frames) -> View:
 
 
 #: how often each method ends right on each kind of hard problem
-HARD = f"""
-population.merge(problems.query("hard != ''")[["seed", "scene", "hard"]])
-.query("status == 'ok' and reached <= {problems.RIGHT:g}").groupby(["hard", "method"]).size()""".replace(
-    "\n", ""
+HARD = (
+    """population.merge(problems.query("hard != ''")[["seed", "scene", "hard"]])"""
+    f""".query("status == 'ok' and reached <= {problems.RIGHT:g}").groupby(["hard", "method"]).size()"""
 )
 
 
@@ -128,10 +127,8 @@ def saved_numbers(frames: Frames) -> list[int]:
 
 def near(saved: int) -> str:
     """Return the line of pandas that finds the methods within a quarter of the least time, by scene."""
-    within = f"error == {ERROR:g} and ratio <= {WIDEST:g}"
-    return (
-        f'ranked(runs, times, saved={saved}).query("{within}").groupby("scene", sort=False).method.agg(list)'
-    )
+    rows = f'ranked(runs, times, saved={saved}).query("error == {ERROR:g} and ratio <= {WIDEST:g}")'
+    return f'{rows}.groupby("scene", sort=False).method.agg(list)'
 
 
 def saved_view(frames: Frames) -> View:
@@ -180,10 +177,8 @@ def of_kind(kind: str) -> str:
 
 def named_query(kind: str) -> str:
     """Return the line of pandas that ranks the methods on the named scenes of a kind."""
-    ratios = (
-        f'ranked(runs, times).query("{of_kind(kind)}").pivot_table("ratio", "scene", "method").dropna(axis=1)'
-    )
-    return f'np.log({ratios}).mean().sort_values(kind="stable")'
+    rows = f'ranked(runs, times).query("{of_kind(kind)}")'
+    return f'np.log({rows}.pivot_table("ratio", "scene", "method").dropna(axis=1)).mean().sort_values(kind="stable")'
 
 
 def system_query(frames: Frames, condition: str = "", kind: str = "") -> str:
