@@ -121,11 +121,11 @@ class Method(ABC):
     unsolved: ClassVar[str] = ""
     #: the package that runs it; blank for this one
     package: str = ""
-    #: whether it is one of those that the benchmark is about, which is run by all of its engines
+    #: whether the benchmark is about it; then it runs on all of its engines
     mission: bool = False
     #: whether it is meant for stiff problems
     stiff: bool = False
-    #: the method of another maker whose formulas it has; blank for what is run for its own sake
+    #: the method of another maker with the same formulas; blank for a method that is run for its own sake
     like: str = ""
 
     @property

@@ -121,7 +121,7 @@ def comparable(
 def credited(times: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
     """Return the times without the calls of right-hand sides by their address, and without fixed costs.
 
-    The fixed cost of a method on a scene is what is left of its time without evaluations: the intercept of the line
+    The fixed cost of a method on a scene is its time without evaluations: the intercept of the line
     with the least relative errors, at least 0, and at most nine tenths of its shortest time.
     """
     rows = times.merge(runs[[*KEY, "evaluations"]], on=KEY, how="left")
@@ -145,7 +145,7 @@ def costs(runs: pd.DataFrame, times: pd.DataFrame | None = None, **which: Any) -
     which : as in `comparable`.  Columns beside scene, method, family, engine and error:
 
     - cost : nan where the error is not reached.  reason : why no finer setting was tried, blank where none would help.
-    - bound : every setting is more accurate than the error; the cost is that of the cheapest.
+    - bound : every setting is more accurate than the error; the cheapest gives the cost.
     - halves, processes : the ratios by which the halves of its visits, and two processes, differ; 1 of evaluations.
     """
     part = comparable(runs, times, **which)

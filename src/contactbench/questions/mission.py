@@ -51,7 +51,7 @@ FINDINGS = 4
 KEPT = {"momentum_law": "J decays as e^{−γt}", "contact_drift": "contact form"}
 #: errors at which costs stand in its tables; the last decides who is the best contact method, and who the fastest
 ERRORS = (1e-3, 1e-6)
-#: laws of its tables, that of the map last; J stands where a method claims it
+#: laws of its tables, the law of the map last; J stands where a method claims it
 LAWS = ("energy_law", "momentum_law", "contact_drift")
 #: the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
@@ -223,7 +223,7 @@ def keeps(frames: Frames, methods: Mapping[str, str], law: str) -> str:
 
 
 def overview(frames: Frames) -> View | None:
-    """Return the mission in one table: the time of a solve on each scene, and what is kept."""
+    """Return the mission in one table: the time of a solve on each scene, and the laws kept."""
     rows = rows_of(frames)
     scenes = [scene for scene in SCENES if any(scene in methods for _, methods in rows)]
     lines = [

@@ -277,7 +277,7 @@ def slowest(scene: Any, omega: float) -> float:
 class Family:
     """One structure.  draw : its scene without damping, of random numbers, ω² and what makes it extreme, or None.
 
-    damped : the scene with a damping γ.  rate : how fast it then decays; None of what is driven or falls.  most : γ at
+    damped : the scene with a damping γ.  rate : how fast it then decays; None where it is driven or falls.  most : γ at
     most, of ω and the span.
     """
 
