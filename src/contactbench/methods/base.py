@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from contactbench.blame import blame
-from contactbench.checks import missing, positive, text, whole
+from contactbench.checks import missing, positive, text, vector, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_start
 from contactbench.methods.prescribed import SHORTEST_RUN, default_times, saved_times, steps_of, steps_until
@@ -123,6 +123,8 @@ class Method(ABC):
     package: str = ""
     #: whether it is one of those that the benchmark is about, which is run by all of its engines
     mission: bool = False
+    #: whether it solves the linear part of the force about a point exactly
+    expands: bool = False
     #: whether it is meant for stiff problems
     stiff: bool = False
     #: the method of another maker whose formulas it has; blank for what is run for its own sake
@@ -196,6 +198,7 @@ def prepare(
     carry: Sequence[str] | None = None,
     engine: str | None = None,
     max_steps: int | None = None,
+    about: Sequence[float] | None = None,
 ) -> Prepared:
     """Return a solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
 
@@ -234,6 +237,10 @@ def prepare(
         that branches on values cannot be compiled.  Under NUMBA_DISABLE_JIT Python comes first.
     max_steps
         Budget; a run that needs more ends with status `budget`.
+    about
+        Of a method that solves the linear part of the force exactly (contact-linear2): the point about which the
+        potential is expanded, a number for each q; by default the minimum of the potential downhill from the start,
+        or nothing is expanded where there is none.
 
     Returns
     -------
@@ -256,6 +263,10 @@ def prepare(
     request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
     if isinstance(request, Refused):
         return request
+    if about is not None:
+        if not chosen.expands:
+            raise BadInput(f"about = {excerpt(about)}: {chosen.name} expands nothing about a point")
+        request = replace(request, about=vector("about", about, len(scene.q)))
     refused: list[Refused] = []
     try:
         for each in engines_of(chosen) if engine is None else (engine,):

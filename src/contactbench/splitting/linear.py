@@ -1,0 +1,365 @@
+"""Splittings whose part A has the springs of an equilibrium: A = T + U + γs and B = W, V = U + W.
+
+U(q) = V(a) + ½(q − a)·K(q − a) with the Hessian K at a.  In the modes of the mass-weighted Hessian, A is
+x'' + γx' + ω²x = 0, solved in closed form whatever the sign of ω² and of ω² − γ²/4; s − ½(q − a)·p decays alone.  A is
+thus an exact contact flow, and so are the two flows of functions of W.
+
+Where γh ≫ 1 a kick by W relaxes into an Euler step of the slow motion, an error of order one.  The kick by
+
+    W − ∇W·G∇W/2h,   G = (h³/4)(x coth x − 1)/x² per mode,   x = h √(γ²/4 − ω²),
+
+repairs it: for a linear force the trace of the step is that of the flow to second order in W, at any h and γ
+(docs/mathematics.md).  For γ → 0 it is the kernel of Takahashi and Imada, J. Phys. Soc. Jpn. 53, 3765 (1984),
+doi:10.1143/JPSJ.53.3765, with an exact linear part.  The step is then conjugate to one of order two at any γh, by a
+move along the fast modes (`settle`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from contactbench.numbers.control import choose
+from contactbench.numbers.dual import Dual, slope
+from contactbench.numbers.protocol import Arithmetic, Namespace, Vector, has_digits
+from contactbench.scene import Mechanical, State, dot
+from contactbench.scene.base import Cache, key
+from contactbench.scene.flow import STRONG, Flow, damped_time, damping
+
+#: most iterations to the minimum, and the relative size of its last step and force
+TURNS, CLOSE = 200, 1e-8
+#: beyond this Ω h the gradient of an underdamped mode has the weight it has there; the formula has a pole at π
+TURNED = 2.0
+#: |x²| below which power series stand for their functions, in double precision
+SMALL = 1e-2
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """A quadratic potential: V(a), ω² and the mass-weighted mode, a row, of each spring."""
+
+    about: tuple[float, ...]
+    level: float
+    squares: tuple[float, ...]
+    modes: tuple[tuple[float, ...], ...]
+
+    def has_creep(self, gamma: float) -> bool:
+        """Return whether its slowest mode is overdamped clearly enough to be `settled`."""
+        return gamma > 0 and bool(self.squares[0] < (1 - APART**2) * gamma**2 / 4)
+
+
+# -- the expansion -------------------------------------------------------------------------------------
+_expansions: Cache[Expansion] = Cache(256)
+
+
+def expand(scene: Any, about: Sequence[float] | None = None) -> Expansion:
+    """Return the expansion of the potential about a point, by default the minimum downhill from the start.
+
+    Where there is no minimum U = V(a), a the start.
+    """
+    scene = scene.with_numbers([*map(float, scene.numbers())]).recorded()
+    start = tuple(map(float, scene.q if about is None else about))
+
+    def make() -> Expansion:
+        with np.errstate(all="ignore"):
+            point = start if about is not None else minimum(scene, start)
+            at = start if point is None else point
+            n, weights = len(at), np.sqrt(np.broadcast_to(scene.inverse_mass, len(at)))
+            K = hessian(scene, at) * np.outer(weights, weights) if point is not None else np.zeros((n, n))
+            if not np.isfinite(K).all():
+                K = np.zeros((n, n))
+            squares, modes = np.linalg.eigh(K) if np.count_nonzero(K - np.diag(np.diag(K))) else axes(K)
+        return Expansion(at, float(scene.V(at)), (*squares.tolist(),), (*map(tuple, modes.T.tolist()),))
+
+    return _expansions.get(key(scene.identity, *scene.numbers(), start, about is None), make)
+
+
+def axes(K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the modes of a diagonal matrix, without round-off."""
+    order = np.argsort(np.diag(K), kind="stable")
+    return np.diag(K)[order], np.eye(len(K))[:, order]
+
+
+def hessian(scene: Mechanical, q: Sequence[float]) -> np.ndarray:
+    columns = [[*map(slope, scene.dV(directed(q, unit)))] for unit in np.eye(len(q)).tolist()]
+    found = np.array(columns, dtype=float)
+    return (found + found.T) / 2
+
+
+def directed(q: Sequence[Arithmetic], v: Sequence[Arithmetic]) -> Vector:
+    return tuple(map(Dual, q, v))
+
+
+def minimum(scene: Mechanical, q: tuple[float, ...]) -> tuple[float, ...] | None:
+    """Return the minimum downhill from q, by Newton's method with |eigenvalues| and halved steps; None without one."""
+    largest = 0.0
+    try:
+        for _ in range(TURNS):
+            g = np.array(scene.dV(q), dtype=float)
+            largest = max(largest, force := float(np.linalg.norm(g)))
+            if force == 0:
+                return q
+            curvatures, U = np.linalg.eigh(hessian(scene, q))
+            sizes = np.maximum(np.abs(curvatures), 1e-12 * np.abs(curvatures).max() + 1e-300)
+            move, here = -U @ (U.T @ g / sizes), scene.V(q)
+            if np.linalg.norm(move) <= CLOSE * (CLOSE + np.linalg.norm(q)) and force <= CLOSE * largest:
+                return tuple((q + move).tolist())
+            while not scene.V(tuple(q + move)) <= here + 1e-14 * abs(here):
+                move /= 2
+                if not np.linalg.norm(move) > 0:
+                    return None
+            q = tuple((q + move).tolist())
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError):  # beyond the range of floats
+        pass
+    return None
+
+
+# -- the flows -----------------------------------------------------------------------------------------
+class Split:
+    """A mechanical scene as compositions see it, with the flows of an expansion."""
+
+    flows: ClassVar[Mapping[str, Flow]] = {}
+
+    def __init__(self, scene: Any, expansion: Expansion, xp: Namespace) -> None:
+        self.scene, self.expansion = scene, expansion
+        inverse = scene.inverse_mass
+        inverse = inverse if isinstance(inverse, tuple) else (inverse,) * len(expansion.about)
+        self.roots = tuple(map(xp.sqrt, inverse))
+        self.over_roots = tuple(1 / root for root in self.roots)
+        self.rows: Sequence[Sequence[Any]] = expansion.modes
+        if has_digits(xp):
+            self.rows = orthonormal([[xp.mpf(u) for u in row] for row in self.rows])
+        self.columns = tuple(zip(*self.rows, strict=True))
+
+    def from_point(self, q: Vector) -> Vector:
+        return tuple(x - a for x, a in zip(q, self.expansion.about, strict=True))
+
+    def positions(self, d: Vector) -> Vector:
+        """Return the modes' coordinates of a distance, or of a momentum over mass."""
+        return combined(self.rows, multiplied(self.over_roots, d))
+
+    def momenta(self, p: Vector) -> Vector:
+        """Return the modes' momenta, or forces."""
+        return combined(self.rows, multiplied(self.roots, p))
+
+    def distance(self, x: Vector) -> Vector:
+        return multiplied(self.roots, combined(self.columns, x))
+
+    def momentum(self, y: Vector) -> Vector:
+        return multiplied(self.over_roots, combined(self.columns, y))
+
+    def rest(self, q: Vector, wanted: bool) -> tuple[Vector, Any]:
+        """Return ∇W, and W if wanted."""
+        x = self.positions(self.from_point(q))
+        pulls = multiplied(self.expansion.squares, x)
+        force = tuple(map(lambda g, k: g - k, self.scene.dV(q), self.momentum(pulls)))
+        return force, self.scene.V(q) - self.expansion.level - dot(x, pulls) / 2 if wanted else None
+
+    def bend(self, q: Vector, x: Vector) -> Vector:
+        """Return ∇²W v for the displacement v of modes x."""
+        bent = map(slope, self.scene.dV(directed(q, self.distance(x))))
+        pulls = self.momentum(multiplied(self.expansion.squares, x))
+        return tuple(b - k for b, k in zip(bent, pulls, strict=True))
+
+
+def multiplied(a: Sequence[Arithmetic], b: Sequence[Arithmetic]) -> Vector:
+    return tuple(x * y for x, y in zip(a, b, strict=True))
+
+
+def combined(rows: Sequence[Sequence[Any]], x: Vector) -> Vector:
+    """Return the matrix times x, without products by its zeros and ones."""
+    made = []
+    for row in rows:
+        terms = [c if u == 1 else u * c for u, c in zip(row, x, strict=True) if u != 0]
+        made.append(sum(terms[1:], terms[0]))
+    return tuple(made)
+
+
+def orthonormal(rows: Sequence[Sequence[Any]]) -> Sequence[Sequence[Any]]:
+    """Return rows orthonormal to all digits: each of Newton and Schulz's iterations U(3 − UᵀU)/2 doubles them."""
+    U: Any = np.array(rows, dtype=object)
+    for _ in range(3):
+        U = (3 * U - U @ (U.T @ U)) / 2
+    return [*map(tuple, U)]
+
+
+class Spring(NamedTuple):
+    """The solution of one mode after a step: x += c x + σ y, y → (kept) y + d y − ω²σ x."""
+
+    c: Arithmetic
+    d: Arithmetic
+    sigma: Arithmetic
+    back: Arithmetic
+
+
+def spring(gamma: Arithmetic, square: float, h: Arithmetic, strong: Any, xp: Namespace) -> Spring:
+    """Return the flow of x'' + γx' + ω²x = 0, with differences from one computed without cancellation.
+
+    Where overdamped, with the slow and fast rates λ = −γ/2 ± ν: σ = e^{λ₊h}(1 − e^{−2νh})/2ν, c = e^{λ₊h} − 1 − λ₊σ,
+    d = e^{λ₋h} + λ₊σ (− 1 unless strong).
+    """
+    mu = gamma / 2
+    z = mu * mu - square
+    none = z == 0
+    over, nu = z > 0, xp.sqrt(choose(none, 1.0, abs(z), xp))
+    slow = choose(mu > 0, -square / choose(mu > 0, mu + nu, 1.0, xp), nu - mu, xp)
+    slow = choose(over, slow, 0 * slow, xp)  # no overflow where it is not used
+    fast = choose(over, -mu - nu, 0 * mu, xp)
+    width = choose(over, nu, 1.0, xp)
+    creeping = -xp.exp(slow * h) * xp.expm1(-2 * width * h) / (2 * width)
+    c, d = xp.expm1(slow * h) - slow * creeping, slow * creeping
+    d = d + choose(strong, xp.exp(fast * h), xp.expm1(fast * h), xp)
+    angle = choose(z < 0, nu * h, 0 * h, xp)
+    damp, half = xp.exp(-mu * h), xp.sin(angle / 2)
+    loss = xp.expm1(-mu * h) * xp.cos(angle) - 2 * half * half
+    swinging = damp * choose(none, h * (1 + z * h * h / 6), xp.sin(angle) / nu, xp)
+    kept = choose(strong, damp * xp.cos(angle), loss, xp)
+    sigma = choose(over, creeping, swinging, xp)
+    c = choose(over, c, loss + mu * swinging, xp)
+    return Spring(c, choose(over, d, kept - mu * swinging, xp), sigma, -square * sigma)
+
+
+def _swing_constants(split: Split, h: Arithmetic, xp: Namespace) -> tuple[Any, ...]:
+    gamma = split.scene.gamma
+    strong = gamma * h > STRONG
+    springs = tuple(spring(gamma, square, h, strong, xp) for square in split.expansion.squares)
+    own = tuple(tuple(column) for column in zip(*springs, strict=True))
+    return (*own, *damping(gamma, h, xp), choose(strong, 0 * h, 1 + 0 * h, xp), damped_time(gamma, h, xp))
+
+
+def swing(split: Split, x: State, constants: tuple[Any, ...], xp: Namespace) -> State:
+    """A, the flow of T + U + γs: every mode by `Spring`, s − ½(q − a)·p → e^{−γh}(s − ½(q − a)·p) − φ V(a)."""
+    c, d, sigma, back, keep, lose, near, phi = constants
+    away = split.from_point(x.q)
+    X, Y = split.positions(away), split.momenta(x.p)
+    moved = split.distance(tuple(c * x + s * y for c, s, x, y in zip(c, sigma, X, Y, strict=True)))
+    pulled = split.momentum(tuple(b * x + d * y for b, d, x, y in zip(back, d, X, Y, strict=True)))
+    q = tuple(a + b for a, b in zip(x.q, moved, strict=True))
+    p = tuple(near * a + b for a, b in zip(x.p, pulled, strict=True))
+    if x.s is None:
+        return State(q, p)
+    own = x.s - dot(away, x.p) / 2
+    s = keep * own - lose * own + dot(split.from_point(q), p) / 2
+    return State(q, p, s - phi * split.expansion.level if split.expansion.level else s)
+
+
+def kick(split: Split, x: State, h: Arithmetic, xp: Namespace) -> State:
+    """B: p −= h ∇W, s −= h W."""
+    force, W = split.rest(x.q, x.s is not None)
+    p = tuple(p - h * f for p, f in zip(x.p, force, strict=True))
+    return State(x.q, p, None if x.s is None else x.s - h * W)
+
+
+def series(z: Arithmetic, coefficients: Sequence[float]) -> Arithmetic:
+    total: Any = 0.0
+    for c in reversed(coefficients):
+        total = total * z + c
+    return total
+
+
+#: powers of x² in (x coth x − 1)/x² and in (1 − x/sinh x)/x²
+COTH = (1 / 3, -1 / 45, 2 / 945, -1 / 4725, 2 / 93555)
+SINH = (1 / 6, -7 / 360, 31 / 15120, -127 / 604800, 73 / 3421440)
+
+
+def even(z: Arithmetic, xp: Namespace, powers: Sequence[float], over: Any, under: Any) -> Arithmetic:
+    """Return an even function of x = √z by its series near zero, over(x) or under(√−z); both are computed."""
+    small = z == 0 if has_digits(xp) else abs(z) <= SMALL
+    x = xp.sqrt(choose(small, 1.0, abs(z), xp))
+    return choose(small, series(z, powers), choose(z > 0, over(x), under(x), xp), xp)
+
+
+def gradient_weight(z: Arithmetic, xp: Namespace) -> Arithmetic:
+    """Return (x coth x − 1)/x², x² = z."""
+
+    def under(x: Arithmetic) -> Arithmetic:
+        x = choose(x < TURNED, x, TURNED, xp)
+        return (1 - x * xp.cos(x) / xp.sin(x)) / (x * x)
+
+    def over(x: Arithmetic) -> Arithmetic:
+        return (x * (1 + xp.exp(-2 * x)) / -xp.expm1(-2 * x) - 1) / (x * x)
+
+    return even(z, xp, COTH, over, under)
+
+
+def _gradient_constants(split: Split, h: Arithmetic, xp: Namespace) -> tuple[Any, ...]:
+    quarter = split.scene.gamma * split.scene.gamma / 4
+    weights = (gradient_weight(h * h * (quarter - square), xp) for square in split.expansion.squares)
+    return h, tuple(h * h * h / 4 * weight for weight in weights)
+
+
+def gradient_kick(split: Split, x: State, constants: tuple[Any, ...], xp: Namespace) -> State:
+    """B of W − ∇W·G∇W/2h: p −= h ∇W − ∇²W G∇W, s −= h W − ½∇W·G∇W."""
+    h, weights = constants
+    force, W = split.rest(x.q, x.s is not None)
+    modes = split.momenta(force)
+    shift = multiplied(weights, modes)
+    p = tuple(p - (h * f - b) for p, f, b in zip(x.p, force, split.bend(x.q, shift), strict=True))
+    return State(x.q, p, None if x.s is None else x.s - (h * W - dot(modes, shift) / 2))
+
+
+#: modes are settled whose rates are apart by this part of γ
+APART = 0.5
+
+
+def _settle_constants(split: Split, h: Arithmetic, xp: Namespace) -> tuple[Any, ...]:
+    gamma = split.scene.gamma
+    quarter, sharp = gamma * gamma / 4, []
+    for square in split.expansion.squares:
+        z = quarter - square
+        apart = (gamma > 0) & (z > APART * APART * quarter)
+        nu = xp.sqrt(choose(apart, z, 1.0, xp))
+        weight = even(h * h * nu * nu, xp, SINH, lambda x: (1 - x / _sinh(x, xp)) / (x * x), lambda x: x)
+        # c/D of the module's formulas, D = 2ν and x = hν
+        sharp.append((choose(apart, h * h / 2 * weight * nu, 0 * h, xp), gamma / 2 + nu + 0 * h, 2 * nu + 0 * h))
+    first = choose(sharp[0][0] > 0, sharp[0][0], 1.0 + 0 * h, xp)
+    scales = tuple(xp.sqrt(move / first) for move, _, _ in sharp)
+    return sharp[0][0], scales, tuple(r for _, r, _ in sharp), tuple(D for _, _, D in sharp)
+
+
+def _sinh(x: Arithmetic, xp: Namespace) -> Arithmetic:
+    e: Any = xp.exp(-x)
+    return (1 / e - e) / 2
+
+
+def settle(
+    split: Split, x: State, constants: tuple[Any, ...], xp: Namespace, way: int = 1
+) -> State:
+    """Move along the fast modes by what kicks in the middle of a step leave out: the flow of (c/D) W(u).
+
+    u = (y + r x)/D is the slow coordinate of a mode, D the distance of its rates, −r the fast rate.  Only the slow
+    coordinates enter, which the flow leaves alone: it is exact, and its inverse has the other sign.  Of several modes
+    each u has a scale of its own, whose square is its c/D in parts of the first.
+    """
+    strength, scales, fast, width = constants
+    X, Y = split.positions(split.from_point(x.q)), split.momenta(x.p)
+    slow = tuple(a * (y + r * x) / D for a, r, D, x, y in zip(scales, fast, width, X, Y, strict=True))
+    there = tuple(a + b for a, b in zip(split.expansion.about, split.distance(slow), strict=True))
+    force, W = split.rest(there, x.s is not None)
+    moves = tuple(
+        way * strength * a * f / D for a, f, D in zip(scales, split.momenta(force), width, strict=True)
+    )
+    falls = tuple(-r * dx for r, dx in zip(fast, moves, strict=True))
+    q = tuple(a + b for a, b in zip(x.q, split.distance(moves), strict=True))
+    p = tuple(a + b for a, b in zip(x.p, split.momentum(falls), strict=True))
+    if x.s is None:
+        return State(q, p)
+    work = sum(dx * (y + dy / 2) for dx, y, dy in zip(moves, Y, falls, strict=True))
+    return State(q, p, x.s + work - way * strength * W)
+
+
+def unsettle(split: Split, x: State, constants: tuple[Any, ...], xp: Namespace) -> State:
+    return settle(split, x, constants, xp, -1)
+
+
+Split.flows = {
+    "swing": Flow(_swing_constants, swing, {}),
+    "kick": Flow(lambda split, h, xp: h, kick, {"gradient": 1}),
+    "gradient_kick": Flow(_gradient_constants, gradient_kick, {"gradient": 2}),
+    "settle": Flow(_settle_constants, settle, {"gradient": 1}),
+    "unsettle": Flow(_settle_constants, unsettle, {"gradient": 1}),
+}
