@@ -302,64 +302,89 @@ def gradient_kick(split: Split, x: State, constants: tuple[Any, ...], xp: Namesp
     return State(x.q, p, None if x.s is None else x.s - (h * W - dot(modes, shift) / 2))
 
 
-#: modes are settled whose rates are apart by this part of γ
+#: modes are settled whose rates differ by more than this part of γ
 APART = 0.5
+#: θ and weights of the two functions W(u + θv), by which κ(W(u) − ½v²W''(u)) is matched up to v², and the motion
+#: of a settled state to second order in W where γh ≫ 1: θ₁θ₂ = 1 and θ₁ − θ₂ = ½
+FIRST, SECOND = (17**0.5 + 1) / 4, (17**0.5 - 1) / 4
+NODES = ((FIRST, -2 * SECOND), (SECOND, 2 * FIRST))
 
 
-def _settle_constants(split: Split, h: Arithmetic, xp: Namespace) -> tuple[Any, ...]:
+class Settled(NamedTuple):
+    """Constants of a processor: κ of the first mode; by mode √κ in parts of that, the fast rate and ν."""
+
+    strength: Arithmetic
+    scales: Vector
+    fast: Vector
+    nu: Vector
+
+
+def _settle_constants(split: Split, h: Arithmetic, xp: Namespace) -> Settled:
     gamma = split.scene.gamma
-    quarter, sharp = gamma * gamma / 4, []
+    quarter, modes = gamma * gamma / 4, []
     for square in split.expansion.squares:
-        z = quarter - square
-        apart = (gamma > 0) & (z > APART * APART * quarter)
-        nu = xp.sqrt(choose(apart, z, 1.0, xp))
-        weight = even(h * h * nu * nu, xp, SINH, lambda x: (1 - x / _sinh(x, xp)) / (x * x), lambda x: x)
-        # c/D of the module's formulas, D = 2ν and x = hν
-        sharp.append((choose(apart, h * h / 2 * weight * nu, 0 * h, xp), gamma / 2 + nu + 0 * h, 2 * nu + 0 * h))
-    first = choose(sharp[0][0] > 0, sharp[0][0], 1.0 + 0 * h, xp)
-    scales = tuple(xp.sqrt(move / first) for move, _, _ in sharp)
-    return sharp[0][0], scales, tuple(r for _, r, _ in sharp), tuple(D for _, _, D in sharp)
+        apart = (gamma > 0) & (quarter - square > APART * APART * quarter)
+        nu = xp.sqrt(choose(apart, quarter - square, 1.0, xp))
+        fast = choose(apart, gamma / 2 + nu, 1.0, xp)
+        rate = fast - 2 * square / fast
+        x = rate * h / 2
+        strength = rate * h * h / 4 * even(x * x, xp, SINH, lambda x: settling(x, xp), lambda x: x)
+        modes.append((choose(apart, strength, 0 * h, xp), fast + 0 * h, nu + 0 * h))
+    strengths, fast, nu = zip(*modes, strict=True)
+    first = choose(strengths[0] > 0, strengths[0], 1.0 + 0 * h, xp)
+    return Settled(strengths[0], tuple(xp.sqrt(each / first) for each in strengths), fast, nu)
 
 
-def _sinh(x: Arithmetic, xp: Namespace) -> Arithmetic:
-    e: Any = xp.exp(-x)
-    return (1 / e - e) / 2
+def settling(x: Arithmetic, xp: Namespace) -> Arithmetic:
+    """Return (1 − x/sinh x)/x²."""
+    return (1 + 2 * x * xp.exp(-x) / xp.expm1(-2 * x)) / (x * x)
 
 
-def settle(
-    split: Split, x: State, constants: tuple[Any, ...], xp: Namespace, way: int = 1
-) -> State:
-    """Move along the fast modes by what kicks in the middle of a step leave out: the flow of (c/D) W(u).
+def along(split: Split, x: State, by: Settled, theta: float, weight: float) -> State:
+    """Return the flow of κ W(u + θv) for the time `weight`, which leaves u + θv alone: it is exact.
 
-    u = (y + r x)/D is the slow coordinate of a mode, D the distance of its rates, −r the fast rate.  Only the slow
-    coordinates enter, which the flow leaves alone: it is exact, and its inverse has the other sign.  Of several modes
-    each u has a scale of its own, whose square is its c/D in parts of the first.
+    u = (y + r x)/2ν is the slow and v = x − u the fast coordinate of a mode, −r its fast rate.
     """
-    strength, scales, fast, width = constants
     X, Y = split.positions(split.from_point(x.q)), split.momenta(x.p)
-    slow = tuple(a * (y + r * x) / D for a, r, D, x, y in zip(scales, fast, width, X, Y, strict=True))
-    there = tuple(a + b for a, b in zip(split.expansion.about, split.distance(slow), strict=True))
+    slow = tuple((y + r * x) / (2 * nu) for r, nu, x, y in zip(by.fast, by.nu, X, Y, strict=True))
+    place = tuple(a * (u + theta * (x - u)) for a, u, x in zip(by.scales, slow, X, strict=True))
+    there = tuple(a + b for a, b in zip(split.expansion.about, split.distance(place), strict=True))
     force, W = split.rest(there, x.s is not None)
-    moves = tuple(
-        way * strength * a * f / D for a, f, D in zip(scales, split.momenta(force), width, strict=True)
-    )
-    falls = tuple(-r * dx for r, dx in zip(fast, moves, strict=True))
+    time = weight * by.strength
+    pulls = tuple(time * a * f / (2 * nu) for a, nu, f in zip(by.scales, by.nu, split.momenta(force), strict=True))
+    moves = tuple((1 - theta) * pull for pull in pulls)
+    falls = tuple(-pull * (r + theta * (2 * nu - r)) for pull, r, nu in zip(pulls, by.fast, by.nu, strict=True))
     q = tuple(a + b for a, b in zip(x.q, split.distance(moves), strict=True))
     p = tuple(a + b for a, b in zip(x.p, split.momentum(falls), strict=True))
     if x.s is None:
         return State(q, p)
     work = sum(dx * (y + dy / 2) for dx, y, dy in zip(moves, Y, falls, strict=True))
-    return State(q, p, x.s + work - way * strength * W)
+    return State(q, p, x.s + work - time * W)
 
 
-def unsettle(split: Split, x: State, constants: tuple[Any, ...], xp: Namespace) -> State:
-    return settle(split, x, constants, xp, -1)
+def settle(split: Split, x: State, constants: Settled, xp: Namespace) -> State:
+    """Processor: give a state of the kernel the fast part that kicks in the middle of steps leave out.
+
+    To first order in W it is the flow of S, for W = u^a v^b the power times (1 − z/sinh z)/ρ, z = ρh/2 and
+    ρ = (b − 1)λ₋ + (a − 1)λ₊, λ± the rates of a mode; here with a + b = 3, as W begins at a minimum, and λ₊ only
+    where b = 0.  Of several modes each coordinate has a scale, whose square is its κ in parts of the first.
+    """
+    for theta, weight in NODES:
+        x = along(split, x, constants, theta, weight)
+    return x
+
+
+def unsettle(split: Split, x: State, constants: Settled, xp: Namespace) -> State:
+    """Undo `settle`."""
+    for theta, weight in reversed(NODES):
+        x = along(split, x, constants, theta, -weight)
+    return x
 
 
 Split.flows = {
     "swing": Flow(_swing_constants, swing, {}),
     "kick": Flow(lambda split, h, xp: h, kick, {"gradient": 1}),
     "gradient_kick": Flow(_gradient_constants, gradient_kick, {"gradient": 2}),
-    "settle": Flow(_settle_constants, settle, {"gradient": 1}),
-    "unsettle": Flow(_settle_constants, unsettle, {"gradient": 1}),
+    "settle": Flow(_settle_constants, settle, {"gradient": 2}),
+    "unsettle": Flow(_settle_constants, unsettle, {"gradient": 2}),
 }
