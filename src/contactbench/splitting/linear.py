@@ -32,7 +32,7 @@ from contactbench.scene.flow import STRONG, Flow, damped_time, damping
 
 #: most iterations to the minimum, and the relative size of its last step and force
 TURNS, CLOSE = 200, 1e-8
-#: beyond this Ω h the gradient of an underdamped mode has the weight it has there; the formula has a pole at π
+#: beyond this Ωh the numerator of the weight of an underdamped mode stays as it is there; it has a pole at π
 TURNED = 2.0
 #: |x²| below which power series stand for their functions, in double precision
 SMALL = 1e-2
@@ -277,8 +277,8 @@ def gradient_weight(z: Arithmetic, xp: Namespace) -> Arithmetic:
     """Return (x coth x − 1)/x², x² = z."""
 
     def under(x: Arithmetic) -> Arithmetic:
-        x = choose(x < TURNED, x, TURNED, xp)
-        return (1 - x * xp.cos(x) / xp.sin(x)) / (x * x)
+        angle = choose(x < TURNED, x, TURNED, xp)
+        return (1 - angle * xp.cos(angle) / xp.sin(angle)) / (x * x)
 
     def over(x: Arithmetic) -> Arithmetic:
         return (x * (1 + xp.exp(-2 * x)) / -xp.expm1(-2 * x) - 1) / (x * x)
