@@ -266,7 +266,7 @@ def prepare(
     if about is not None:
         if not chosen.expands:
             raise BadInput(f"about = {excerpt(about)}: {chosen.name} expands nothing about a point")
-        request = replace(request, about=vector("about", about, len(scene.q)))
+        request = replace(request, about=vector("about", about, scene.motion // 2))
     refused: list[Refused] = []
     try:
         for each in engines_of(chosen) if engine is None else (engine,):

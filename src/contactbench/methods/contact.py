@@ -58,7 +58,9 @@ class ContactMethod(FixedStep):
             made = steps.opening, (), (*steps.inner, *steps.joint), (*steps.inner, *steps.closing)
 
         def piece(stages: tuple[Stage, ...]) -> Piece:
-            return lambda scene, x, h, xp, repeat: runner(stages, own.parts(scene, xp), h, xp, repeat)(stages, x)
+            return lambda scene, x, h, xp, repeat: runner(stages, own.parts(scene, xp), h, xp, repeat)(
+                stages, x
+            )
 
         return tuple(piece(stages) if stages else None for stages in made)
 

@@ -29,6 +29,7 @@ class ContactLinear(ContactMethod):
 
     expansion: Expansion | None = None
     expands = True
+    stiff: bool = False
     #: its matrices are written out
     largest: int = LARGEST_HESSIAN
 
@@ -70,12 +71,15 @@ def linear_method(composition: Composition) -> ContactLinear:
     return ContactLinear(
         name=composition.name,
         order=composition.order,
-        step=lambda scene, x, h, xp: advance(composition, Split(scene, expand(scene), xp), x, h, 1, xp),
+        step=lambda scene, x, h, xp: advance(
+            composition, cast(Any, Split(scene, expand(scene), xp)), x, h, 1, xp
+        ),
         kind="gradient",
         family="contact",
         about=composition.source,
         contact=True,
         symmetric=composition.palindromic,
+        stiff=bool(composition.processor),
         composition=composition,
     )
 

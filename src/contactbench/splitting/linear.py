@@ -16,7 +16,6 @@ move along the fast modes (`settle`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -86,8 +85,8 @@ def axes(K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def hessian(scene: Mechanical, q: Sequence[float]) -> np.ndarray:
     columns = [[*map(slope, scene.dV(directed(q, unit)))] for unit in np.eye(len(q)).tolist()]
-    found = np.array(columns, dtype=float)
-    return (found + found.T) / 2
+    found: np.ndarray = np.array(columns, dtype=float)
+    return np.asarray((found + found.T) / 2)
 
 
 def directed(q: Sequence[Arithmetic], v: Sequence[Arithmetic]) -> Vector:
@@ -255,7 +254,7 @@ def kick(split: Split, x: State, h: Arithmetic, xp: Namespace) -> State:
 
 
 def series(z: Arithmetic, coefficients: Sequence[float]) -> Arithmetic:
-    total: Any = 0.0
+    total: Arithmetic = 0.0
     for c in reversed(coefficients):
         total = total * z + c
     return total
@@ -330,9 +329,9 @@ def _settle_constants(split: Split, h: Arithmetic, xp: Namespace) -> Settled:
         x = rate * h / 2
         strength = rate * h * h / 4 * even(x * x, xp, SINH, lambda x: settling(x, xp), lambda x: x)
         modes.append((choose(apart, strength, 0 * h, xp), fast + 0 * h, nu + 0 * h))
-    strengths, fast, nu = zip(*modes, strict=True)
+    strengths, rates, halves = zip(*modes, strict=True)
     first = choose(strengths[0] > 0, strengths[0], 1.0 + 0 * h, xp)
-    return Settled(strengths[0], tuple(xp.sqrt(each / first) for each in strengths), fast, nu)
+    return Settled(strengths[0], tuple(xp.sqrt(each / first) for each in strengths), rates, halves)
 
 
 def settling(x: Arithmetic, xp: Namespace) -> Arithmetic:
@@ -351,9 +350,13 @@ def along(split: Split, x: State, by: Settled, theta: float, weight: float) -> S
     there = tuple(a + b for a, b in zip(split.expansion.about, split.distance(place), strict=True))
     force, W = split.rest(there, x.s is not None)
     time = weight * by.strength
-    pulls = tuple(time * a * f / (2 * nu) for a, nu, f in zip(by.scales, by.nu, split.momenta(force), strict=True))
+    pulls = tuple(
+        time * a * f / (2 * nu) for a, nu, f in zip(by.scales, by.nu, split.momenta(force), strict=True)
+    )
     moves = tuple((1 - theta) * pull for pull in pulls)
-    falls = tuple(-pull * (r + theta * (2 * nu - r)) for pull, r, nu in zip(pulls, by.fast, by.nu, strict=True))
+    falls = tuple(
+        -pull * (r + theta * (2 * nu - r)) for pull, r, nu in zip(pulls, by.fast, by.nu, strict=True)
+    )
     q = tuple(a + b for a, b in zip(x.q, split.distance(moves), strict=True))
     p = tuple(a + b for a, b in zip(x.p, split.momentum(falls), strict=True))
     if x.s is None:

@@ -125,7 +125,7 @@ O8 = Composition(
 COMPOSITIONS = (PRINTED, ABC, STRANG, BM6, RKN4, RKN6, RKN8, O8)
 
 # -- with an exact linear part, see linear.py -----------------------------------------------------------
-NEAR = "Blanes, Casas, Farrés, Laskar, Makazaga, Murua, Appl. Numer. Math. 68, 58 (2013), doi:10.1016/j.apnum.2013.01.003"
+NEAR = "Blanes et al., Appl. Numer. Math. 68, 58 (2013), doi:10.1016/j.apnum.2013.01.003"
 
 _ABA864 = """
  0.0711334264982231177779387300061549964174   0.183083687472197221961703757166430291072
@@ -150,7 +150,10 @@ def linear_strang(name: str, kick: str, about: str, settled: bool = False) -> Co
 
 def near_integrable(name: str, half: str, which: str) -> Composition:
     return Composition(
-        name, 4, palindrome("swing", "kick", half.split()), f"{which} of {NEAR}, about the nearest equilibrium"
+        name,
+        4,
+        palindrome("swing", "kick", half.split()),
+        f"{which} of {NEAR}, about the nearest equilibrium",
     )
 
 
