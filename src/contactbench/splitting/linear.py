@@ -16,6 +16,7 @@ move along the fast modes (`settle`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -39,16 +40,20 @@ SMALL = 1e-2
 
 @dataclass(frozen=True)
 class Expansion:
-    """A quadratic potential: V(a), ω² and the mass-weighted mode, a row, of each spring."""
+    """A quadratic potential: V(a), ω² and the mass-weighted mode, a row, of each spring.
+
+    rest : the largest |curvature| of W at the start, over mass.
+    """
 
     about: tuple[float, ...]
     level: float
     squares: tuple[float, ...]
     modes: tuple[tuple[float, ...], ...]
+    rest: float
 
     def has_creep(self, gamma: float) -> bool:
-        """Return whether its slowest mode is overdamped clearly enough to be `settled`."""
-        return gamma > 0 and bool(self.squares[0] < (1 - APART**2) * gamma**2 / 4)
+        """Return whether the slowest mode is overdamped, with the rest too: `settle` leaves u where p/γ is far."""
+        return gamma > 0 and max(self.squares[0], self.rest) < (1 - APART**2) * gamma**2 / 4
 
 
 # -- the expansion -------------------------------------------------------------------------------------
@@ -61,20 +66,23 @@ def expand(scene: Any, about: Sequence[float] | None = None) -> Expansion:
     Where there is no minimum U = V(a), a the start.
     """
     scene = scene.with_numbers([*map(float, scene.numbers())]).recorded()
-    start = tuple(map(float, scene.q if about is None else about))
+    begin = tuple(map(float, scene.q))
+    start = begin if about is None else tuple(map(float, about))
 
     def make() -> Expansion:
         with np.errstate(all="ignore"):
             point = start if about is not None else minimum(scene, start)
             at = start if point is None else point
             n, weights = len(at), np.sqrt(np.broadcast_to(scene.inverse_mass, len(at)))
-            K = hessian(scene, at) * np.outer(weights, weights) if point is not None else np.zeros((n, n))
-            if not np.isfinite(K).all():
+            K, here = (hessian(scene, x) * np.outer(weights, weights) for x in (at, begin))
+            if point is None or not np.isfinite(K).all():
                 K = np.zeros((n, n))
+            rest = np.linalg.norm(here - K, 2) if np.isfinite(here).all() else math.inf
             squares, modes = np.linalg.eigh(K) if np.count_nonzero(K - np.diag(np.diag(K))) else axes(K)
-        return Expansion(at, float(scene.V(at)), (*squares.tolist(),), (*map(tuple, modes.T.tolist()),))
+        rows = tuple(map(tuple, modes.T.tolist()))
+        return Expansion(at, float(scene.V(at)), tuple(squares.tolist()), rows, float(rest))
 
-    return _expansions.get(key(scene.identity, *scene.numbers(), start, about is None), make)
+    return _expansions.get(key(scene.identity, *scene.numbers(), begin, about), make)
 
 
 def axes(K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -339,12 +347,13 @@ def settling(x: Arithmetic, xp: Namespace) -> Arithmetic:
     return (1 + 2 * x * xp.exp(-x) / xp.expm1(-2 * x)) / (x * x)
 
 
-def along(split: Split, x: State, by: Settled, theta: float, weight: float) -> State:
+def along(split: Split, x: State, constants: Sequence[Any], theta: float, weight: float) -> State:
     """Return the flow of κ W(u + θv) for the time `weight`, which leaves u + θv alone: it is exact.
 
     u = (y + r x)/2ν is the slow and v = x − u the fast coordinate of a mode, −r its fast rate.
     """
     X, Y = split.positions(split.from_point(x.q)), split.momenta(x.p)
+    by = Settled(*constants)
     slow = tuple((y + r * x) / (2 * nu) for r, nu, x, y in zip(by.fast, by.nu, X, Y, strict=True))
     place = tuple(a * (u + theta * (x - u)) for a, u, x in zip(by.scales, slow, X, strict=True))
     there = tuple(a + b for a, b in zip(split.expansion.about, split.distance(place), strict=True))
@@ -365,7 +374,7 @@ def along(split: Split, x: State, by: Settled, theta: float, weight: float) -> S
     return State(q, p, x.s + work - time * W)
 
 
-def settle(split: Split, x: State, constants: Settled, xp: Namespace) -> State:
+def settle(split: Split, x: State, constants: Sequence[Any], xp: Namespace) -> State:
     """Processor: give a state of the kernel the fast part that kicks in the middle of steps leave out.
 
     To first order in W it is the flow of S, for W = u^a v^b the power times (1 − z/sinh z)/ρ, z = ρh/2 and
@@ -377,7 +386,7 @@ def settle(split: Split, x: State, constants: Settled, xp: Namespace) -> State:
     return x
 
 
-def unsettle(split: Split, x: State, constants: Settled, xp: Namespace) -> State:
+def unsettle(split: Split, x: State, constants: Sequence[Any], xp: Namespace) -> State:
     """Undo `settle`."""
     for theta, weight in reversed(NODES):
         x = along(split, x, constants, theta, -weight)
