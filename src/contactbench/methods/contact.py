@@ -76,12 +76,12 @@ class ContactMethod(FixedStep):
         return value
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        own, parts = self.on(scene), self.parts(scene)
-        key = own, scene.kind, "R" in (scene.optional if carry is None else carry)
+        key = self, scene.kind, "R" in (scene.optional if carry is None else carry)
         if key not in _costs:
             kind = self.kind_on(scene)
             kinds = (kind, *(["attitude"] if kind == "rotation" and key[-1] else []))
-            steps = plan(own.composition, parts)
+            parts = self.parts(scene)
+            steps = plan(self.composition, parts)
             once, twice = (steps.count(parts.flows, kinds, k) for k in (1, 2))
             _costs[key] = once, twice - once
         first, each = _costs[key]

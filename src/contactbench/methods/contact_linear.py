@@ -12,7 +12,6 @@ from contactbench.methods.contact import ContactMethod
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.numbers.protocol import Namespace
 from contactbench.scene import Mechanical, Scene
-from contactbench.scene.mechanical import LARGEST_HESSIAN
 from contactbench.splitting.composition import Composition, advance
 from contactbench.splitting.linear import Expansion, Split, expand
 from contactbench.splitting.tables import LINEAR
@@ -30,8 +29,8 @@ class ContactLinear(ContactMethod):
     expansion: Expansion | None = None
     expands = True
     stiff: bool = False
-    #: its matrices are written out
-    largest: int = LARGEST_HESSIAN
+    #: its matrices are dense, and products written out grow as the square
+    largest: int = 32
 
     def refuses(self, scene: Scene) -> str | None:
         fits = scene.separable and not (scene.nonlinear_damping or scene.keeps_dates)
@@ -52,6 +51,11 @@ class ContactLinear(ContactMethod):
             return Split
         assert self.expansion is not None
         return Split(scene, self.expansion, xp)
+
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        if self.expansion is None:
+            return self.on(scene).counts(scene, n, carry)
+        return super().counts(scene, n, carry)
 
     def prepare(self, request: Request) -> Prepared:
         if self.expansion is None:
