@@ -398,7 +398,7 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     ----------
     scene, method
         As of `prepare`.
-    step, rtol, atol, save_at, carry, engine, max_steps
+    step, rtol, atol, save_at, carry, engine, max_steps, about
         As of `prepare`.
 
     Returns

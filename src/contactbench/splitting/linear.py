@@ -173,6 +173,10 @@ class Split:
         return tuple(b - k for b, k in zip(bent, pulls, strict=True))
 
 
+def added(a: Sequence[Arithmetic], b: Sequence[Arithmetic]) -> Vector:
+    return tuple(x + y for x, y in zip(a, b, strict=True))
+
+
 def multiplied(a: Sequence[Arithmetic], b: Sequence[Arithmetic]) -> Vector:
     return tuple(x * y for x, y in zip(a, b, strict=True))
 
@@ -245,7 +249,7 @@ def swing(split: Split, x: State, constants: tuple[Any, ...], xp: Namespace) -> 
     X, Y = split.positions(away), split.momenta(x.p)
     moved = split.distance(tuple(c * x + s * y for c, s, x, y in zip(c, sigma, X, Y, strict=True)))
     pulled = split.momentum(tuple(b * x + d * y for b, d, x, y in zip(back, d, X, Y, strict=True)))
-    q = tuple(a + b for a, b in zip(x.q, moved, strict=True))
+    q = added(x.q, moved)
     p = tuple(near * a + b for a, b in zip(x.p, pulled, strict=True))
     if x.s is None:
         return State(q, p)
@@ -356,18 +360,15 @@ def along(split: Split, x: State, constants: Sequence[Any], theta: float, weight
     by = Settled(*constants)
     slow = tuple((y + r * x) / (2 * nu) for r, nu, x, y in zip(by.fast, by.nu, X, Y, strict=True))
     place = tuple(a * (u + theta * (x - u)) for a, u, x in zip(by.scales, slow, X, strict=True))
-    there = tuple(a + b for a, b in zip(split.expansion.about, split.distance(place), strict=True))
+    there = added(split.expansion.about, split.distance(place))
     force, W = split.rest(there, x.s is not None)
     time = weight * by.strength
-    pulls = tuple(
-        time * a * f / (2 * nu) for a, nu, f in zip(by.scales, by.nu, split.momenta(force), strict=True)
-    )
-    moves = tuple((1 - theta) * pull for pull in pulls)
-    falls = tuple(
-        -pull * (r + theta * (2 * nu - r)) for pull, r, nu in zip(pulls, by.fast, by.nu, strict=True)
-    )
-    q = tuple(a + b for a, b in zip(x.q, split.distance(moves), strict=True))
-    p = tuple(a + b for a, b in zip(x.p, split.momentum(falls), strict=True))
+    moves, falls = [], []
+    for a, r, nu, f in zip(by.scales, by.fast, by.nu, split.momenta(force), strict=True):
+        pull = time * a * f / (2 * nu)
+        moves.append((1 - theta) * pull)
+        falls.append(-pull * (r + theta * (2 * nu - r)))
+    q, p = added(x.q, split.distance(tuple(moves))), added(x.p, split.momentum(tuple(falls)))
     if x.s is None:
         return State(q, p)
     work = sum(dx * (y + dy / 2) for dx, y, dy in zip(moves, Y, falls, strict=True))
