@@ -143,6 +143,7 @@ def test_a_law_and_a_question_have_their_documents_and_are_gated(results, given,
         assert column.partition(".")[2] in contactbench(*gate, fresh, code=1)
 
 
+@pytest.mark.slow
 def test_report_and_gate_know_a_table_that_a_module_among_the_chapters_declares(tmp_path):
     chapters, tables = tmp_path / "chapters", tmp_path / "tables"
     chapters.mkdir()
@@ -182,12 +183,10 @@ IMPORT = "import contactbench as cb\n"
 STEP = f"{IMPORT}@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    "
 ENDED = "ended after 1 s, the time it was given (--plugin-timeout"
 FAILURES = {
-    "syntax": ("x = (", "SyntaxError: '(' was never closed (bad.py, line 1)"),
     "exception": (f"{IMPORT}\ncb.SCENES['partcle']", "bad.py, line 3): UnknownName"),
     "nothing": ("x = 1", "registers nothing"),
     "taken": (f"{IMPORT}cb.SCENES.add(cb.SCENES['central'])", "'central' is already registered"),
     "exit at import": ("import sys\nsys.exit(0)", "bad.py, line 2): SystemExit: 0"),
-    "exit in a step": (f"{STEP}raise SystemExit(0)", "method 'bad', step (bad.py, line 4): SystemExit: 0"),
     "loop at import": ("while True:\n    pass", ENDED),
     "loop in a step": (f"{STEP}while x:\n        pass", ENDED),
     "a step that fails": (f"{STEP}return {{}}['a']", "method 'bad', step (bad.py, line 4): KeyError: 'a'"),
