@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -143,6 +143,10 @@ class Method(ABC):
     def refuses(self, scene: Scene) -> str | None:
         """Return why the scene is out of reach, or None."""
         return None
+
+    def on(self, scene: Scene) -> Self:
+        """Return the method with what it takes from a scene beforehand."""
+        return self
 
     def lacks(self, engine: str) -> str | None:
         """Return a message if a package that an engine needs is not installed, else None."""

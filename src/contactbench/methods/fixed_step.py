@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from contactbench.blame import UserError, their_code
 from contactbench.checks import function, is_number, switch, text, whole
@@ -67,10 +67,6 @@ class FixedStep(Method):
         loop = LOOPS[request.engine](self, request)
         kind = ChosenStep if request.step is None else FixedStepRun
         return kind(self.name, request, self, loop)
-
-    def on(self, scene: Scene) -> Self:
-        """Return the method with what it takes from a scene beforehand."""
-        return self
 
     def run_of(self, request: Request, loop: StepLoop[Any]) -> FixedStepRun:
         return FixedStepRun(self.name, request, self, loop)
