@@ -59,13 +59,13 @@ def raced(scene: Scene) -> list[Method]:
 
     Among our fixed-step methods the cheapest per family and order races, contact methods from order 2 on and others
     from `HIGH` on; besides them exact methods, embedded pairs of high order, and the Taylor method.  On a stiff scene
-    only methods for stiff problems race, and the contestants.
+    only methods for stiff problems race, and the contestants among other packages.
     """
     stand_ins = {method.like for method in METHODS.values() if method.mission}
     compiled = [m for m in METHODS.values() if m.engines[0] not in (*CALLBACKS, *PACKAGES)]
     fit = [m for m in compiled if not m.stiff]
     if scene.stiff:
-        fit = [m for m in compiled if m.stiff or m.mission or m.name in stand_ins]
+        fit = [m for m in compiled if m.stiff or (m.package and (m.mission or m.name in stand_ins))]
     able = [m for m in fit if not (m.iterates or m.follows or m.refuses(scene))]
     theirs = [m for m in able if m.package and (m.mission or m.name in stand_ins or m is TAYLOR)]
     ours = [m for m in able if not m.package and (m.contact or m.mission or (m.order or HIGH) >= HIGH)]
