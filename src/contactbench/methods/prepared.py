@@ -36,7 +36,7 @@ class Request:
 
     steps : prescribed steps, the longest is `step`; None for equal steps between saved times.  atol : one number, or
     one for every component but the time.  scales : the factors that gave atol = rtol · scales, see `to_scale`; None
-    where the user gave atol.
+    where the user gave atol.  about : the point about which a method expands the potential, if the user gave it.
     """
 
     scene: Scene
@@ -49,6 +49,7 @@ class Request:
     max_steps: int = 10**8
     steps: np.ndarray | None = None
     scales: Any = None
+    about: tuple[float, ...] | None = None
 
     def to_scale(self, takes_atol: bool, **data: object) -> Request:
         """Return the request with the scales of the motion and the atol they give; data : another start."""

@@ -296,21 +296,22 @@ def with_family(rows: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(family=[known.get(name, "") for name in rows["method"]])
 
 
-def drawn(population: pd.DataFrame, problems: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of the random problems that are not hard, with what a pilot says of each problem."""
-    usual = problems[problems["hard"] == ""].rename(columns={"cost": "force"})
+def drawn(population: pd.DataFrame, problems: pd.DataFrame, hard: str = "") -> pd.DataFrame:
+    """Return the rows of the random problems of a hard kind, or not hard, with what a pilot says of each problem."""
+    usual = problems[problems["hard"] == hard].rename(columns={"cost": "force"})
     return population.merge(usual, on=["seed", "scene"])
 
 
 @once
 def random_contests(
-    population: pd.DataFrame, problems: pd.DataFrame, runs: pd.DataFrame, cost: str
+    population: pd.DataFrame, problems: pd.DataFrame, runs: pd.DataFrame, cost: str, hard: str = ""
 ) -> pd.DataFrame:
     """Return the best contact method beside the best other on each random problem; as `contests`.
 
-    cost : evaluations, or time_s, which was measured in one process.
+    cost : evaluations, or time_s, which was measured in one process.  hard : a kind of hard problems, blank for those
+    that are not hard.
     """
-    rows = with_family(drawn(population, problems), runs).assign(halves=1.0, processes=1.0)
+    rows = with_family(drawn(population, problems, hard), runs).assign(halves=1.0, processes=1.0)
     rows["cost"] = rows[cost].where(rows["status"] == "ok")
     within = WIDEST if cost == "time_s" else 1.0
     return sides(rows, ("seed", "scene", "error"), within=within).merge(problems, on=["seed", "scene"])
