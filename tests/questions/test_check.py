@@ -83,9 +83,7 @@ FILES = (("laws.md", "../README.md"), ("old.md", "figures/old.svg"), ("cost.md",
 
 def test_each_file_that_differs_is_named_and_nothing_is_written(results, capsys):
     harmed = [
-        ((results / name).resolve(), says)
-        for says, names in zip(HARM, FILES, strict=True)
-        for name in names
+        ((results / name).resolve(), says) for says, names in zip(HARM, FILES, strict=True) for name in names
     ]
     for path, says in harmed:
         HARM[says](path)
