@@ -65,7 +65,7 @@ def test_it_prints_tables_and_writes_only_what_it_is_told(tmp_path, capsys, monk
 
 def test_json_is_one_object_with_the_rows(capsys):
     """Methods may follow an option."""
-    line = "compare particle --error 1e-2 rk4 --budget 60s contact-strang --json --set gamma=0.3"
+    line = "compare oscillator --error 1e-2 rk4 --budget 60s contact-strang --json --set gamma=0.3"
     assert main(line.split()) == 0
     found = json.loads(capsys.readouterr().out)
     assert {"reference", "rows"} <= found.keys()
@@ -121,7 +121,7 @@ def test_a_method_on_one_engine_and_a_scene_have_every_rule(capsys):
     assert err == ""
     assert rules(out) == 3 * list(METHOD_RULES)
     assert all(line.endswith("kept") for line in out.splitlines() if line[:4].strip().isdigit())
-    assert main(["check", "central"]) == 0
+    assert main(["check", "oscillator"]) == 0
     assert rules(capsys.readouterr().out) == list(SCENE_RULES)
 
 
@@ -278,7 +278,7 @@ MODULE = [sys.executable, "-m", "contactbench"]
 
 def test_what_cannot_be_encoded_is_replaced():
     """Of tables; JSON needs no other encoding."""
-    line = [*MODULE, "claim", "C25"]
+    line = [*MODULE, "claim", "C13"]
     done = run(*line, PYTHONIOENCODING="ascii")
     assert done.returncode == 0, done.stderr
     assert "?" in done.stdout
