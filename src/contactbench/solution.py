@@ -187,6 +187,8 @@ class Solution:
     truth: Reference | BadInput | None = None
     #: limit of time while laws are measured
     patience: Patience | None = None
+    #: which states are interpolated; None of none
+    between: np.ndarray | None = None
 
     @staticmethod
     def of(ending: dict[str, object], y: np.ndarray, y0: np.ndarray) -> Solution:
@@ -198,6 +200,11 @@ class Solution:
     @property
     def setting(self) -> str:
         return setting_key(self.control, self.value) if self.run is None else self.run.request.setting
+
+    @property
+    def interpolated(self) -> np.ndarray:
+        """Return whether each saved state is interpolated between ends of steps, (k,), where steps ended elsewhere."""
+        return np.zeros(len(self.y), dtype=bool) if self.between is None else self.between
 
     @property
     def ok(self) -> bool:

@@ -12,8 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from contactbench.blame import blame
-from contactbench.checks import missing, positive, text, whole
+from contactbench.checks import missing, positive, switch, text, whole
 from contactbench.errors import BadInput, excerpt
+from contactbench.methods.dense import Source, densely
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_start
 from contactbench.methods.prescribed import SHORTEST_RUN, default_times, saved_times, steps_of, steps_until
 from contactbench.numbers.protocol import CannotRecord
@@ -147,6 +148,10 @@ class Method(ABC):
         package = self.package or PACKAGES.get(engine)
         return missing(package) if package else None
 
+    def source(self, request: Request) -> Source | None:
+        """Return its own steps for dense output, or None: then steps end at saved times, or it interpolates itself."""
+        return None
+
     @abstractmethod
     def prepare(self, request: Request) -> Prepared:
         """Return a run for the request, compiled."""
@@ -196,6 +201,7 @@ def prepare(
     carry: Sequence[str] | None = None,
     engine: str | None = None,
     max_steps: int | None = None,
+    dense: bool = True,
 ) -> Prepared:
     """Return a solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
 
@@ -253,7 +259,7 @@ def prepare(
     np.float64(0.5)
     """
     scene, chosen = lookup(scene, method)
-    request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
+    request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps, switch("dense", dense))
     if isinstance(request, Refused):
         return request
     refused: list[Refused] = []
@@ -265,7 +271,7 @@ def prepare(
             except CannotRecord as error:
                 run = uncompiled(chosen, asked, error)
             if not isinstance(run, Refused):
-                return run
+                return densely(chosen, asked, run)
             refused.append(run)
     except BaseException as error:
         raise blame(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
@@ -289,6 +295,7 @@ def make_request(
     carry: Sequence[str] | None = None,
     engine: str | None = None,
     max_steps: int | None = None,
+    dense: bool = True,
 ) -> Request | Refused:
     """Return the checked request for the first engine; `Refused` where the method refuses the scene."""
     if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
@@ -310,7 +317,7 @@ def make_request(
     if times[-1] < SHORTEST_RUN:
         raise BadInput(f"the run ends at t = {times[-1]:.3g}: must be {SHORTEST_RUN:g} or later")
     engine = engine or engines_of(chosen)[0]
-    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget, steps)
+    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget, steps, dense=dense)
     if (why := chosen.refuses(scene) or too_large(chosen, request)) is not None:
         return Refused(chosen.name, request, why)
     require_start(scene, request.carry)

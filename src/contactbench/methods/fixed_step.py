@@ -11,7 +11,8 @@ from contactbench.blame import UserError, their_code
 from contactbench.checks import function, is_number, switch, text, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
-from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.dense import Source
+from contactbench.methods.fixed_step_run import EqualSteps, FixedStepRun
 from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
@@ -67,6 +68,11 @@ class FixedStep(Method):
         loop = LOOPS[request.engine](self, request)
         kind = ChosenStep if request.step is None else FixedStepRun
         return kind(self.name, request, self, loop)
+
+    def source(self, request: Request) -> Source | None:
+        if request.step is None or request.steps is not None:
+            return None
+        return EqualSteps.of(self, request)
 
     def run_of(self, request: Request, loop: StepLoop[Any]) -> FixedStepRun:
         return FixedStepRun(self.name, request, self, loop)
