@@ -29,6 +29,9 @@ from contactbench.solution import Counts, Status
 NODES, FEWER = 8, 2
 #: rounds in which intervals are halved; after the last one every state that is not accurate has a step of its own
 ROUNDS = 5
+DEBUG = False
+#: the error of interpolation that is allowed, over the error of a step
+ALLOW = 2.0
 #: relative error of a state that is as good as exact
 ROUND_OFF = 1e-13
 #: a time within this part of a step from its end is that end
@@ -72,8 +75,10 @@ class Source(ABC):
         """Return the ends of all steps and their cost; None where the run does not end well."""
 
     @abstractmethod
-    def step(self, y0: np.ndarray, y: np.ndarray, begin: float, end: float) -> tuple[np.ndarray, int]:
-        """Return the state a part of a step after an end of a step, and the evaluations."""
+    def step(
+        self, y0: np.ndarray, y: np.ndarray, begin: float, end: float, finer: bool = False
+    ) -> tuple[np.ndarray, int]:
+        """Return the state a part of a step after an end of a step, and the evaluations; finer : by half steps."""
 
     def allowed(self, scales: np.ndarray) -> np.ndarray | None:
         """Return the errors that states may have; None if the steps have to tell."""
@@ -242,12 +247,14 @@ class Dense(Prepared):
             error[rows] = gap * np.minimum(1.0, gap / np.maximum(before, 1e-300))
         return self.request.scene.settled(y, self.request.carry), error
 
-    def halved(self, y0: np.ndarray, nodes: Nodes, intervals: np.ndarray) -> tuple[Nodes, int]:
+    def halved(
+        self, y0: np.ndarray, nodes: Nodes, intervals: np.ndarray, finer: bool = False
+    ) -> tuple[Nodes, int]:
         """Return the nodes with others in the middle of some intervals, and the evaluations."""
         made, spent = [], 0
         middle = (nodes.t[intervals] + nodes.t[intervals + 1]) / 2
         for k, time in zip(intervals, middle, strict=True):
-            y, more = self.source.step(y0, nodes.y[k], nodes.t[k], time)
+            y, more = self.source.step(y0, nodes.y[k], nodes.t[k], time, finer)
             made.append(y)
             spent += more
         return nodes.merged(middle, np.array(made), nodes.piece[intervals]), spent
@@ -257,10 +264,11 @@ class Dense(Prepared):
         """
         k = intervals[np.argmax(worst.max(axis=1))]
         after = nodes.y[k + 1]
-        nodes, spent = self.halved(y0, nodes, np.array([k]))
-        y, more = self.source.step(y0, nodes.y[k + 1], nodes.t[k + 1], nodes.t[k + 2])
+        nodes, spent = self.halved(y0, nodes, np.array([k]), finer=True)
+        y, more = self.source.step(y0, nodes.y[k + 1], nodes.t[k + 1], nodes.t[k + 2], finer=True)
         off = np.abs(y - after)[self.moving] / self.scales(y0)
-        return nodes, np.full(len(off), off.max()) * self.scales(y0), spent + more
+        if DEBUG: print('   delta',off.max(),'worst',np.sort(worst.max(axis=1))[::-1][:6],len(worst))
+        return nodes, ALLOW * np.full(len(off), off.max()) * self.scales(y0), spent + more
 
 
 def dense_again(method: str, request: Request) -> Prepared:

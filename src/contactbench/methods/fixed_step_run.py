@@ -220,9 +220,11 @@ class Parts(Source):
         self.cost = filler.counts(request.scene, 1, request.carry)
         self.kind = filler.kind_on(request.scene)
 
-    def step(self, y0: np.ndarray, y: np.ndarray, begin: float, end: float) -> tuple[np.ndarray, int]:
+    def step(
+        self, y0: np.ndarray, y: np.ndarray, begin: float, end: float, finer: bool = False
+    ) -> tuple[np.ndarray, int]:
         scene, ends = self.request.scene, np.array([end])
-        n = steps_in(ends - begin, ends, self.longest)
+        n = steps_in(ends - begin, ends, self.longest / (1 + finer))
         since = dates(scene, np.array([begin]), ends) if scene.keeps_dates else None
         ready = self.loop.ready((ends - begin) / n, n, since)
         after, made = self.loop.take(from_origin(scene, y, y0), ready)
