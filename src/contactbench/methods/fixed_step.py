@@ -13,7 +13,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.dense import Source
 from contactbench.methods.fixed_step_run import EqualSteps, FixedStepRun
-from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
+from contactbench.methods.loops import LOOPS, StepLoop, is_fixed
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
@@ -26,9 +26,6 @@ from contactbench.scene.base import TRIED, OwnState
 Step = Callable[[Any, OwnState, Arithmetic, Namespace], OwnState]  # (scene, x, h, xp) -> x
 Piece = Callable[[Scene, AnyState, Arithmetic, Namespace, Repeat], AnyState]  # (scene, x, h, xp, repeat) -> x
 Factor = Callable[[Any, Arithmetic, Namespace], Arithmetic]  # (scene, h, xp) -> conformal factor of one step
-
-#: engine → the loop that takes the steps
-LOOPS: dict[str, type[StepLoop[Any]]] = {"llvm": Recorded, "python": Plain}
 
 
 @dataclass(frozen=True)

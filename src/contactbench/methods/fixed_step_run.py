@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactbench.methods.dates import dates, division, from_origin
-from contactbench.methods.dense import Nodes, Source, on_grid
+from contactbench.methods.dense import Nodes, on_grid
+from contactbench.methods.parts import Parts
 from contactbench.methods.loops import StepLoop, is_fixed, total
 from contactbench.methods.prepared import Outcome, Pilot, Prepared, Request
 from contactbench.methods.prescribed import EQUAL, UNCOUNTED, ends_between, plateaus, steps_in
@@ -212,30 +213,11 @@ SHARE = 0.15
 LEAST = 24
 
 
-class Parts(Source):
-    """Parts of steps by a one-step method, from any state, in steps of a size at most."""
-
-    def __init__(self, filler: FixedStep, request: Request, loop: StepLoop[Any], longest: float) -> None:
-        self.filler, self.request, self.loop, self.longest = filler, request, loop, longest
-        self.cost = filler.counts(request.scene, 1, request.carry)
-        self.kind = filler.kind_on(request.scene)
-
-    def step(
-        self, y0: np.ndarray, y: np.ndarray, begin: float, end: float, finer: bool = False
-    ) -> tuple[np.ndarray, int]:
-        scene, ends = self.request.scene, np.array([end])
-        n = steps_in(ends - begin, ends, self.longest / (1 + finer))
-        since = dates(scene, np.array([begin]), ends) if scene.keeps_dates else None
-        ready = self.loop.ready((ends - begin) / n, n, since)
-        after, made = self.loop.take(from_origin(scene, y, y0), ready)
-        return after[0], self.filler.counts(scene, int(n[0]), self.request.carry) if made is None else made
-
-
 class EqualSteps(Parts):
     """Equal steps between breaks, with nodes at every k-th of them."""
 
     def __init__(self, run: FixedStepRun, piece: np.ndarray, longest: float) -> None:
-        super().__init__(run.method_, run.request, run.loop, longest)
+        super().__init__(run.method_, run.request, longest)
         self.run, self.piece = run, piece
         self.t = np.append(0.0, run.ends)
 

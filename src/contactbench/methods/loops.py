@@ -486,6 +486,10 @@ class Plain(StepLoop[Spans]):
             yield [*scene.pack(x), *([made] if self.counted else [])]
 
 
+#: engine → the loop that takes the steps
+LOOPS: dict[str, type[StepLoop[Any]]] = {"llvm": Recorded, "python": Plain}
+
+
 def trajectory(
     method: Steps, scene: Scene, x: AnyState, spans: Iterable[tuple[Arithmetic, Count]], xp: Namespace
 ) -> Iterator[OwnState]:
