@@ -28,10 +28,9 @@ from contactbench.solution import Counts, Status
 #: most nodes of a polynomial; those of the polynomials that estimate its error are fewer by FEWER and twice FEWER
 NODES, FEWER = 8, 2
 #: rounds in which intervals are halved; after the last one every state that is not accurate has a step of its own
-ROUNDS = 5
-DEBUG = False
+ROUNDS = 6
 #: the error of interpolation that is allowed, over the error of a step
-ALLOW = 2.0
+ALLOWED = 3.0
 #: relative error of a state that is as good as exact
 ROUND_OFF = 1e-13
 #: a time within this part of a step from its end is that end
@@ -47,10 +46,6 @@ class Nodes(NamedTuple):
     t: np.ndarray
     y: np.ndarray
     piece: np.ndarray
-
-    def merged(self, *more: Any) -> Nodes:
-        order = np.lexsort((np.append(self.t, more[0]), piece := np.append(self.piece, more[2])))
-        return Nodes(np.append(self.t, more[0])[order], np.vstack([self.y, more[1]])[order], piece[order])
 
 
 def on_grid(times: np.ndarray, grid: np.ndarray) -> np.ndarray:
@@ -86,43 +81,57 @@ class Source(ABC):
 
 
 class Polynomials:
-    """Data at nodes, and the polynomials through them."""
+    """Data at nodes, and the polynomials through them; every node has its data computed once."""
 
     def __init__(self, request: Request, nodes: Nodes, y0: np.ndarray) -> None:
-        scene, carry = request.scene, request.carry
-        self.scene, self.nodes, y = scene, nodes, nodes.y.copy()
-        if scene.clock is not None:  # a node at a break has the force of its side
+        self.scene, self.carry, self.y0 = request.scene, request.carry, y0
+        self.t, self.piece, self.bounds = nodes.t, nodes.piece, None
+        if self.scene.clock is not None:  # a node at a break has the force of its side
             ends = np.append(np.flatnonzero(np.diff(nodes.piece)), len(nodes.t) - 1)
             begins = np.append(0, ends[:-1] + 1)
-            low, high = dates(scene, nodes.t[begins], nodes.t[ends])[nodes.piece, 1:].T
-            y[:, scene.clock] = y0[scene.clock] + np.clip(nodes.t, low, high)
-        x = scene.unpack(list(y.T), carry)
+            self.bounds = dates(self.scene, nodes.t[begins], nodes.t[ends])[:, 1:]
+        #: whether the momentum follows from the position; evaluations at a node
+        self.follows, self.each = False, 1
+        self.data = self.data_at(nodes)
+        #: components whose second derivative is not known
+        self.short = np.isnan(self.data[:, -1]).all(axis=0)
+
+    def data_at(self, nodes: Nodes) -> np.ndarray:
+        """Return value, slope and, where it can be computed, second derivative of each component, (n, r, d)."""
+        scene, y = self.scene, nodes.y.copy()
+        if self.bounds is not None:
+            low, high = self.bounds[nodes.piece].T
+            y[:, scene.clock] = self.y0[scene.clock] + np.clip(nodes.t, low, high)
+        x = scene.unpack(list(y.T), self.carry)
         f = scene.rhs(x)
         known = scene.bend(x, f)
-        data = [nodes.y, self.columns(scene.pack(f))]
-        self.follows = known is not None  # the momentum follows from the position
+        data = [nodes.y, columns(scene.pack(f), len(y))]
+        self.follows = known is not None
         with suppress(CannotRecord, TypeError, *NO_NUMBER):
             if known is None:
-                along = scene.unpack(list(map(Dual, y.T, data[1].T)), carry)
+                along = scene.unpack(list(map(Dual, y.T, data[1].T)), self.carry)
                 known = list(map(slope, scene.pack(scene.rhs(along))))
-            data.append(self.columns(known))
-        self.data = np.stack(data, axis=1)
-        #: evaluations at a node
-        self.each = len(data) - 1 if not self.follows else 1
-        #: components whose second derivative is not known
-        self.short = np.isnan(data[-1]).all(axis=0)
+            data.append(columns(known, len(y)))
+        self.each = 1 if self.follows else len(data) - 1
+        return np.stack(data, axis=1)
 
-    def columns(self, numbers: Any) -> np.ndarray:
-        n = len(self.nodes.t)
-        return np.stack([np.broadcast_to(np.asarray(c, dtype=float), n) for c in numbers], axis=1)
+    def add(self, nodes: Nodes) -> None:
+        t, piece = np.append(self.t, nodes.t), np.append(self.piece, nodes.piece)
+        order = np.lexsort((t, piece))
+        data = np.concatenate([self.data, self.data_at(nodes)])[order]
+        self.t, self.piece, self.data = t[order], piece[order], data
+
+    @property
+    def nodes(self) -> Nodes:
+        return Nodes(self.t, self.data[:, 0], self.piece)
 
     def at(self, t: np.ndarray, inside: np.ndarray, count: int) -> np.ndarray:
         """Return the states at times in the intervals after some nodes, by `count` nodes."""
-        piece = self.nodes.piece
+        piece = self.piece
         first, end = (np.searchsorted(piece, piece[inside], side) for side in ("left", "right"))
         which = np.clip(inside - count // 2 + 1, first, end - count)[:, None] + np.arange(count)
         data = self.data
-        by_all = weights(t, self.nodes.t, which, data.shape[1])
+        by_all = weights(t, self.t, which, data.shape[1])
         found = by_all.value(np.where(self.short, 0.0, data))
         if self.follows:
             n = len(self.scene.q)  # type: ignore[attr-defined]
@@ -130,7 +139,7 @@ class Polynomials:
             found[:, n : 2 * n] = by_all.slope(data[:, :, :n]) / unit
             rest = np.flatnonzero(self.short)
             if (rest := rest[rest >= 2 * n]).size:
-                found[:, rest] = weights(t, self.nodes.t, which, 2).value(data[:, :2, rest])
+                found[:, rest] = weights(t, self.t, which, 2).value(data[:, :2, rest])
         return found
 
 
@@ -175,63 +184,56 @@ class Dense(Prepared):
         """Return the states at the saved times > 0, whether they are interpolated, and the evaluations."""
         t, source, spent = self.later, self.source, 0
         y, between = np.empty((len(t), len(y0))), np.ones(len(t), dtype=bool)
-        left = self.known(nodes, y, between)
+        left = self.known(nodes, np.arange(len(t)), y, between)
+        if len(left) * source.cost <= len(nodes.t):  # too few to interpolate
+            return y, between, self.single(y0, nodes, left, y, between)
         scales = self.scales(y0)
-        allowed = source.allowed(scales)
         rounding = ROUND_OFF * scales
-        found, round_ = None, 0
-        while len(left):
-            inside = self.place(nodes, t[left])
+        found, allowed = Polynomials(self.request, nodes, y0), source.allowed(scales)
+        for last in [*[False] * ROUNDS, True]:
+            inside = place(found.t, t[left])
             intervals, each = np.unique(inside, return_inverse=True)
-            number = np.bincount(each)
-            if found is None and len(left) * source.cost <= len(nodes.t):  # too few to interpolate
-                single = np.ones(len(intervals), dtype=bool)
-            else:
-                found = Polynomials(self.request, nodes, y0)
-                states, error = self.interpolated(found, t[left], inside)
-                worst = np.zeros((len(intervals), error.shape[1]))
-                np.fmax.at(worst, each, np.nan_to_num(error, nan=math.inf))
-                if allowed is None and (worst > rounding).any():
-                    nodes, allowed, more = self.measured(y0, nodes, intervals, worst / scales)
-                    spent += more
-                    continue
-                bad = (worst > (rounding if allowed is None else np.maximum(allowed, rounding))).any(axis=1)
-                good = ~bad[each]
-                y[left[good]] = states[good]
-                single = bad & ((number == 1) | (round_ == ROUNDS))
-                halved = intervals[bad & ~single]
-                round_ += 1
-            for k in left[single[each]]:
-                place = self.place(nodes, t[k : k + 1])[0]
-                y[k], more = source.step(y0, nodes.y[place], nodes.t[place], t[k])
-                between[k], spent = False, spent + more
-            if found is None or not len(halved):
+            states, error = self.interpolated(found, t[left], inside)
+            worst = np.zeros((len(intervals), error.shape[1]))
+            np.fmax.at(worst, each, error)
+            if allowed is None and (worst > rounding).any():
+                allowed, more = self.measured(y0, found, intervals[np.argmax((worst / scales).max(axis=1))])
+                allowed, spent = np.maximum(allowed * scales, rounding), spent + more
+                left = self.known(found.nodes, left, y, between)
+                continue
+            good = (worst <= (rounding if allowed is None else allowed)).all(axis=1)
+            y[left[good[each]]] = states[good[each]]
+            alone = ~good & ((np.bincount(each) == 1) | last)
+            spent += self.single(y0, found.nodes, left[alone[each]], y, between)
+            halved = ~(good | alone)
+            if not halved.any():
                 break
-            left = left[np.isin(inside, halved)]
-            nodes, more = self.halved(y0, nodes, halved)
-            spent += more
-            left = self.known(nodes, y, between, left)
-        if found is not None:
-            unit = 2 if source.kind == "rotation" else 1
-            spent += len(nodes.t) * found.each * unit
-        return y, between, spent
+            spent += self.halve(y0, found, intervals[halved])
+            left = self.known(found.nodes, left[halved[each]], y, between)
+        return y, between, spent + len(found.t) * found.each * (2 if source.kind == "rotation" else 1)
 
-    def known(self, nodes: Nodes, y: np.ndarray, between: np.ndarray, left: Any = None) -> np.ndarray:
-        """Save the states that are nodes; return the numbers of the others (of those left)."""
-        rows = np.arange(len(self.later)) if left is None else left
+    def known(self, nodes: Nodes, rows: np.ndarray, y: np.ndarray, between: np.ndarray) -> np.ndarray:
+        """Save the states that are nodes; return the numbers of the others."""
         times, first = np.unique(nodes.t, return_index=True)
         near = on_grid(self.later[rows], times)
         same = near >= 0
         y[rows[same]], between[rows[same]] = nodes.y[first[near[same]]], False
         return rows[~same]
 
-    def place(self, nodes: Nodes, t: np.ndarray) -> np.ndarray:
-        """Return the numbers of the last nodes before times that are no nodes."""
-        return np.searchsorted(nodes.t, t, side="right") - 1
+    def single(
+        self, y0: np.ndarray, nodes: Nodes, rows: np.ndarray, y: np.ndarray, between: np.ndarray
+    ) -> int:
+        """Save states by a step of their own, and return the evaluations."""
+        spent = 0
+        for row, k in zip(rows, place(nodes.t, self.later[rows]), strict=True):
+            y[row], more = self.source.step(y0, nodes.y[k], nodes.t[k], self.later[row])
+            spent += more
+        between[rows] = False
+        return spent
 
     def interpolated(self, found: Polynomials, t: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return states at times and estimates of their errors, for the components but the time."""
-        piece = found.nodes.piece
+        piece = found.piece
         y, error = np.empty((len(t), found.data.shape[2])), np.full((len(t), len(self.moving)), math.inf)
         size = np.bincount(piece)[piece[inside]]
         for most in np.unique(np.minimum(size, NODES)):
@@ -245,30 +247,35 @@ class Dense(Prepared):
             y[rows] = best
             gap, before = (np.abs(a - b)[:, self.moving] for a, b in ((best, fewer), (fewer, least)))
             error[rows] = gap * np.minimum(1.0, gap / np.maximum(before, 1e-300))
-        return self.request.scene.settled(y, self.request.carry), error
+        return self.request.scene.settled(y, self.request.carry), np.nan_to_num(error, nan=math.inf)
 
-    def halved(
-        self, y0: np.ndarray, nodes: Nodes, intervals: np.ndarray, finer: bool = False
-    ) -> tuple[Nodes, int]:
-        """Return the nodes with others in the middle of some intervals, and the evaluations."""
-        made, spent = [], 0
+    def halve(self, y0: np.ndarray, found: Polynomials, intervals: np.ndarray, finer: bool = False) -> int:
+        """Add nodes in the middle of some intervals, and return the evaluations."""
+        nodes, made, spent = found.nodes, [], 0
         middle = (nodes.t[intervals] + nodes.t[intervals + 1]) / 2
         for k, time in zip(intervals, middle, strict=True):
             y, more = self.source.step(y0, nodes.y[k], nodes.t[k], time, finer)
             made.append(y)
             spent += more
-        return nodes.merged(middle, np.array(made), nodes.piece[intervals]), spent
+        found.add(Nodes(middle, np.array(made), nodes.piece[intervals]))
+        return spent
 
-    def measured(self, y0: np.ndarray, nodes: Nodes, intervals: np.ndarray, worst: np.ndarray) -> Any:
-        """Halve the interval where interpolation is worst; return the nodes, the error of its step, and the evaluations.
-        """
-        k = intervals[np.argmax(worst.max(axis=1))]
-        after = nodes.y[k + 1]
-        nodes, spent = self.halved(y0, nodes, np.array([k]), finer=True)
+    def measured(self, y0: np.ndarray, found: Polynomials, k: int) -> tuple[float, int]:
+        """Halve an interval, and return the error that its step allows, in parts of the scales, and the evaluations."""
+        after, spent = found.nodes.y[k + 1], self.halve(y0, found, np.array([k]), finer=True)
+        nodes = found.nodes
         y, more = self.source.step(y0, nodes.y[k + 1], nodes.t[k + 1], nodes.t[k + 2], finer=True)
         off = np.abs(y - after)[self.moving] / self.scales(y0)
-        if DEBUG: print('   delta',off.max(),'worst',np.sort(worst.max(axis=1))[::-1][:6],len(worst))
-        return nodes, ALLOW * np.full(len(off), off.max()) * self.scales(y0), spent + more
+        return ALLOWED * float(off.max()), spent + more
+
+
+def place(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return the numbers of the last nodes before times that are no nodes."""
+    return np.searchsorted(nodes, t, side="right") - 1
+
+
+def columns(numbers: Any, n: int) -> np.ndarray:
+    return np.stack([np.broadcast_to(np.asarray(c, dtype=float), n) for c in numbers], axis=1)
 
 
 def dense_again(method: str, request: Request) -> Prepared:
