@@ -607,7 +607,6 @@ class OwnSteps(Parts):
             return Loop(program, elapsed())
 
         self.attempts = _loops.get(key(r.scene.identity, pair, r.carry, "single"), make)
-        self.plain = execute(self.attempts.program.run) if r.engine == "python" else None
 
     def allowed(self, scales: np.ndarray) -> np.ndarray:
         r = self.request
@@ -641,15 +640,8 @@ class OwnSteps(Parts):
         """Return the rows after each of many further attempts."""
         since = None if self.since is None else np.repeat(self.since[number : number + 1], many, axis=0)
         one = np.ones(many, dtype=np.int64)
-        rows = self.attempts.rows(self.numbers, np.full(many, span), one, since)
-        after = np.empty(many * len(row))
-        if self.plain is None:
-            self.attempts.execute(row, rows, after, math.inf if many > CHUNK else 0)
-        else:
-            found = [0.0] * len(after)
-            self.plain(row.tolist(), *(part.tolist() for part in rows), found)
-            after[:] = found
-        return after.reshape(many, -1)
+        given = self.numbers, np.full(many, span), one
+        return self.attempts.after(row, *given, since=since, python=self.request.engine == "python")
 
 
 @dataclass(frozen=True)

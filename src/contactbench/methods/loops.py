@@ -327,6 +327,24 @@ class Loop:
         self.setup(numbers, spans, program.data, program.shape, w)
         return w
 
+    def after(
+        self, start: np.ndarray, *given: np.ndarray, since: np.ndarray | None = None, python: bool = False
+    ) -> np.ndarray:
+        """Return the rows after intervals, (k, size), from a row, not only from a state; given : as of `rows`."""
+        rows, after = self.rows(*given, since), np.empty(len(given[1]) * len(start))
+        if python:
+            found = [0.0] * len(after)
+            self.run_in_python(start.tolist(), *(part.tolist() for part in rows), found)
+            after[:] = found
+        else:
+            self.execute(start, rows, after, total(given[2]))
+        return after.reshape(-1, len(start))
+
+    @cached_property
+    def run_in_python(self) -> Callable[..., None]:
+        made: Callable[..., None] = execute(self.program.run)
+        return made
+
     def states(
         self, scene: Scene, y0: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
     ) -> np.ndarray:
