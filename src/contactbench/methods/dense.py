@@ -31,6 +31,8 @@ NODES, FEWER = 8, 2
 ROUNDS = 6
 #: the error of interpolation that is allowed, over the error of a step
 ALLOWED = 3.0
+#: the largest relative error of interpolation that is allowed in any case
+LARGEST = 1e-3
 #: relative error of a state that is as good as exact
 ROUND_OFF = 1e-13
 #: a time within this part of a step from its end is that end
@@ -40,12 +42,13 @@ SAME = 1e-9
 class Nodes(NamedTuple):
     """Ends of steps: times (n,), packed states (n, d), and the number of the piece between two breaks.
 
-    A break is the end of one piece and the start of another.
+    A break is the end of one piece and the start of another.  slopes : those of the states, where a method knows them.
     """
 
     t: np.ndarray
     y: np.ndarray
     piece: np.ndarray
+    slopes: np.ndarray | None = None
 
 
 def on_grid(times: np.ndarray, grid: np.ndarray) -> np.ndarray:
@@ -90,8 +93,8 @@ class Polynomials:
             ends = np.append(np.flatnonzero(np.diff(nodes.piece)), len(nodes.t) - 1)
             begins = np.append(0, ends[:-1] + 1)
             self.bounds = dates(self.scene, nodes.t[begins], nodes.t[ends])[:, 1:]
-        #: whether the momentum follows from the position; evaluations at a node
-        self.follows, self.each = False, 1
+        #: whether the momentum follows from the position; right-hand sides computed at nodes
+        self.follows, self.made = False, 0
         self.data = self.data_at(nodes)
         #: components whose second derivative is not known
         self.short = np.isnan(self.data[:, -1]).all(axis=0)
@@ -103,7 +106,7 @@ class Polynomials:
             low, high = self.bounds[nodes.piece].T
             y[:, scene.clock] = self.y0[scene.clock] + np.clip(nodes.t, low, high)
         x = scene.unpack(list(y.T), self.carry)
-        f = scene.rhs(x)
+        f = scene.rhs(x) if nodes.slopes is None else scene.unpack(list(nodes.slopes.T), self.carry)
         known = scene.bend(x, f)
         data = [nodes.y, columns(scene.pack(f), len(y))]
         self.follows = known is not None
@@ -112,7 +115,7 @@ class Polynomials:
                 along = scene.unpack(list(map(Dual, y.T, data[1].T)), self.carry)
                 known = list(map(slope, scene.pack(scene.rhs(along))))
             data.append(columns(known, len(y)))
-        self.each = 1 if self.follows else len(data) - 1
+        self.made += len(y) * ((nodes.slopes is None) + (len(data) == 3 and not self.follows))
         return np.stack(data, axis=1)
 
     def add(self, nodes: Nodes) -> None:
@@ -185,7 +188,7 @@ class Dense(Prepared):
         t, source, spent = self.later, self.source, 0
         y, between = np.empty((len(t), len(y0))), np.ones(len(t), dtype=bool)
         left = self.known(nodes, np.arange(len(t)), y, between)
-        if len(left) * source.cost <= len(nodes.t):  # too few to interpolate
+        if len(left) * source.cost <= len(nodes.t) * (nodes.slopes is None):  # too few to interpolate
             return y, between, self.single(y0, nodes, left, y, between)
         scales = self.scales(y0)
         rounding = ROUND_OFF * scales
@@ -210,7 +213,7 @@ class Dense(Prepared):
                 break
             spent += self.halve(y0, found, intervals[halved])
             left = self.known(found.nodes, left[halved[each]], y, between)
-        return y, between, spent + len(found.t) * found.each * (2 if source.kind == "rotation" else 1)
+        return y, between, spent + found.made * (2 if source.kind == "rotation" else 1)
 
     def known(self, nodes: Nodes, rows: np.ndarray, y: np.ndarray, between: np.ndarray) -> np.ndarray:
         """Save the states that are nodes; return the numbers of the others."""
@@ -266,7 +269,7 @@ class Dense(Prepared):
         nodes = found.nodes
         y, more = self.source.step(y0, nodes.y[k + 1], nodes.t[k + 1], nodes.t[k + 2], finer=True)
         off = np.abs(y - after)[self.moving] / self.scales(y0)
-        return ALLOWED * float(off.max()), spent + more
+        return min(ALLOWED * float(off.max()), LARGEST), spent + more
 
 
 def place(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:

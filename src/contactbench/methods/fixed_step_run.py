@@ -231,10 +231,10 @@ class EqualSteps(Parts):
         if total(n) > request.max_steps:
             return None
         each = method.per_step(scene, request.carry)
-        more = method.counts(scene, 1, request.carry) - each + 1
+        more = method.counts(scene, 1, request.carry) - each + 1 if method.one_step else 0
         grids, whole = [], []
         for begin, end, count in zip(marks, marks[1:], n.tolist(), strict=False):
-            k = min(math.ceil(more / (SHARE * each)), max(1, count // LEAST))
+            k = max(1, min(math.ceil(more / (SHARE * each)), count // LEAST))
             whole.append(np.append(np.arange(count) * ((end - begin) / count) + begin, end))
             grids.append(np.append(whole[-1][:-1:k], end))
         if (on_grid(later, np.unique(np.concatenate(whole))) >= 0).all():

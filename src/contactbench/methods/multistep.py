@@ -45,6 +45,8 @@ from contactbench.solution import DIVERGENCE, Counts
 from contactbench.splitting.composition import number
 from contactbench.trace.program import Program, record
 
+#: a step of the starter over a step, whose error is larger all the same
+LONGER = 3
 #: e^{γt/2} overflows for larger γt
 LONGEST = 1400.0
 #: variables of a step: z, the last increments, z'', the earlier z'', the last ψ, the fading sum of ψ, e^{−γt/2}, and
@@ -172,7 +174,8 @@ class Multistep(FixedStep):
             total = total - fading * total + psi
             return z, steps, scaled(1 / shrunk, own), slopes, (psi, *psis[:-1]), total, shrunk, base
 
-        def end(carried: Carried) -> State:
+        def end(carried: Carried, slope: bool = False) -> State:
+            """Return the state, or its slope."""
             z, steps, rate, slopes, psis, total, shrunk, base = carried
             q, latest = scaled(shrunk, z), increments.sum(steps, (1.0,))
             pulls = zip(latest, rate, rates.sum(slopes, velocity[1:]), strict=True)
@@ -180,9 +183,14 @@ class Multistep(FixedStep):
             v = tuple(shrunk * a - gamma / 2 * b for a, b in zip(v, q, strict=True))
             masses = tuple(1 / w for w in over_m) if isinstance(over_m, tuple) else 1 / over_m
             p = scaled(masses, v)
-            if not acts:
-                return State(q, p)
-            return State(q, p, shrunk * shrunk * base + dot(q, p) / 2 + h * (total + combine(ends, psis)))
+            s = shrunk * shrunk * base + dot(q, p) / 2 + h * (total + combine(ends, psis)) if acts else None
+            if not slope:
+                return State(q, p, s)
+            change = (shrunk * a - gamma * (b + gamma / 4 * c) for a, b, c in zip(rate, v, q, strict=True))
+            pulled = scaled(masses, tuple(change))
+            force = tuple(a + gamma * b for a, b in zip(pulled, p, strict=True))
+            V = -dot(q, force) / 2 - psis[0]
+            return State(v, pulled, dot(p, v) / 2 - V - gamma * s if acts else None)
 
         return begin, step, end
 
@@ -201,22 +209,22 @@ class OwnHistory(Parts):
 
     def __init__(self, method: Multistep, steps: EqualSteps) -> None:
         r = steps.request
-        super().__init__(runge_kutta(method.name, method.starter, method.about), r, float(np.diff(steps.t)[0]))
+        super().__init__(runge_kutta(method.name, method.starter, method.about), r, LONGER * steps.longest)
         self.run, self.method, self.t, self.piece = steps.run, method, steps.t, steps.piece
         self.h = steps.longest
         scene, carry, x = r.scene, r.carry, r.scene.initial(r.carry)
         d, q, K = len(r.start), x.q, method.forces
         like = q, (q,) * K, q, (q,) * K, (0.0,) * (K + 1), 0.0, 0.0, 0.0
-        size = d + len(leaves(like))
+        size = 2 * d + len(leaves(like))
 
         def program(first: bool) -> Program:
             def interval(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Repeat) -> list[Any]:
                 x = scene.unpack(y[:d], carry)
                 begin, step, end = method.parts(scene.with_numbers(numbers), x, h, xp, repeat, None)
                 if first:
-                    return [*scene.pack(x), *leaves(begin(x))]
-                carried = repeat(n, step, rebuild(like, y[d:]))
-                return [*scene.pack(end(carried)), *leaves(carried)]
+                    return [*scene.pack(x), *scene.pack(x), *leaves(begin(x))]
+                carried = repeat(n, step, rebuild(like, y[2 * d :]))
+                return [*scene.pack(end(carried)), *scene.pack(end(carried, slope=True)), *leaves(carried)]
 
             return record(interval, len(scene.numbers()), size, scene.motion, DIVERGENCE)
 
@@ -231,14 +239,17 @@ class OwnHistory(Parts):
         first, others = self.loops
         n = np.rint(np.diff(self.t) / self.h).astype(np.int64)
         h, python = np.full(len(n), self.h), self.request.engine == "python"
-        row = np.concatenate([y0, np.zeros(self.size - len(y0))])
+        d, scene = len(y0), self.request.scene
+        row = np.concatenate([y0, np.zeros(self.size - d)])
         row = first.after(row, self.numbers, h[:1], n[:1], python=python)[0]
-        y = np.vstack([y0, others.after(row, self.numbers, h, n, python=python)[:, : len(y0)]])
+        rows = others.after(row, self.numbers, h, n, python=python)
+        y, start = np.vstack([y0, rows[:, :d]]), scene.rhs(scene.unpack(y0.tolist(), self.request.carry))
         if self.run.first_divergence(y0, y) is not None:
             return None
         steps = int(n.sum())
-        evaluations = self.method.counts(self.request.scene, steps)
-        return Nodes(self.t, y, self.piece), Counts(steps, evaluations, 0, 0, self.kind)
+        evaluations = self.method.counts(scene, steps) + 1
+        nodes = Nodes(self.t, y, self.piece, np.vstack([scene.pack(start), rows[:, d : 2 * d]]))
+        return nodes, Counts(steps, evaluations, 0, 0, self.kind)
 
 
 _loops: Cache[Loop] = Cache(64)
