@@ -30,7 +30,7 @@ NODES, FEWER = 8, 2
 #: rounds in which intervals are halved; after the last one every state that is not accurate has a step of its own
 ROUNDS = 6
 #: the error of interpolation that is allowed, over the error of a step
-ALLOWED = 3.0
+ALLOWED = 2.0
 #: the largest relative error of interpolation that is allowed in any case
 LARGEST = 1e-3
 #: relative error of a state that is as good as exact
