@@ -322,6 +322,16 @@ class Solution:
             raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
         return self.run.differential(self.y0, self, self.patience)
 
+    @cached_property
+    def at_steps(self) -> Solution:
+        """Return the run saved at ends of its steps, itself where no state is interpolated: structure is judged there."""
+        judged = getattr(self.run, "judged", None)
+        if judged is None or not self.interpolated.any():
+            return self
+        again: Solution = judged.solved(self.y0, judged.integrate)
+        again.patience = self.patience
+        return again
+
     @property
     def sensitivity(self) -> np.ndarray:
         """Return the derivative of the saved states along the scene's m tangents at the start, (k, d, m).

@@ -63,6 +63,8 @@ class Source(ABC):
     """The steps of a method, for dense output: the run that saves at their ends, and what a part of a step costs."""
 
     run: Prepared
+    #: the run that saves at ends of steps, by which laws of structure are judged; None where it is as cheap anew
+    judged: Prepared | None = None
     #: evaluations of a `step`
     cost: int
     #: the kind of evaluations, as of `Counts`
@@ -166,6 +168,11 @@ class Dense(Prepared):
         """The run whose steps end at the saved times, for what does not end well."""
         run: Prepared = self.method_.prepare(replace(self.request, dense=False))
         return run
+
+    @property
+    def judged(self) -> Prepared:
+        """Return the run that is judged for structure: all of its saved states are ends of steps."""
+        return self.source.judged or self.plain
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         self.require_size(y0)

@@ -218,7 +218,8 @@ class EqualSteps(Parts):
 
     def __init__(self, run: FixedStepRun, piece: np.ndarray, longest: float) -> None:
         super().__init__(run.method_, run.request, longest)
-        self.run, self.piece = run, piece
+        self.run = self.judged = run
+        self.piece = piece
         self.t = np.append(0.0, run.ends)
 
     @staticmethod

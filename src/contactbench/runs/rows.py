@@ -62,7 +62,9 @@ def step_budget(scene: Scene, method: Method, engine: str) -> int | None:
     return int(round(CALLBACKS * share) // each)
 
 
-def prepared(question: Question, saves: Sequence[float], carry: Sequence[str] | None) -> Prepared:
+def prepared(
+    question: Question, saves: Sequence[float], carry: Sequence[str] | None, dense: bool = True
+) -> Prepared:
     """Return the run to the last of some times, saved at each of them."""
     name, method, engine, control, value = question
     scene = cb.SCENES[name]
@@ -70,6 +72,7 @@ def prepared(question: Question, saves: Sequence[float], carry: Sequence[str] | 
         "engine": engine,
         "carry": carry,
         "max_steps": step_budget(scene, cb.METHODS[method], engine),
+        "dense": dense,
     }
     setting = setting_to(saves[-1], scene, control, value)
     with blamed_on_solver():
@@ -156,7 +159,7 @@ def along(question: Question, without: str = "", most: float = math.inf) -> Row:
     without : why no derivative is taken.  most : largest number of evaluations of a differentiated run.
     """
     scene = cb.SCENES[question[0]]
-    run = prepared(question, times(scene).tolist(), None)
+    run = prepared(question, times(scene).tolist(), None, dense=False)
     with blamed_on_solver():
         solution = run()
     row = outcome(question, SAVES, solution)

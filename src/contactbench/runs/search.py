@@ -322,4 +322,4 @@ class Search:
         scene = self.question.scene
         setting = setting_to(scene.t_end, scene, self.control, attempt.value)
         saves = None if self.control == GROWING else Elapsed(times(scene, ENDS))
-        return prepare(scene, self.method, save_at=saves, engine=self.engine, **setting)
+        return prepare(scene, self.method, save_at=saves, engine=self.engine, dense=False, **setting)
