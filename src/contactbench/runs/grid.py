@@ -14,9 +14,10 @@ from contactbench.measure.isolation import Died, TimedOut, Worker
 from contactbench.methods.base import ENGINES, Method
 from contactbench.plugins import OWN
 from contactbench.runs.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed
-from contactbench.runs.rows import Question, SolverError, along, bare, ended, key
-from contactbench.runs.settings import DEAREST, SAVES, control_of, ladder, rungs_of_equal_cost
+from contactbench.runs.rows import Question, SolverError, along, bare, ended, key, many
+from contactbench.runs.settings import DEAREST, MANY, SAVES, control_of, ladder, rungs_of_equal_cost
 from contactbench.scene import Scene
+from contactbench.solution import GROWING
 from contactbench.tables.declared import RUNS
 from contactbench.tables.schema import PROFILES as NAMES
 
@@ -103,7 +104,7 @@ def worker() -> Worker:
 
 def guarded(scene: Scene, function: Callable[..., Row], question: Question, *more: object) -> Row:
     """Return the row of a run, even if the solver raises, dies or hangs; hard scenes use a process of their own."""
-    saved = 1 if function is ended else SAVES
+    saved = {ended: 1, many: MANY}.get(function, SAVES)
     bad = key(question, saved) | {"status": "failed"}
     try:
         if scene.hard:
@@ -113,6 +114,15 @@ def guarded(scene: Scene, function: Callable[..., Row], question: Question, *mor
         return bad | {"status": "timeout", "message": str(error)}
     except (Died, SolverError) as error:  # any other exception is a fault of this package and fails the cell
         return bad | {"message": " ".join(str(error).split())[:200]}
+
+
+def is_saved(scene: Scene, method: Method, engine: str, control: str, profile: Profile) -> bool:
+    """Return whether runs saved at many times are made: by the first engine, of a brief profile on the mission's scenes.
+
+    Steps of a method that is given a step are compared, not those that pilots choose.
+    """
+    own = engine == method.engines[0] and not is_dear(method) and control == control_of(scene, method)
+    return own and control != GROWING and (scene.mission or not profile.brief)
 
 
 def climb(scene: Scene, method: Method, engine: str, control: str, profile: Profile) -> Iterator[Row]:
@@ -126,7 +136,11 @@ def climb(scene: Scene, method: Method, engine: str, control: str, profile: Prof
     least, idle, value = math.inf, 0, math.inf
     for count, value in enumerate(enough[:FEW] if profile.brief else enough):
         row = guarded(scene, ended, (scene.name, method.name, engine, control, value))
-        yield row | {"profile": NAMES[0] if count < FEW else NAMES[1]}
+        least_profile = {"profile": NAMES[0] if count < FEW else NAMES[1]}
+        yield row | least_profile
+        if row["status"] == "ok" and is_saved(scene, method, engine, control, profile):
+            question = scene.name, method.name, engine, control, value
+            yield guarded(scene, many, question) | least_profile
         error = row.get("error", math.inf)
         if row["status"] in ("budget", "unsupported") or (row.get("evaluations") or 0) > dearest:
             break
@@ -180,8 +194,8 @@ def run(cell: Cell, profile: Profile) -> Recorded:
 
 @timed(run)
 def times(row: Row) -> Timing | None:
-    if row["saved"] != 1 or row["status"] != "ok" or row.get("error") is None:
+    if row["saved"] not in (1, MANY) or row["status"] != "ok" or row.get("error") is None:
         return None
     names = ("scene", "method", "engine", "control", "setting")
     question = tuple(row[name] for name in names)
-    return Timing(dict(zip(names, question, strict=True)) | {"saved": 1}, bare, (question,), row["error"])
+    return Timing(dict(zip(names, question, strict=True)) | {"saved": row["saved"]}, bare, (question, row["saved"]), row["error"])

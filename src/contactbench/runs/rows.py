@@ -22,7 +22,7 @@ from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
 from contactbench.runs.experiment import Row
-from contactbench.runs.settings import ENDS, SAVES, carry_of, setting_to, times
+from contactbench.runs.settings import ENDS, LOOKED_AT, MANY, SAVES, carry_of, setting_to, times
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
@@ -80,8 +80,8 @@ def prepared(
 
 
 @cache
-def truth_at(scene: str, carry: tuple[str, ...], count: int) -> Reference:
-    return cb.reference(scene, Elapsed(times(cb.SCENES[scene], count)), carry)
+def truth_at(scene: str, carry: tuple[str, ...], count: int, which: slice = slice(None)) -> Reference:
+    return cb.reference(scene, Elapsed(times(cb.SCENES[scene], count)[which]), carry)
 
 
 @cache
@@ -141,10 +141,24 @@ def ended(question: Question) -> Row:
     return row
 
 
-def bare(question: Question) -> tuple[Row, Call]:
+def many(question: Question) -> Row:
+    """Return the row of a run saved at `MANY` times, with its error at some of them, which end no step."""
+    scene = cb.SCENES[question[0]]
+    run = prepared(question, times(scene, MANY).tolist(), carry_of(scene))
+    with blamed_on_solver():
+        solution = run()
+    row = outcome(question, MANY, solution)
+    if solution.ok and row["truth"] != "diverged":
+        true = truth_at(scene.name, solution.carry, MANY, LOOKED_AT).y
+        found = solution.y[LOOKED_AT]
+        row["error"] = float(errors(scene, found, true, solution.y0, solution.carry).max())
+    return row
+
+
+def bare(question: Question, saved: int = 1) -> tuple[Row, Call]:
     """Return the times of preparation and of the first call of a run to the end, and the call to time."""
     scene = cb.SCENES[question[0]]
-    run = prepared(question, [scene.t_end], carry_of(scene))
+    run = prepared(question, times(scene, saved).tolist(), carry_of(scene))
     start = perf_counter()
     run()
     first = perf_counter() - start
