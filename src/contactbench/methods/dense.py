@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.methods.dates import dates
-from contactbench.methods.hermite import weights
+from contactbench.methods.hermite import newton
 from contactbench.methods.prepared import METHODS, NO_NUMBER, Outcome, Prepared, Request
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
@@ -29,6 +29,10 @@ from contactbench.solution import Counts, Status
 NODES, FEWER = 8, 2
 #: rounds in which intervals are halved; after the last one every state that is not accurate has a step of its own
 ROUNDS = 6
+#: where the error is estimated, in eighths of the saved times in an interval
+PROBES = np.array([1, 4, 6])
+#: a number that is not divided by
+TINY = 1e-300
 #: the error of interpolation that is allowed, over the error of a step
 ALLOWED = 2.0
 #: the largest relative error of interpolation that is allowed in any case
@@ -130,21 +134,29 @@ class Polynomials:
     def nodes(self) -> Nodes:
         return Nodes(self.t, self.data[:, 0], self.piece)
 
-    def at(self, t: np.ndarray, inside: np.ndarray, count: int) -> np.ndarray:
-        """Return the states at times in the intervals after some nodes, by `count` nodes."""
-        piece = self.piece
-        first, end = (np.searchsorted(piece, piece[inside], side) for side in ("left", "right"))
-        which = np.clip(inside - count // 2 + 1, first, end - count)[:, None] + np.arange(count)
-        data = self.data
-        by_all = weights(t, self.t, which, data.shape[1])
-        found = by_all.value(np.where(self.short, 0.0, data))
-        if self.follows:
-            n = len(self.scene.q)  # type: ignore[attr-defined]
-            unit = np.array(self.scene.velocity((1.0,) * n))  # type: ignore[attr-defined]
-            found[:, n : 2 * n] = by_all.slope(data[:, :, :n]) / unit
-            rest = np.flatnonzero(self.short)
-            if (rest := rest[rest >= 2 * n]).size:
-                found[:, rest] = weights(t, self.t, which, 2).value(data[:, :2, rest])
+    def at(self, t: np.ndarray, each: np.ndarray, intervals: np.ndarray, most: int) -> list[np.ndarray]:
+        """Return the states at times by polynomials through ever more nodes, at most `most`.
+
+        intervals : the nodes that begin them, in one piece with as many nodes at least.  each : that of every time.
+        """
+        first, end = (np.searchsorted(self.piece, self.piece[intervals], side) for side in ("left", "right"))
+        which = np.clip(intervals - most // 2 + 1, first, end - most)[:, None] + np.arange(most)
+        order = np.argsort(np.abs(which - intervals[:, None] - 0.5), axis=1, kind="stable")
+        which, r = np.take_along_axis(which, order, axis=1), self.data.shape[1]
+        counts = [most - k * FEWER for k in (2, 1, 0) if most > k * FEWER + 1]
+        # times since the begin of each interval have all their digits
+        begins, nodes, data = self.t[intervals], self.t[which], self.data[which]
+        t, nodes = t - begins[each], nodes - begins[:, None]
+        made = newton(nodes, np.where(self.short, 0.0, data)).at(t, each, [r * count for count in counts])
+        found, n = [], len(getattr(self.scene, "q", ()))
+        for value, rising in made:
+            if self.follows:
+                value[:, n : 2 * n] = rising[:, :n] / np.array(self.scene.velocity((1.0,) * n))  # type: ignore[attr-defined]
+            found.append(value)
+        if self.follows and (rest := np.flatnonzero(self.short[2 * n :]) + 2 * n).size:
+            less = newton(nodes, data[:, :, :2, rest]).at(t, each, [2 * count for count in counts])
+            for value, (own, _) in zip(found, less, strict=True):
+                value[:, rest] = own
         return found
 
 
@@ -202,18 +214,20 @@ class Dense(Prepared):
         found, allowed = Polynomials(self.request, nodes, y0), source.allowed(scales)
         for last in [*[False] * ROUNDS, True]:
             inside = place(found.t, t[left])
-            intervals, each = np.unique(inside, return_inverse=True)
-            states, error = self.interpolated(found, t[left], inside)
+            intervals, first, each, number = np.unique(inside, True, True, True)
+            probes = np.unique(np.minimum(first[:, None] + number[:, None] * PROBES // 8, len(left) - 1))
+            _, error = self.interpolated(found, t[left[probes]], each[probes], intervals)
             worst = np.zeros((len(intervals), error.shape[1]))
-            np.fmax.at(worst, each, error)
+            np.fmax.at(worst, each[probes], error)
             if allowed is None and (worst > rounding).any():
                 allowed, more = self.measured(y0, found, intervals[np.argmax((worst / scales).max(axis=1))])
                 allowed, spent = np.maximum(allowed * scales, rounding), spent + more
                 left = self.known(found.nodes, left, y, between)
                 continue
             good = (worst <= (rounding if allowed is None else allowed)).all(axis=1)
-            y[left[good[each]]] = states[good[each]]
-            alone = ~good & ((np.bincount(each) == 1) | last)
+            rows = left[good[each]]
+            y[rows], _ = self.interpolated(found, t[rows], each[good[each]], intervals)
+            alone = ~good & ((number == 1) | last)
             spent += self.single(y0, found.nodes, left[alone[each]], y, between)
             halved = ~(good | alone)
             if not halved.any():
@@ -241,22 +255,19 @@ class Dense(Prepared):
         between[rows] = False
         return spent
 
-    def interpolated(self, found: Polynomials, t: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return states at times and estimates of their errors, for the components but the time."""
-        piece = found.piece
+    def interpolated(
+        self, found: Polynomials, t: np.ndarray, each: np.ndarray, intervals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return states at times in some intervals and estimates of their errors, for the components but the time."""
         y, error = np.empty((len(t), found.data.shape[2])), np.full((len(t), len(self.moving)), math.inf)
-        size = np.bincount(piece)[piece[inside]]
-        for most in np.unique(np.minimum(size, NODES)):
-            rows = np.flatnonzero(np.minimum(size, NODES) == most)
-            if most < 2 * FEWER + 2:
-                y[rows] = found.at(t[rows], inside[rows], most)
-                continue
-            best, fewer, least = (
-                found.at(t[rows], inside[rows], most - k * FEWER) for k in range(3)
-            )
-            y[rows] = best
-            gap, before = (np.abs(a - b)[:, self.moving] for a, b in ((best, fewer), (fewer, least)))
-            error[rows] = gap * np.minimum(1.0, gap / np.maximum(before, 1e-300))
+        size = np.minimum(np.bincount(found.piece)[found.piece[intervals]], NODES)
+        for most in np.unique(size[each]).tolist():
+            own, rows = np.flatnonzero(size == most), np.flatnonzero(size[each] == most)
+            *fewer, y[rows] = found.at(t[rows], np.searchsorted(own, each[rows]), intervals[own], most)
+            if len(fewer) == 2:
+                gap = np.abs(y[rows] - fewer[1])[:, self.moving]
+                before = np.abs(fewer[1] - fewer[0])[:, self.moving]
+                error[rows] = gap * np.minimum(1.0, gap / np.maximum(before, TINY))
         return self.request.scene.settled(y, self.request.carry), np.nan_to_num(error, nan=math.inf)
 
     def halve(self, y0: np.ndarray, found: Polynomials, intervals: np.ndarray, finer: bool = False) -> int:
