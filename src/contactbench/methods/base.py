@@ -63,11 +63,11 @@ class Method(ABC):
         compiling, allocating).  It raises `CannotRecord` where that fails for one engine, and the next engine is
         tried.  Its result may be called any number of times, with other initial data too.  Calls are independent:
         equal data give equal bits.
-     4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.
+     4. A run gives the states at exactly the saved times, those of a `source` interpolated, the initial state bit for bit where 0 is among them.
      5. ``bare(y0)`` is the fastest call of the solver itself, and is timed.  It returns the last state of the run to
         round-off.
-     6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between saved times and no
-        longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the error
+     6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between breaks, or saved times, and
+        no longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the error
         falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and `atol`, and `tolerance` says what they
         bound; the error falls with them.  `exact`: takes neither and has no truncation error.
      7. A run never exceeds `max_steps`: a run that needs more ends as `budget`, and the states it did not reach are
@@ -212,9 +212,8 @@ def prepare(
     method
         Itself, or the name of a registered one.
     step
-        Size of the steps of a fixed-step method.  Steps never straddle a saved time: each interval between saved
-        times is divided into the fewest equal steps not longer than `step`, and the last saved time is the end.  The
-        steps taken may be shorter, down to the distance of two saved times; the solution's `step` is the longest one.
+        Size of the steps of a fixed-step method.  The time to the last saved one, and between two breaks of a scene, is
+        divided into the fewest equal steps not longer than `step`; the solution's `step` is the longest one.
 
         A sequence of steps is used as given, so that every step of a contact method is a contact map.  Saved times must
         be ends of steps; by default they are all ends, or every k-th.  Steps after the last saved time are left out.
@@ -231,8 +230,13 @@ def prepare(
     save_at
         Increasing times from the scene's t on (from 0 on where nothing depends on the time), also beyond t + t_end;
         by default the start and every k-th step, at most 1001 of them, for fixed steps, and 201 equally spaced times
-        for others.  A fixed-step method starts anew at each saved time: with save_at=[t_end] it takes the fewest
-        steps.
+        for others.
+    dense
+        Whether states at saved times between ends of steps are interpolated; the solution's `interpolated` says which.
+        Their error is estimated, and kept below that of a step, or a tenth of the tolerance; where steps are too long
+        for that, parts of steps are taken and counted.  If False, steps end at every saved time: each interval between
+        saved times is divided into the fewest equal steps, and a method starts anew there.  So do methods that choose
+        a fixed step from `rtol`, and contact-log8.
     carry
         Which of s and R to integrate; by default all the scene has.
     engine
