@@ -166,6 +166,8 @@ class Solution:
         The `Reference` at its times, where it is known already, or why there is none; else the laws compute it.
     patience
         The limit of time while laws are measured.
+    between
+        Which states are interpolated, (k,); None of none, see `interpolated`.
     """
 
     scene: Scene
@@ -324,7 +326,7 @@ class Solution:
 
     @cached_property
     def at_steps(self) -> Solution:
-        """Return the run saved at ends of its steps, itself where no state is interpolated: structure is judged there."""
+        """Return the run saved at ends of its steps, where structure is judged; itself if no state is interpolated."""
         judged = getattr(self.run, "judged", None)
         if judged is None or not self.interpolated.any():
             return self

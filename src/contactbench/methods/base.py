@@ -63,11 +63,12 @@ class Method(ABC):
         compiling, allocating).  It raises `CannotRecord` where that fails for one engine, and the next engine is
         tried.  Its result may be called any number of times, with other initial data too.  Calls are independent:
         equal data give equal bits.
-     4. A run gives the states at exactly the saved times, those of a `source` interpolated, the initial state bit for bit where 0 is among them.
+     4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.  With a
+        `source` it takes its own steps, and interpolates between them.
      5. ``bare(y0)`` is the fastest call of the solver itself, and is timed.  It returns the last state of the run to
         round-off.
-     6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between breaks, or saved times, and
-        no longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the error
+     6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between breaks, or saved times,
+        and no longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the error
         falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and `atol`, and `tolerance` says what they
         bound; the error falls with them.  `exact`: takes neither and has no truncation error.
      7. A run never exceeds `max_steps`: a run that needs more ends as `budget`, and the states it did not reach are
@@ -263,7 +264,9 @@ def prepare(
     np.float64(0.5)
     """
     scene, chosen = lookup(scene, method)
-    request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps, switch("dense", dense))
+    request = make_request(
+        scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps, switch("dense", dense)
+    )
     if isinstance(request, Refused):
         return request
     refused: list[Refused] = []
@@ -398,7 +401,7 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     ----------
     scene, method
         As of `prepare`.
-    step, rtol, atol, save_at, carry, engine, max_steps
+    step, rtol, atol, save_at, carry, engine, max_steps, dense
         As of `prepare`.
 
     Returns

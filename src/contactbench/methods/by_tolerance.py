@@ -592,11 +592,11 @@ class ToleranceRun(RunByTolerance):
 class OwnSteps(Parts):
     """The accepted steps of a pair, attempt by attempt; parts of steps by its formula of the higher order."""
 
-    def __init__(self, run: ToleranceRun) -> None:
+    def __init__(self, run: Any) -> None:
         r, pair = run.request, run.method_
         filler = runge_kutta(pair.name, pair.form.tableau, pair.about)
         super().__init__(filler, r, math.inf)
-        self.run = run
+        self.run, self.pair = run, pair
         self.marks = np.append(0.0, division(r.scene, r.save_at[-1:])[0])
         self.since = dates.dates(r.scene, self.marks[:-1], self.marks[1:]) if r.scene.keeps_dates else None
         self.numbers = np.array([*r.scene.numbers(), *run.settings])
@@ -613,7 +613,8 @@ class OwnSteps(Parts):
         return np.asarray(ALLOWED * (np.asarray(r.atol) + (r.rtol or 0.0) * scales))
 
     def steps(self, y0: np.ndarray) -> tuple[Nodes, Counts] | None:
-        d, size, t, y, piece, tried, entered = len(y0), self.attempts.program.size, [], [], [], 0, 0
+        d, size, entered = len(y0), self.attempts.program.size, 0
+        t, y, piece = list[Any](), list[Any](), list[Any]()
         row = np.concatenate([y0, np.zeros(size - d)])
         for number, (begin, end) in enumerate(zip(self.marks, self.marks[1:], strict=False)):
             t, y, piece = [*t, np.array([begin])], [*y, row[None, :d]], [*piece, np.array([number])]
@@ -633,7 +634,7 @@ class OwnSteps(Parts):
                 many *= 2
         nodes = Nodes(np.concatenate(t), np.concatenate(y), np.concatenate(piece))
         tried, rejected = int(row[ATTEMPTS]), int(row[-2])
-        evaluations = self.run.method_.evaluations(tried, entered)
+        evaluations = self.pair.evaluations(tried, entered)
         return nodes, Counts(tried - rejected, evaluations, 0, rejected, self.kind)
 
     def taken(self, row: np.ndarray, span: float, many: int, number: int) -> np.ndarray:

@@ -22,7 +22,6 @@ from contactbench.methods.hermite import newton
 from contactbench.methods.prepared import METHODS, NO_NUMBER, Outcome, Prepared, Request
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
 #: most nodes of a polynomial; those of the polynomials that estimate its error are fewer by FEWER and twice FEWER
@@ -220,8 +219,8 @@ class Dense(Prepared):
             worst = np.zeros((len(intervals), error.shape[1]))
             np.fmax.at(worst, each[probes], error)
             if allowed is None and (worst > rounding).any():
-                allowed, more = self.measured(y0, found, intervals[np.argmax((worst / scales).max(axis=1))])
-                allowed, spent = np.maximum(allowed * scales, rounding), spent + more
+                part, more = self.measured(y0, found, intervals[np.argmax((worst / scales).max(axis=1))])
+                allowed, spent = np.maximum(part * scales, rounding), spent + more
                 left = self.known(found.nodes, left, y, between)
                 continue
             good = (worst <= (rounding if allowed is None else allowed)).all(axis=1)

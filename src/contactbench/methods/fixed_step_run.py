@@ -12,8 +12,8 @@ import numpy as np
 
 from contactbench.methods.dates import dates, division, from_origin
 from contactbench.methods.dense import Nodes, on_grid
-from contactbench.methods.parts import Parts
 from contactbench.methods.loops import StepLoop, is_fixed, total
+from contactbench.methods.parts import Parts
 from contactbench.methods.prepared import Outcome, Pilot, Prepared, Request
 from contactbench.methods.prescribed import EQUAL, UNCOUNTED, ends_between, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
@@ -228,7 +228,7 @@ class EqualSteps(Parts):
         scene, saved = request.scene, request.save_at
         later = saved[saved > 0]
         marks = np.append(0.0, division(scene, later[-1:])[0])
-        n = steps_in(np.diff(marks), marks[1:], request.step)
+        n = steps_in(np.diff(marks), marks[1:], request.step or math.nan)
         if total(n) > request.max_steps:
             return None
         each = method.per_step(scene, request.carry)
@@ -242,7 +242,7 @@ class EqualSteps(Parts):
             return None
         piece = [np.full(len(grid), number) for number, grid in enumerate(grids)]
         nodes = np.concatenate([grids[0], *(grid[1:] for grid in grids[1:])])
-        run = method.prepare(replace(request, save_at=nodes, dense=False))
+        run: Any = method.prepare(replace(request, save_at=nodes, dense=False))
         source = EqualSteps(run, np.concatenate(piece), float(np.max(np.diff(marks) / n)))
         source.t = np.concatenate(grids)
         return source

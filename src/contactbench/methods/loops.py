@@ -331,13 +331,14 @@ class Loop:
         self, start: np.ndarray, *given: np.ndarray, since: np.ndarray | None = None, python: bool = False
     ) -> np.ndarray:
         """Return the rows after intervals, (k, size), from a row, not only from a state; given : as of `rows`."""
-        rows, after = self.rows(*given, since), np.empty(len(given[1]) * len(start))
+        numbers, h, n = given
+        rows, after = self.rows(numbers, h, n, since), np.empty(len(n) * len(start))
         if python:
             found = [0.0] * len(after)
             self.run_in_python(start.tolist(), *(part.tolist() for part in rows), found)
             after[:] = found
         else:
-            self.execute(start, rows, after, total(given[2]))
+            self.execute(start, rows, after, total(n))
         return after.reshape(-1, len(start))
 
     @cached_property

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import partial
 from itertools import accumulate
 from typing import Any, NoReturn
 
@@ -214,7 +215,7 @@ class OwnHistory(Parts):
         self.h = steps.longest
         scene, carry, x = r.scene, r.carry, r.scene.initial(r.carry)
         d, q, K = len(r.start), x.q, method.forces
-        like = q, (q,) * K, q, (q,) * K, (0.0,) * (K + 1), 0.0, 0.0, 0.0
+        like: Any = (q, (q,) * K, q, (q,) * K, (0.0,) * (K + 1), 0.0, 0.0, 0.0)
         size = 2 * d + len(leaves(like))
 
         def program(first: bool) -> Program:
@@ -230,7 +231,9 @@ class OwnHistory(Parts):
 
         identity = r.scene.identity
         self.loops = [
-            _loops.get(key(identity, method, carry, first), lambda first=first: Loop(program(first), 0.0))
+            _loops.get(
+                key(identity, method, carry, first), partial(lambda first: Loop(program(first), 0.0), first)
+            )
             for first in (True, False)
         ]
         self.size, self.numbers = size, np.array(scene.numbers())

@@ -21,12 +21,12 @@ from contactbench.questions.contest import (
     ranked,
     sides,
 )
+from contactbench.questions.judgement import CURVE
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import by_method, cheapest, choose, contest_end, lowest, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import DASH, count, duration, exact_power, names, power, scientific, times
 from contactbench.report.views import Cell, Mark, View, frame_of, matrix
-from contactbench.runs.settings import MANY
 
 #: the kinds of contest: whether times are compared, and what takes part, as in `comparable`
 KINDS: dict[str, tuple[bool, dict[str, Any]]] = {
@@ -35,8 +35,8 @@ KINDS: dict[str, tuple[bool, dict[str, Any]]] = {
     "callbacks": (True, {"callbacks": True}),
     "tolerance": (True, {"tolerance": True}),
     "tolerance_evaluations": (False, {"tolerance": True}),
-    "saved": (True, {"saved": MANY}),
-    "saved_evaluations": (False, {"saved": MANY}),
+    "saved": (True, {"saved": CURVE}),
+    "saved_evaluations": (False, {"saved": CURVE}),
 }
 ENTRIES: dict[str, dict[str, str]] = PROSE["cost"]["kinds"]
 #: what the contests by tolerance are judged by: looser tolerances are no wish, tighter ones are round-off

@@ -13,9 +13,10 @@ import contactbench as cb
 from contactbench.measure.isolation import Died, TimedOut, Worker
 from contactbench.methods.base import ENGINES, Method
 from contactbench.plugins import OWN
+from contactbench.questions.judgement import CURVE
 from contactbench.runs.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed
 from contactbench.runs.rows import Question, SolverError, along, bare, ended, key, many
-from contactbench.runs.settings import DEAREST, MANY, SAVES, control_of, ladder, rungs_of_equal_cost
+from contactbench.runs.settings import DEAREST, SAVES, control_of, ladder, rungs_of_equal_cost
 from contactbench.scene import Scene
 from contactbench.solution import GROWING
 from contactbench.tables.declared import RUNS
@@ -104,7 +105,7 @@ def worker() -> Worker:
 
 def guarded(scene: Scene, function: Callable[..., Row], question: Question, *more: object) -> Row:
     """Return the row of a run, even if the solver raises, dies or hangs; hard scenes use a process of their own."""
-    saved = {ended: 1, many: MANY}.get(function, SAVES)
+    saved = {ended: 1, many: CURVE}.get(function, SAVES)
     bad = key(question, saved) | {"status": "failed"}
     try:
         if scene.hard:
@@ -117,9 +118,9 @@ def guarded(scene: Scene, function: Callable[..., Row], question: Question, *mor
 
 
 def is_saved(scene: Scene, method: Method, engine: str, control: str, profile: Profile) -> bool:
-    """Return whether runs saved at many times are made: by the first engine, of a brief profile on the mission's scenes.
+    """Return whether runs saved at many times are made: by the first engine, briefly on the mission's scenes alone.
 
-    Steps of a method that is given a step are compared, not those that pilots choose.
+    A method that is given a step is compared as such, not with steps that pilots choose.
     """
     own = engine == method.engines[0] and not is_dear(method) and control == control_of(scene, method)
     return own and control != GROWING and (scene.mission or not profile.brief)
@@ -194,8 +195,13 @@ def run(cell: Cell, profile: Profile) -> Recorded:
 
 @timed(run)
 def times(row: Row) -> Timing | None:
-    if row["saved"] not in (1, MANY) or row["status"] != "ok" or row.get("error") is None:
+    if row["saved"] not in (1, CURVE) or row["status"] != "ok" or row.get("error") is None:
         return None
     names = ("scene", "method", "engine", "control", "setting")
     question = tuple(row[name] for name in names)
-    return Timing(dict(zip(names, question, strict=True)) | {"saved": row["saved"]}, bare, (question, row["saved"]), row["error"])
+    return Timing(
+        dict(zip(names, question, strict=True)) | {"saved": row["saved"]},
+        bare,
+        (question, row["saved"]),
+        row["error"],
+    )

@@ -21,8 +21,9 @@ from contactbench.measure.laws import row as law_columns
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
+from contactbench.questions.judgement import CURVE
 from contactbench.runs.experiment import Row
-from contactbench.runs.settings import ENDS, LOOKED_AT, MANY, SAVES, carry_of, setting_to, times
+from contactbench.runs.settings import ENDS, LOOKED_AT, SAVES, carry_of, setting_to, times
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
@@ -142,14 +143,14 @@ def ended(question: Question) -> Row:
 
 
 def many(question: Question) -> Row:
-    """Return the row of a run saved at `MANY` times, with its error at some of them, which end no step."""
+    """Return the row of a run saved at `CURVE` times, with its error at some of them, which end no step."""
     scene = cb.SCENES[question[0]]
-    run = prepared(question, times(scene, MANY).tolist(), carry_of(scene))
+    run = prepared(question, times(scene, CURVE).tolist(), carry_of(scene))
     with blamed_on_solver():
         solution = run()
-    row = outcome(question, MANY, solution)
+    row = outcome(question, CURVE, solution)
     if solution.ok and row["truth"] != "diverged":
-        true = truth_at(scene.name, solution.carry, MANY, LOOKED_AT).y
+        true = truth_at(scene.name, solution.carry, CURVE, LOOKED_AT).y
         found = solution.y[LOOKED_AT]
         row["error"] = float(errors(scene, found, true, solution.y0, solution.carry).max())
     return row

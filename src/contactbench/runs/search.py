@@ -288,7 +288,10 @@ class Search:
         *earlier, end = times(scene, ENDS).tolist()
 
         def prepared(end: float, saved: int = 1) -> Prepared:
-            setting, saves = setting_to(end, scene, self.control, value), end * np.arange(1, saved + 1) / saved
+            setting, saves = (
+                setting_to(end, scene, self.control, value),
+                end * np.arange(1, saved + 1) / saved,
+            )
             return prepare(scene, self.method, save_at=Elapsed(saves), **setting, **options)
 
         def solved(run: Prepared) -> Solution:

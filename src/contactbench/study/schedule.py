@@ -103,7 +103,9 @@ def find_reference(scene: Scene, budget: Budget, given: Reference | None) -> tup
     return truth, digits
 
 
-def ask(scene: Scene, truth: Reference, errors: tuple[float, ...], budget: Budget, saved: int = 1) -> Question:
+def ask(
+    scene: Scene, truth: Reference, errors: tuple[float, ...], budget: Budget, saved: int = 1
+) -> Question:
     longest, deadline = RUN_SHARE * budget.seconds, budget.begun + LAWS * budget.seconds
     return Question(scene, truth, errors, longest, deadline, saved)
 
