@@ -326,9 +326,9 @@ class Solution:
 
     @cached_property
     def at_steps(self) -> Solution:
-        """Return the run saved at ends of its steps, where structure is judged; itself if no state is interpolated."""
+        """Return the run saved at ends of its steps, where structure is judged; itself of a run without dense output."""
         judged = getattr(self.run, "judged", None)
-        if judged is None or not self.interpolated.any():
+        if judged is None or not self.ok:
             return self
         again: Solution = judged.solved(self.y0, judged.integrate)
         again.patience = self.patience

@@ -317,6 +317,7 @@ def make_request(
         if save_at is None
         else saved_times(save_at, scene)
     )
+    dense = dense and (save_at is not None or step is None)  # by default steps end at saved times
     steps = None
     if isinstance(step, np.ndarray):
         steps = step[: steps_until(step, times[times > 0])[-1]]

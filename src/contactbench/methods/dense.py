@@ -22,6 +22,8 @@ from contactbench.methods.hermite import newton
 from contactbench.methods.prepared import METHODS, NO_NUMBER, Outcome, Prepared, Request
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
+from contactbench.scene import AnyState
+from contactbench.scene.base import Numeric
 from contactbench.solution import Counts, Status
 
 #: most nodes of a polynomial; those of the polynomials that estimate its error are fewer by FEWER and twice FEWER
@@ -179,6 +181,16 @@ class Dense(Prepared):
         """The run whose steps end at the saved times, for what does not end well."""
         run: Prepared = self.method_.prepare(replace(self.request, dense=False))
         return run
+
+    @property
+    def composed(self) -> bool:
+        return self.judged.composed
+
+    def modified_hamiltonian(self, x: AnyState) -> Numeric:
+        return self.judged.modified_hamiltonian(x)
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return np.asarray(self._dated(y0, self.integrate(y0).y)[-1])
 
     @property
     def judged(self) -> Prepared:
