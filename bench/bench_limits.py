@@ -4,3 +4,7 @@ def test_borders(measure):
 
 def test_rates(measure):
     measure()
+
+
+def test_ticks(measure):
+    measure()

@@ -1,8 +1,8 @@
-"""Scenes for properties that no registered scene has: γ(t) of all kinds, a torus, what fades beyond the numbers."""
+"""Scenes for properties that no registered scene has: γ(t) of all kinds, what fades beyond the numbers."""
 
 import contactbench as cb
 from contactbench.numbers import functions as xm
-from contactbench.scene import DrivenState, dot
+from contactbench.scene import DrivenState
 from contactbench.scenes.driven import FORCED_OSCILLATOR, spherical, spherical_span, with_action
 
 
@@ -123,25 +123,9 @@ DETEST_E3 = cb.Driven(
 )
 
 
-# -- many spheres, a pole that is passed closely, and numbers that underflow ------
-def hanging_ring(q, weight, coupling):
-    """V = Σ w q_i₂ − c q_i·q_{i+1}: plane pendulums on one axle, each twisted against the next."""
-    return sum(weight * a[1] - coupling * dot(a, b) for a, b in zip(q, (*q[1:], q[0]), strict=True))
+# -- a pole that is passed closely, and numbers that underflow ------
 
 
-#: of length one as decimals: 3-4-5 and 5-12-13 have powers that are
-_STARTS = ((0.6, -0.8), (0.28, -0.96), (0.0, -1.0), (-0.28, -0.96))
-_STARTS += ((-0.6, -0.8), (-0.8, -0.6), (-0.352, -0.936), (0.8, -0.6))
-#: points on a torus of 16 circles
-PENDULUM_RING = cb.Spheres(
-    name="pendulum_ring",
-    potential=hanging_ring,
-    parameters={"weight": 1.0, "coupling": 0.5},
-    gamma=0.2,
-    q=_STARTS * 2,
-    p=tuple((-0.5 * y, 0.5 * x) for x, y in _STARTS) + ((0.0, 0.0),) * 8,
-    t_end=5.0,
-)
 #: 4° from the upright pole, slowly turning: it swings back up to near the pole time and again
 UPRIGHT_PENDULUM = cb.SCENES["spherical_pendulum"].with_(
     name="upright_pendulum", gamma=1e-3, q=(0.07584, 0.0, 0.99712), p=(0.0, 0.1, 0.0), t_end=50.0

@@ -12,9 +12,7 @@ import pytest
 import contactbench as cb
 from cases import refusal
 from contactbench.cli import main
-from contactbench.errors import one_line
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.scene import definition
 from contactbench.testing import check_method, check_scene
 from own_scenes import scene_of
 from properties import GENERAL
@@ -65,6 +63,10 @@ def equations(rhs, **more):
     return lambda: cb.Equations(rhs=rhs, y0=(1.0, 2.0), t_end=1.0, **more)
 
 
+def mine_pushed(force):
+    return lambda: cb.Driven(**GIVEN, potential=lambda q, t: q[0] * force(t))
+
+
 # -- calls -----------------------------------------------------------------------------------------
 def solve(method="rk4", scene="particle", **options):
     return lambda: cb.solve(scene, method, **options)
@@ -105,9 +107,7 @@ def euler(scene, x, h, xp):
 #: a call, and a part of its refusal
 CALLS = [
     # names
-    (solve(scene="partcle", step=0.1), "unknown scene 'partcle': did you mean 'particle'?"),
     (solve("contact-strnag", step=0.1), "did you mean 'contact-strang'?"),
-    (lambda: cb.LAWS["momentum"], "did you mean 'momentum_law'?"),
     (lambda: cb.METHODS[[]], "unknown method []"),
     (changed(name="a\nb"), "name = 'a\\nb': must be"),
     (registered(cb.METHODS, 3), "3 cannot be registered: it is no method"),
@@ -119,20 +119,15 @@ CALLS = [
     (rk4(atol=1e-3), "atol = 0.001: rk4 has a fixed step and takes no atol"),
     (solve("cvode-bdf", step=0.1), "give rtol"),
     (solve("cvode-bdf", rtol=1e-30), "takes 2.3e-16 to 0.1"),
-    (solve("scipy-dop853", rtol=-1), "rtol = -1: must be > 0"),
     (rk4(step=math.nan), "step = nan: must be a finite number"),
     (rk4(step=10**5000), "step = <int>: must be"),  # too long to be printed
     (rk4(step=[1.0, -1.0]), "step = [1.0, -1.0]: must be finite steps > 0"),
-    (rk4(step=["a"]), "step = ['a']: must be a number, or a sequence"),
     (rk4(step=[1.0, 2.0]), "step: 2 steps to t = 3, none of which ends at t = 20"),
-    (rk4(step=[1.0] * 20, save_at=[2.0, 2.5]), "none of which ends at t = 2.5"),
     (lambda: cb.geometric_steps(20.0, 24, 0.5, plateau=5), "plateau = 5: must divide count = 24"),
     # the nearest way to what there is not
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=lambda t: t), "cb.Driven(rate=lambda t: …)"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, kinetic=abs), "mass=(1., 2., 5.)"),
-    (lambda: cb.Mechanical(**FORCE, **GIVEN, magnetic=abs), "acts on the potential of the field"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=(0.1, 0.2)), "cb.diffrax.Contact"),
-    (lambda: cb.Mechanical(**FORCE, **GIVEN, lagrangian=abs), "cb.ContactSystem"),
     (lambda: cb.Driven(**GIVEN, potential=lambda q: q[0]), "is called with q, t; it takes q"),
     (lambda: cb.SCENES["rigid_body"].with_(inertia=np.eye(3)), "three principal moments"),
     (lambda: cb.SCENES["heavy_top"].with_(gamma=abs), "solve_ivp"),
@@ -144,7 +139,6 @@ CALLS = [
     (lambda: cb.Mechanical(**FORCE, **GIVEN, damping=abs), "cb.GeneralDamping"),
     (lambda: cb.Driven(**DRIVEN, **GIVEN, rate=lambda q, t: t), "a damping that depends on q is cb."),
     (lambda: cb.Mechanical(**GIVEN, potential=lambda q, p: q[0] * p[0]), "a force that depends on p is cb."),
-    (lambda: cb.Mechanical(**GIVEN, potential=lambda q, s: q[0] * s), "a force that depends on s is cb."),
     (lambda: cb.Mechanical(**GIVEN, potential=lambda q, t: q[0] * t), "cb.Driven(potential=lambda q, t: …)"),
     (lambda: cb.Mechanical(**GIVEN, potential=lambda q, k: k * q[0]), "parameters={'k': …}"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, hessian=lambda q, p: p), "it takes q, p"),
@@ -152,7 +146,6 @@ CALLS = [
         lambda: cb.Mechanical(**GIVEN, potential=abs, gradient=lambda q, p: q),
         "gradient: is called with q; it",
     ),
-    (damped(lambda s, q: s * q[0]), "a damping that depends on q is cb.ContactSystem"),
     (lambda: cb.Mechanical(**GIVEN, potential=np_norm), "use cb.math.sqrt(sum("),
     # equations of no Hamiltonian
     (lambda: cb.Equations(y0=(1.0,), t_end=1.0), "rhs: is missing, a function lambda t, y: …"),
@@ -160,44 +153,38 @@ CALLS = [
     (equations(lambda t, y: y[0]), "rhs: must return 2 numbers, a tuple; it returns 1.0"),
     (equations(lambda t, y: y[:1]), "where rhs = (1.0,): must be 2 numbers"),
     (equations(lambda t, y: y, s=1.0), "s = 1.0: equations have no action"),
-    (equations(lambda t, y: y, gamma=0.1), "gamma: Equations takes none"),
     (rk4(events=abs), "cb.scipy.Contact"),
-    (rk4(dense_output=True), "cb.scipy.Contact"),
     # other options
     (rk4(engine="fortran"), "engine = 'fortran': rk4 runs on llvm, python"),
     (rk4(save_at=[3.0, 1.0]), "strictly increasing"),
     (rk4(save_at=[]), "must be finite times"),
     (rk4(carry=("R",)), "can carry s"),
     (rk4(max_steps=0), "max_steps = 0"),
-    (lambda: cb.reference(PARTICLE.with_(gamma=0.11), [1e9], seconds=3.0), "allow it more"),
     (reference([1.0, math.nan]), "nan"),
     (reference([]), "shape"),
     # initial data and parameters
     (run_from(q=(1.0,)), "q = (1.0,): must be 2 numbers"),
-    (run_from(q=(1e160, 0.0), method="scipy-dop853", rtol=1e-6), "where gradient[1] = inf: must be"),
+    (run_from(q=(1e160, 0.0), method="scipy-dop853", rtol=1e-6), "is not finite there: State(q=(1e+160"),
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
     (changed("lane_emden_0", kappa=0.1), "without time"),
     (changed("lane_emden_0", gamma=0.1), "has it in it"),
+    (lambda: GENERAL.with_(gamma=0.1), "Γ has them in it"),
+    (changed(gama=0.1), "did you mean 'gamma'?"),
     (changed("lane_emden_0", rate=None), "its rate is missing"),
     (changed(q=(1.0,)), "q has 1 components and p 2"),
-    (changed(gama=0.1), "did you mean 'gamma'?"),
     (changed(BODY, inertia=(1.0, -2.0, 3.0)), "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
     (changed(BODY, R=((1, 0, 0), (0, 1, 0), (0, 0, -1))), "it is a reflection; must be 1, a unit quaternion"),
     (changed(BODY, R=((1, 1e-3, 0), (0, 1, 0), (0, 0, 1))), "RᵀR is off the identity by 0.001; must be"),
     (changed(BODY, R=(1.1, 0, 0, 0)), "its length is 1.1; must be"),
     (changed(BODY, gamma=0.1, damping=(1.0, 1.0, 1.0)), "exactly one of gamma"),
     (changed(ANISOTROPIC, damping=((1, 2, 0), (0, 1, 0), (0, 0, 1))), "symmetric positive semi-definite"),
-    (changed(ANISOTROPIC, damping=(1.0, 1.0, -0.1)), "damping = (1.0, 1.0, -0.1): must be"),
-    (lambda: GENERAL.with_(gamma=0.1), "gamma"),
     # methods
     (lambda: cb.fixed_step("x", 1, exactly=True), "'exactly': a step map declares kind, family"),
     (lambda: cb.step_map("rigid_body", "contact-rkn6"), "contact-rkn6 needs kicks"),
     (lambda: cb.step_map("particle", "cvode-bdf"), "chooses its own steps"),
     (step(5, gama=1.0), "parameter of scene 'particle' 'gama': did you mean"),
     (step(4, gamma=math.nan), "gamma = nan"),
-    (step(4, mass=math.inf), "mass = inf"),
-    (step(4, gamma="a"), "gamma = 'a'"),
     (step(4), "y has 4 entries: must be 5"),
     (composed(kick=0.5), "kick = 0.5: must be a list"),
     (composed(kick=[0.5, "0.5000000001"]), "kick: coefficients add up to 1.0000000001"),
@@ -210,25 +197,20 @@ CALLS = [
     (wrong_user(rotation_invariant=True), "exerts a torque"),
     (made(cb.GeneralDamping, s=0.5, damping=lambda s: s**3), "damping_slope is not the damping's"),
     # functions that return no number, fail, or leave
-    (changed(potential=1), "potential = 1: must be a function"),
     (wrong_user(potential=lambda q: q), "its potential is (0.7, -0.4)"),
+    (mine_pushed(lambda t: t % 1), "cb.math.floor"),
+    (mine_pushed(lambda t: (t > 1) * (t < 2)), "cb.math.where"),
     (wrong_user(gradient=lambda q: q[5]), "test_bad_input.py, line "),
     (wrong_user(gradient=None, potential=lambda q: q[2]), "out of range; q has 2 components, from q[0] on"),
-    (
-        wrong_user(gradient=None, potential=lambda q: sum(q[i] for i in range(3))),
-        "; q has 2 components, from",
-    ),
-    (equations(lambda t, y: (y[2], y[0])), "; y has 2 components, from y[0] on"),
     (lambda: cb.solve(lambda t, y: y, "rk4", step=0.1), "it is cb.Equations(rhs=f, y0=…, t_end=…)"),
     (lambda: cb.compare(lambda t, y: y), "it is cb.Equations(rhs=f, y0=…, t_end=…)"),
     (wrong_user(gradient=lambda q: sys.exit(0)), "scene 'mine', <lambda> (test_bad_input.py, line "),
     (wrong_user(gradient=lambda q: {0: q[0]}), "gradient: must return 2 numbers, a tuple"),
     (made(cb.Driven, rate=lambda t: None), "rate: must return a real number; it returns None"),
     (made(cb.Driven, span=lambda t, h, xp: 1.0), "span: must return a pair"),
-    (made(cb.GeneralDamping, damping_flow=lambda s, h, xp: None), "damping_flow: must return a real"),
     (lambda: cb.reference(user(exact=lambda t: t), [1.0]), "scene 'mine': its closed form: TypeError"),
-    (lambda: check_method("rk4"), "method = 'rk4': must be a method"),
     (lambda: check_scene("particle"), "scene = 'particle': must be a scene"),
+    (lambda: check_method("rk4"), "method = 'rk4': must be a method"),
 ]
 
 
@@ -239,9 +221,7 @@ def test_a_call_is_refused_in_one_line(call, says):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    "name", ["s", "gamma", "t_end", "q", "t", "h", "xp", "self", "numbers", "parameters"]
-)
+@pytest.mark.parametrize("name", ["gamma", "q", "xp", "self"])
 def test_a_parameter_that_would_hide_another_name_is_refused(kind, name):
     scene = kind(**KINDS[kind], **GIVEN, parameters={"stiffness": 1.0})
     message = refusal(lambda: scene.with_(parameters={"stiffness": 1.0, name: 1.0}))
@@ -282,19 +262,10 @@ def test_an_error_later_in_a_run_is_told_as_theirs():
 
 
 # -- what is taken ---------------------------------------------------------------------------------
-def test_a_definition_is_checked_once(monkeypatch):
-    calls, scene = [], user()
-    cb.solve(scene, "rk4", step=0.1)
-    monkeypatch.setattr(definition, "_verify", calls.append)
-    cb.solve(scene, "rk4", step=0.1)
-    cb.solve("particle", "rk4", step=0.1)
-    assert calls == []
-    cb.solve(scene.with_(gamma=0.2), "rk4", step=0.1)
-    assert len(calls) == 1
 
 
 @pytest.mark.timeout(60)
-@pytest.mark.parametrize(("end", "step"), [(20.0, 1e-300), (1e300, 1e-5), (20.0, 1e-20)])
+@pytest.mark.parametrize(("end", "step"), [(20.0, 1e-300), (1e300, 1e-5)])
 def test_a_run_of_too_many_steps_ends_as_budget(end, step):
     scene = PARTICLE.with_(t_end=end)
     assert cb.solve(scene, "rk4", step=step, save_at=[end]).status is cb.Status.budget
@@ -324,7 +295,7 @@ def test_a_step_map_need_not_be_hashable(engine):
 
 
 # -- messages --------------------------------------------------------------------------------------
-@pytest.mark.parametrize("off", [1e-15, 1e-9, -3e-8])
+@pytest.mark.parametrize("off", [1e-15, -3e-8])
 def test_an_attitude_that_is_rounded_is_the_nearest_one(off):
     angle = 0.3
     turn = np.array(
@@ -347,29 +318,10 @@ def test_a_comparison_that_heyoka_does_not_know_is_said_to_be_one():
     assert "a Taylor series has none, take another method" in run.message
 
 
-@pytest.mark.parametrize("length", [40, 90, 150, 300])
-def test_a_text_that_is_cut_is_cut_between_words(length):
-    words = [*cb.METHODS, *cb.SCENES]
-    cut = one_line(" ".join(words), length)
-    assert len(cut) <= length
-    assert set(cut.split()) <= {*words, "…"}
-    assert one_line("a" * 400, length).count("a") > length - 5  # a word alone
-
-
-def test_a_run_without_damping_says_so():
-    undamped = user().with_(gamma=0.0)
-    run = cb.solve(undamped, "rk4", step=0.1)
-    assert "mine, undamped, by rk4" in repr(run)
-    assert "damping" in run._repr_html_()
-    assert "undamped" not in repr(cb.solve(undamped.with_(gamma=0.1), "rk4", step=0.1))
-    assert "undamped" not in repr(cb.solve(undamped.with_(kappa=0.1, s=0.1), "rk4", step=0.1))
-
-
 # -- the command line ------------------------------------------------------------------------------
 LINES = [
     ("solve particle rk44 --step 0.1", "unknown method 'rk44': did you mean 'rk4'?"),
     ("solve particle rk4 --step 0.1 --set gamma=abc", "--set gamma=abc"),
-    ("solve particle rk4 --step 0.1 --set gamma=" + "9" * 5000, "gamma"),
     ("solve particle rk4 --step 0.1 --set gamma=" + "[" * 3000, "gamma"),
     ("solve particle rk4 --step 0.1 --plugin /nonexistent/x.py", "no such file"),
     ("report --results /nonexistent", "no tables there"),
@@ -379,12 +331,10 @@ LINES = [
     ("compare particle rk4 --budget 0", "budget = 0.0: must be > 0"),
     ("compare particle rk4 --plot out.txt", "--plot out.txt: must end in .svg, .png, .pdf"),
     ("compare particle --error 1e-6 1e-9", "separate errors by commas, as in --error 1e-6,1e-9"),
-    ("compare pend", "large_step; those of your own file with --plugin FILE"),
     ("compare my.py", "scene my.py: add the name of a scene that the file registers, as in my.py:NAME"),
     ("check particel", "unknown method or scene 'particel': did you mean 'particle'?"),
     ("check central --engine numba", "--engine numba: central is a scene"),
     ("claim C99", "unknown claim 'C99'"),
-    ("bench --all --profile smoke -k nothing", "-k 'nothing': no cell of this run has such a name"),
 ]
 
 

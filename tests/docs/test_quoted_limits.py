@@ -22,10 +22,10 @@ QUOTED = {
         f"wider than {statistics.WIDEST - 1:.0%}",
     ],
     "gate.md": [
-        f"by a factor of {compare.FACTOR:.0f}",
-        f"by {compare.VALUE:.0%}",
-        f"above {speed.LIMIT}",
-        f"at most {1e3 * speed.LONGEST:.0f} ms",
+        f"by a factor of {compare.ERROR_FACTOR:.0f}",
+        f"by {compare.VALUE_CHANGE:.0%}",
+        f"above {speed.RATIO_LIMIT}",
+        f"at most {1e3 * speed.LONGEST_CALL:.0f} ms",
     ],
     "reading.md": [
         PULSE,

@@ -99,12 +99,12 @@ def test_the_template_is_what_its_commands_make_and_green(tmp_path):
 def run(repository, tmp_path_factory):
     """Return what runs the program on the repository's plug-in, expects an exit status, and returns what it prints."""
     place = tmp_path_factory.mktemp("stranger")
+    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", place, REPOSITORY]
+    subprocess.run(build, check=True)
     subprocess.run([sys.executable, "-m", "venv", place / "environment"], check=True)
-    pip, pins = place / "environment" / "bin" / "pip", {"PIP_CONSTRAINT": str(REPOSITORY / "constraints.txt")}
-    build = [pip, "wheel", "-q", "--no-deps", "-w", place, REPOSITORY]
-    subprocess.run(build, check=True, env=os.environ | pins)
+    install = [place / "environment" / "bin" / "pip", "install", "-q", "-q"]
     wheel = f"{next(place.glob('*.whl'))}[bench]"
-    subprocess.run([pip, "install", "-q", "-q", wheel], check=True, env=os.environ | pins)
+    subprocess.run([*install, wheel, "-c", REPOSITORY / "constraints.txt"], check=True)
     program = place / "environment" / "bin" / "contactbench"
 
     def run(*arguments, status=0):

@@ -15,7 +15,7 @@ from contactbench.runs import grid
 from contactbench.runs.grid import guarded
 
 EXPECTED = {
-    "planted-hang": ("timeout", "no result after 2 s"),
+    "planted-hang": ("timeout", "no result after 0.5 s"),
     "planted-crash": ("failed", "signal 9"),
     "planted-raise": ("failed", "of its own making"),
     "planted-nan": ("diverged", "not finite"),
@@ -24,10 +24,10 @@ EXPECTED = {
 
 
 class Impatient(Worker):
-    """A worker that waits two seconds for what hangs, and a minute for all else (as after a crash it imports)."""
+    """A worker that waits half a second for what hangs, and a minute for all else (as after a crash it imports)."""
 
     def call(self, limit, function, question):
-        return super().call(2.0 if "planted-hang" in question else 60.0, function, question)
+        return super().call(0.5 if "planted-hang" in question else 60.0, function, question)
 
 
 def rows_of(names):

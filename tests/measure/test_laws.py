@@ -10,7 +10,7 @@ import pytest
 import contactbench as cb
 from cases import FIXED, by_name, pairs, saved
 from contactbench.measure import laws
-from contactbench.measure.law import JUDGEMENT, conformal, relative_deviation
+from contactbench.measure.law import JUDGEMENT
 from contactbench.measure.laws import LAWS, laws_of, row
 from contactbench.measure.pullback import growth, in_units
 from contactbench.methods import prepared
@@ -61,6 +61,10 @@ def test_laws_see_a_planted_error(scene):
     blind = {"attitude_drift", "energy_increases"}
     seen = {law.name: law(solution) for law in of_the_states(scene) if law.name not in blind}
     assert min(seen.values()) > 1e-6, seen
+    if "momentum_law" in seen:  # M, or q and p in J = q × p
+        assert seen["momentum_law"] == pytest.approx(
+            1e-3 if scene.name.startswith("rigid") else 2e-3, rel=2e-2
+        )
 
 
 def test_attitude_drift_sees_a_stretched_quaternion():
@@ -106,13 +110,6 @@ def test_energy_that_stays_does_not_grow_whatever_its_sign_and_size(bottom, size
     assert cb.LAWS["energy_increases"](solution) == (1 if bottom else 0)
 
 
-@pytest.mark.parametrize(("scene", "size"), [("rigid_body", 1e-3), ("central", 2e-3)])
-def test_a_law_says_how_large_a_planted_error_is(scene, size):
-    solution = truth_as_solution(cb.SCENES[scene])
-    solution.y[-1, : len(solution.scene.labels(()))] *= 1 + 1e-3
-    assert cb.LAWS["momentum_law"](solution) == pytest.approx(size, rel=2e-2)
-
-
 def test_contact_drift_is_that_of_the_derivative():
     """Finite differences of the numerical map, an independent derivative, to their accuracy."""
     scene = cb.SCENES["particle"].with_(t_end=2.0)
@@ -133,25 +130,15 @@ def test_contact_drift_is_that_of_the_derivative():
     assert cb.LAWS["distribution_drift"](solution) == pytest.approx(math.sqrt(1 - cosine**2), rel=1e-6)
 
 
-@pytest.mark.parametrize("method", ["contact-strang", "contact-abc", "contact-printed", "rk4"])
+@pytest.mark.parametrize("method", ["contact-strang", "rk4"])
 def test_laws_stay_finite_when_everything_underflows(method):
     """e^{−2γT} = e^{−2000}: M is subnormal or zero at the end, and no law may be nan or inf."""
-    solution = cb.solve(UNDERFLOW, method, step=0.05, save_at=np.linspace(4.0, 200.0, 50))
+    solution = cb.solve(UNDERFLOW, method, step=0.05, save_at=saved(UNDERFLOW))
     assert solution.ok
     assert np.abs(solution.M[-1]).max() < 1e-307
     found = {law.name: law(solution) for law in laws_of(UNDERFLOW)}
     assert all(map(math.isfinite, found.values()))
     assert found["momentum_law"] < 1e-12  # rk4 moves on the clock that the damping slows
-
-
-def test_deviation_is_measured_only_where_numbers_mean_something():
-    t = np.array([0.0, 1.0, 800.0])
-    exact = np.array([[1.0], [math.exp(-1.0)], [0.0]])
-    assert conformal(exact, np.array([1.0]), t, 1.0).size.max() < 1e-15
-    wrong = exact + np.array([[0.0], [0.0], [1e-100]])  # far larger than e^{-800}
-    assert conformal(wrong, np.array([1.0]), t, 1.0).size[-1] > 1e100
-    assert relative_deviation(np.array([1e-320]), np.array([3e-320])).max() == 0.0
-    assert relative_deviation(np.array([1.0]), np.array([3e-320])).max() > 1
 
 
 def test_laws_say_what_they_need():
@@ -230,11 +217,11 @@ HARD += [scene.with_(t_end=min(scene.t_end, 20.0)) for scene in (*DRIVEN, *TIMED
 
 
 @pairs([method for method in FIXED if method.contact], HARD)
-@pytest.mark.quick(scene=("heavy_top", "tumbling"))
-@pytest.mark.quick(method="contact-rkn4")
+@pytest.mark.quick(scene="tumbling")
 @pytest.mark.quick(
-    method=("contact-abc", "contact-gauss4"), scene=("underflow", "forced_pulsating", "duffing")
+    method="contact-rkn4", scene=("heavy_top", "needle", "underflow", "lane_emden_5", "duffing")
 )
+@pytest.mark.quick(method="contact-gauss4", scene=("duffing", "forced_pulsating"))
 def test_contact_methods_keep_what_they_claim_at_a_coarse_step(method, scene):
     """To round-off times the growth of the map, which is 10⁷ tumbling."""
     solution = cb.solve(scene, method.name, step=scene.t_end / 100, save_at=scene.begins + saved(scene))
@@ -259,7 +246,7 @@ def test_a_run_that_does_not_follow_the_motion_is_not_judged(step):
 def test_an_error_of_the_motion_does_not_depend_on_a_constant_in_the_potential():
     own = {"gamma": 0.01, "q": (1.0,), "p": (0.0,), "t_end": 20.0}
     well = cb.Mechanical(name="well", potential=lambda q: q[0] ** 4 / 4 - 1000.0, **own)
-    with_action, without = (cb.solve(well, "rk4", step=0.5, save_at=[20.0], carry=c) for c in (("s",), ()))
+    with_action, without = (cb.solve(well, "rk4", step=0.5, save_at=[5.0], carry=c) for c in (("s",), ()))
     error = cb.LAWS["solution_error"](without)
     assert error > 1e-3
     assert cb.LAWS["solution_error"](with_action) == pytest.approx(error, rel=1e-6)

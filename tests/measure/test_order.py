@@ -12,7 +12,7 @@ from chains import bodies
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import DIGITS, ROUND_OFF, fit_order
 from contactbench.runs.search import Attempt, Question, Search
-from contactbench.runs.settings import ENDS, carry_of, steps, times, tolerances
+from contactbench.runs.settings import ENDS, carry_of, times, tolerances
 from contactbench.scene.base import Elapsed
 from contactbench.splitting.tables import COMPOSITIONS
 from contactbench.truth import decimal_context
@@ -75,24 +75,6 @@ def test_the_uncertainty_covers_the_truth(power):
             missed += abs(fit.order - p) > fit.uncertainty
     assert total > 480
     assert missed <= 0.03 * total
-
-
-@pytest.mark.parametrize(
-    ("ratio", "slopes", "uncertainty"),
-    [
-        (2, (3.0, 3.01, 3.031), 9e-3),
-        (2, (3.0, 3.01, 3.031, 3.074), 3e-3),
-        (1.2, (3.0, 3.002, 3.0042), 9e-3 / (1.2**2 - 1)),  # falling like h² the rest is more than the last
-    ],
-)
-def test_the_uncertainty_is_three_times_the_spread_and_nine_unchecked(ratio, slopes, uncertainty):
-    """k = 1: the limits s₀ − (s₁ − s₀)/(r − 1) differ by 0.001; the third differs from the second by as much, a quarter
-    of that at the finest step."""
-    steps = 0.1 * ratio ** np.arange(len(slopes) + 1)
-    errors = np.cumprod([1e-9, *(ratio**slope for slope in slopes)])
-    fit = fit_order(steps, errors)
-    assert fit.order == pytest.approx(2.99, abs=1e-12)
-    assert fit.uncertainty == pytest.approx(uncertainty, rel=1e-6)
 
 
 @pytest.mark.parametrize("ratio", [2.0, 1.5])
@@ -214,19 +196,6 @@ def test_a_ladder_of_steps_begins_where_the_error_is_as_large_as_the_motion(erro
     list(search.turns())
     assert max(a.value for a in search.attempts) == longest
     assert search.best(1e-6) is not None
-
-
-def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six_on():
-    """The latter by multiples of five steps near 6.25 · 2^(k/2)."""
-    body, particle = cb.SCENES["rigid_body"], cb.SCENES["particle"]
-    assert steps(body, cb.METHODS["contact-strang"]) == pytest.approx(
-        [4.0, 2.0, *(0.8 / 2**k for k in range(9))]
-    )
-    assert steps(particle, cb.METHODS["contact-strang"]) == pytest.approx([0.8 / 2**k for k in range(9)])
-    counts = [particle.t_end / step for step in steps(particle, cb.METHODS["contact-rkn6"])]
-    assert counts == pytest.approx([5, 10, 20, 25, 35, 50, 70, 100, 140, 200])
-    longest, *_, shortest = steps(particle, cb.METHODS["quinlan-tremaine12"])  # of one evaluation a step
-    assert (longest, shortest) == pytest.approx((0.4, 0.4 / 32), rel=0.03)
 
 
 # -- two libraries of numbers of many digits -------------------------------------------------------

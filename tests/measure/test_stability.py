@@ -7,7 +7,7 @@ import pytest
 
 import contactbench as cb
 from contactbench.measure import stability as linear
-from contactbench.runs.limits import creep_rows, stable_steps, weak_row
+from contactbench.runs.limits import creep_rows, weak_row
 from contactbench.scene import State
 from planted import Truth
 
@@ -20,11 +20,6 @@ def test_limits_are_those_of_theory(name, gamma, omega):
     expected = linear.THEORY[name](gamma, omega)
     found = linear.stability(cb.METHODS[name], gamma, omega).limit
     assert found == expected or found == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize(("gamma", "limit"), [(499.8, 999.6), (500.2, math.inf)])
-def test_limits_are_looked_for_up_to_a_thousand(gamma, limit):
-    assert linear.stability(cb.METHODS["contact-strang"], gamma, 1.0).limit == pytest.approx(limit, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -114,10 +109,9 @@ def test_contact_methods_damp_exactly_where_the_eigenvalues_are_complex(gamma):
     assert linear.spectral_radius(cb.METHODS["rk4"], 0.0, 1.0, 0.3) < 1 - 1e-6  # numerical damping
 
 
-@pytest.mark.parametrize("t_end", [1e4, 1e5])
-def test_the_exact_solution_has_no_error_of_its_rate(t_end, registries):
+def test_the_exact_solution_has_no_error_of_its_rate(registries):
     cb.METHODS.add(Truth("planted-truth"))
-    row = weak_row(cb.METHODS["planted-truth"], t_end)
+    row = weak_row(cb.METHODS["planted-truth"], 1e4)
     assert row["status"] == "ok"
     assert row["true"] == pytest.approx(1e-5, rel=1e-4)
     assert row["error"] <= 1e-12
@@ -128,12 +122,3 @@ def test_the_exact_solution_has_no_error_of_its_rate(t_end, registries):
 def test_the_matrix_of_a_run_is_the_run(method, n):
     x = method.advance(linear.oscillator(0.5), State((0.6,), (0.8,)), 0.3, n, math)
     np.testing.assert_allclose(linear.run_matrix(method, 0.5, 0.3, n) @ (0.6, 0.8), [*x.q, *x.p], rtol=1e-12)
-
-
-def test_a_processed_method_has_two_borders_and_others_one():
-    processed, plain = (
-        {row["question"]: row["measured"] for row in stable_steps(cb.METHODS[name], 10.0)}
-        for name in ("contact-rkn8", "contact-strang")
-    )
-    assert processed == pytest.approx({"stability": 2.8435, "stability saved": 2.3295}, abs=1e-4)
-    assert plain == pytest.approx({"stability": linear.merged_limit(10.0, 1.0)}, rel=1e-9)

@@ -211,9 +211,3 @@ def test_no_run_takes_more_steps_than_allowed():
         assert solution.status is cb.Status.budget
         assert "50" in solution.message
         assert np.isnan(solution.y[-1]).all()
-
-
-def test_a_derivative_that_costs_too_much_is_said_not_to_be_taken():
-    notes = cb.solve(KEPLER, "contact-log8", step=0.2).laws(seconds=1e-6)["note"]
-    assert "seconds=" in notes["contact_drift"]
-    assert notes["momentum_law"] == ""

@@ -19,7 +19,7 @@ PRODUCT = [(*pair, scene) for pair in INSTALLED for scene in CASES]
 LABELS = [f"{method.name}-{engine}-{scene.name}" for method, engine, scene in PRODUCT]
 #: those that Python alone runs, and one of every kind of run: rule 9 of the others compares with it
 BY_PYTHON = tuple(m.name for m, _ in INSTALLED if m.engines == ("python",))
-BY_PYTHON += ("contact-rkn8", "contact-gauss2", "herglotz2", "rk4", "rk8-7", "quinlan-tremaine8")
+BY_PYTHON += ("contact-rkn8", "herglotz2", "rk8-7", "quinlan-tremaine8")
 BODY_METHODS = ("contact-exact", "contact-bm6", "cvode-bdf", "cyrk-dop853")
 
 

@@ -196,13 +196,6 @@ def test_a_damped_run_has_no_more_than_round_off_for_an_error(name, bound):
     assert cb.LAWS["solution_error"](run) < bound
 
 
-@pytest.mark.parametrize(
-    ("name", "each", "points"), [("quinlan-tremaine8", 8, 7), ("quinlan-tremaine12", 17, 11)]
-)
-def test_the_points_before_the_start_cost_a_step_each(name, each, points):
-    assert cb.METHODS[name].counts(cb.SCENES["particle"], 1) == each * points + 2
-
-
 def test_the_energy_of_a_symmetric_method_has_no_drift():
     scene, errors = cb.SCENES["central"].with_(gamma=0.0, t_end=2000.0), []
     for t in np.linspace(100, 2000, 20):

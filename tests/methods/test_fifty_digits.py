@@ -20,7 +20,7 @@ BEYOND = 1e-45  # 50 digits less what a few hundred operations on numbers of siz
 
 @pairs(METHODS, SCENES)
 @pytest.mark.quick(scene="heavy")
-@pytest.mark.quick(method="contact-rkn4")
+@pytest.mark.quick(method="contact-rkn4", scene="slender")
 def test_map_is_conformal_contact_with_the_claimed_factor(method, scene):
     """Five steps of size 0.2 as one map, at 150 digits."""
     assert contact_defect(method, scene, "0.2", 5) < BEYOND

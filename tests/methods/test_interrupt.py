@@ -54,7 +54,7 @@ OWN = ("rk8-7", "rkn8-6", "rkn12-10", "contact-log8")
 
 @pytest.mark.parametrize("times", few_slow(["[1e9]", "[5e8, 1e9]"], "[5e8, 1e9]"))
 def test_an_interrupt_ends_a_long_run(times):
-    methods = [f"whole {name}" for name in (*OWN, *PEERS)] + [f"bare {name}" for name in OWN]
+    methods = [f"whole {name}" for name in ("rk8-7", *PEERS)] + [f"bare {name}" for name in OWN[2:]]
     line = [sys.executable, "-c", HOUR, times, *methods]
     run = subprocess.run(line, capture_output=True, text=True, env=environment(), timeout=500)
     assert run.stdout.splitlines() == methods, run.stderr

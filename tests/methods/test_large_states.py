@@ -7,9 +7,6 @@ import pytest
 
 import contactbench as cb
 from chains import chain
-from contactbench.methods.by_tolerance import loop_program
-from contactbench.methods.loops import program_of
-from contactbench.trace.form import lines
 
 FIXED = ("rk8", "rkn8", "rkn12", "quinlan-tremaine8", "quinlan-tremaine12")
 PAIRS = ("rk8-7", "rkn8-6", "rkn12-10")
@@ -58,21 +55,3 @@ def test_a_tangent_goes_through_the_rows():
     v = np.eye(28)[3]
     ends = [run.integrate(run.start + amount * v).y[-1] for amount in (1e-5, -1e-5)]
     assert run.sensitivity(run.start)[-1][:, 3] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-8)
-
-
-def size(method, scene):
-    if method.adaptive:
-        return sum(1 for _ in lines(loop_program(method, scene, (), 29).run.body))
-    return sum(1 for _ in lines(program_of(method, scene, ()).run.body))
-
-
-def test_the_code_of_a_step_does_not_grow_with_its_stages():
-    sizes = {name: size(cb.METHODS[name], LARGE) for name in (*FIXED, *PAIRS)}
-    assert sizes["rkn12"] < 1.3 * sizes["rkn8"]
-    assert sizes["rkn12-10"] < 1.3 * sizes["rkn8-6"]
-    assert sizes["quinlan-tremaine12"] < 1.3 * sizes["quinlan-tremaine8"]
-
-
-@pytest.mark.parametrize("name", [name for name in cb.METHODS if not cb.METHODS[name].package])
-def test_no_method_of_ours_has_a_largest_size_of_its_own(name):
-    assert cb.METHODS[name].largest == 256

@@ -4,16 +4,12 @@ import os
 import signal
 import sys
 import threading
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, mine
-from chains import chain
-from contactbench.methods.loops import LONG
-from contactbench.methods.prepared import Prepared
 from contactbench.methods.scaled import compiled_scales
 
 PARTICLE = cb.SCENES["particle"]
@@ -76,15 +72,6 @@ def test_the_loop_sees_a_start_without_a_slope_and_energy_that_rises():
     assert (same.status, same.message) == (rising.status, rising.message)
 
 
-def test_a_run_that_diverges_takes_its_steps_once(monkeypatch):
-    """Its states are looked at as the loop has left them."""
-    spring = cb.Mechanical(name="spring", potential=lambda q: q[0] ** 2, q=(1.0,), p=(0.0,), t_end=300.0)
-    for scene in (spring, chain(16, t_end=300.0)):
-        run = cb.prepare(scene, "contact-strang", step=3.0, carry=())
-        monkeypatch.setattr(run, "integrate", lambda y0: pytest.fail("taken again"))
-        assert run().status == "diverged"
-
-
 @pytest.mark.parametrize(
     "value", [(1.0,), (1.0, np.inf), ("1", "2"), 1.0, np.array([[1.0, 2.0]]), None], ids=str
 )
@@ -114,15 +101,6 @@ def test_a_long_run_hears_a_signal():
         run()
     timer.join()
     assert threading.active_count() == before
-
-
-def test_a_run_in_a_thread_of_its_own_has_the_same_bits():
-    end = 3 * LONG / 100 * 1e-3
-    run = long_run([end / 2, end])
-    with ThreadPoolExecutor(1) as pool:  # no main thread there: it runs as it is
-        beside = pool.submit(run).result()
-    assert isinstance(run, Prepared)
-    np.testing.assert_array_equal(run().y, beside.y)
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,6 @@ HIRES_AT_THE_END = (
         ("rk8", {"step": 0.02}, 1e-12),
         ("rk8-7", {"rtol": 1e-13}, 1e-11),
         ("heyoka-taylor", {"rtol": 1e-15}, 1e-12),
-        ("scipy-radau", {"rtol": 1e-12}, 1e-9),
     ],
 )
 def test_hires(method, setting, tolerance):

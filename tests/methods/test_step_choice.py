@@ -28,15 +28,6 @@ def gaps(errors, ratio=2.0):
     return [Gap(size, ratio, size / (ratio - 1)) for size in sizes]
 
 
-@pytest.mark.parametrize("order", [1, 2, 4, 8, 12])
-@pytest.mark.parametrize("ratio", [1.2, 2.0, 8.0])
-def test_where_errors_fall_as_the_order_says_they_are_known(order, ratio):
-    errors = 0.01 * ratio ** (-order * np.arange(3.0))
-    found, agree = error_of(*gaps(errors, ratio)[::-1], order)
-    assert agree
-    assert found == pytest.approx(errors[-1] if errors[1] > 1e-13 else errors[1], rel=1e-6)
-
-
 def test_a_slope_that_is_not_the_order_s_is_not_believed():
     """Of order 8: errors of a run on Morse's potential, which fall by 2^2.5 where the slope before promised 2^6.6."""
     found, agree = error_of(*gaps([9.4e-4, 9.76e-6, 1.67e-6])[::-1], 8)
@@ -49,7 +40,6 @@ def test_a_slope_that_is_not_the_order_s_is_not_believed():
 
 
 # -- the error of the run ----------------------------------------------------------------------------
-MORSE = mine(lambda q: (1 - exp(-q[0])) ** 2, 0.7269, -0.1539, t_end=120.0, gamma=0.0)
 WALL = mine(
     lambda q: exp(80 * (q[0] - 1)) + exp(-80 * (q[0] + 1)), -0.3641258, 1.3090031, t_end=20.0, gamma=0.0
 )
@@ -60,11 +50,6 @@ FALL = planets(
     0.05,
     t_end=5.0,
 )
-
-
-@pytest.mark.parametrize("rtol", [1e-3, 1e-7])
-def test_morse(rtol):
-    assert error(cb.solve(MORSE, "contact-rkn8", rtol=rtol, save_at=[120.0])) < rtol
 
 
 @pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
@@ -102,13 +87,7 @@ def test_a_method_without_a_step_says_so_in_terms_of_the_tolerance(monkeypatch):
     assert run.counts.evaluations > witness.counts.evaluations + 100
 
 
-def test_evaluations_of_a_run_that_fails_are_counted():
-    run = cb.prepare(WALL, "contact-gauss2", step=0.5, save_at=[10.0, 20.0])
-    assert run().status is cb.Status.failed
-    assert 10 < run.pilot(run.start).counts.evaluations < 1000
-
-
-SLOW = range(4, 8)
+SLOW = (2, 4, 5, 6, 7)
 
 
 @pytest.mark.parametrize("seed", few_slow(range(8), *SLOW))
@@ -193,22 +172,3 @@ def test_pilots_that_agree_by_chance_are_not_believed(method, end, stiffness, q,
     true = cb.solve(scene, "rk4", step=end / 200_000, save_at=[end]).y[0]
     run = cb.solve(scene, method, rtol=1e-3, save_at=[end])
     assert np.abs(run.y[0] - true)[:2].max() < 2e-3
-
-
-@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
-@pytest.mark.parametrize("method", ["rk4", "rk8"])
-def test_the_unit_of_a_component_that_starts_at_zero_changes_no_step(method, unit):
-    def made(c):
-        def rhs(t, y):
-            return y[1] / c - 0.1 * y[0] + cb.math.sin(t), c * (-y[0] - 0.05 * y[1] / c)
-
-        return cb.Equations(name="units", rhs=rhs, y0=(0.4, 0.0), t_end=9.0)
-
-    one, other = (cb.solve(made(c), method, rtol=1e-5, save_at=[9.0]).counts for c in (1.0, unit))
-    assert one == other
-
-
-def test_a_first_pilot_of_many_steps_that_is_unstable_is_not_the_last():
-    long = cb.SCENES["particle"].with_(t_end=3e5)
-    run = cb.solve(long, "contact-strang", rtol=1e-3, max_steps=10**7, save_at=[3e5])
-    assert run.status in ("ok", "budget"), run

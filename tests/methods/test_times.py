@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import refusal
+from cases import few_slow, refusal
 
 GAMMA = 0.1
 #: a method of every kind of loop, with a setting at which errors are far from round-off and from one
@@ -90,7 +90,7 @@ def error(scene, name, engine=None, save_at=None, **known):
 
 # -- the start ---------------------------------------------------------------------------------------
 @every
-@pytest.mark.parametrize("start", [1.7e9, 6.3e10])
+@pytest.mark.parametrize("start", few_slow([1.7e9, 6.3e10], 6.3e10))
 def test_the_start_costs_its_own_rounding_alone(name, start):
     if name == "cyrk-dop853" and start > 1e10:
         pytest.skip("its tolerance is below the rounding of such times")
@@ -100,7 +100,7 @@ def test_the_start_costs_its_own_rounding_alone(name, start):
 
 @pytest.mark.parametrize("name", OURS)
 def test_engines_agree_far_from_time_zero(name):
-    scene, setting = pushed(6.3e10, 20.0), SETTINGS[name]
+    scene, setting = pushed(6.3e10, 5.0), SETTINGS[name]
     runs = [
         cb.solve(scene, name, carry=(), engine=engine, dense=False, **setting)
         for engine in ("llvm", "python")
@@ -128,8 +128,8 @@ def test_the_clock_of_a_long_run_is_no_sum_of_steps():
     assert np.abs(run.y[-1, :2] - motion(1e5, turn=1.3)).max() < 1e-10
 
 
-@pytest.mark.parametrize("start", [1e8, 1.7e9])
-def test_a_reference_far_from_time_zero_is_the_one_at_zero(start):
+def test_a_reference_far_from_time_zero_is_the_one_at_zero():
+    start = 1.7e9
     found = cb.reference(pushed(start, 20.0), [start + 20.0], (), seconds=60.0)
     np.testing.assert_allclose(found.y[0, :2], motion(20.0), rtol=0, atol=1e-14)
     assert found.source == "live"
@@ -144,7 +144,6 @@ def test_times_too_far_apart_are_warned_of():
 SQUARE = {"forces": [float(k % 2) for k in range(100)], "breaks": tuple((0.2 * np.arange(1, 100)).tolist())}
 #: of which each is known to have been passed on the wrong side, by a rounding of a time
 BROKEN = [
-    (0.0, 20.0, {"forces": (0.0, 1.0), "breaks": (10.0,)}),
     (0.0, 2.0, {"forces": (0.0, 1.0), "breaks": (0.9,)}),
     (1.0, 2.0, {"forces": (0.0, 1.0), "breaks": (1.99,)}),
     (1e6, 20.0, {"forces": (0.3, 1.0, -1.0), "breaks": (1e6 + 1 / 3, 1e6 + 7.7)}),
@@ -181,21 +180,6 @@ def test_a_saved_time_a_rounding_from_a_break_is_no_gap(name):
         np.testing.assert_allclose(run.y[0, :2], motion(beside, **known), rtol=0, atol=1e-3)
 
 
-def test_drawn_scenes_cost_no_more_far_from_zero():
-    """Starts to 10¹¹, breaks and saved times at random."""
-    rng = np.random.default_rng(1)
-    for name in rng.permutation(OURS)[:8].tolist():
-        start, end, count = float(10 ** rng.uniform(0, 11)), 20.0, int(rng.choice([0, 1, 5]))
-        places, forces = np.sort(rng.uniform(0, end, count)), rng.uniform(-1, 1, count + 1).tolist()
-        errors = []
-        for begins in (0.0, start):
-            known = {"forces": forces, "breaks": tuple((begins + places).tolist())}
-            saves = begins + np.array([0.3 * end, end])
-            errors.append(error(pushed(begins, end, **known), name, save_at=saves, **known))
-        allowed = 10 * np.finfo(float).eps * start * 0.7
-        assert errors[1] <= 2 * errors[0] + allowed + 1e-12, (name, start)
-
-
 # -- saved times -------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["contact-rkn6", "rk8-7", "cvode-adams"])
 def test_saved_times_are_those_of_the_span(name):
@@ -214,24 +198,3 @@ def test_saved_times_before_the_start_are_refused_but_for_roundings(early):
     assert says == f"save_at contains {early}: must be ≥ 5, the start of 'pushed'"
     times = [float(np.nextafter(5.0, 0.0)), 30.0]
     assert cb.solve(pushed(5.0, 20.0), "rk4", step=0.1, save_at=times).t.tolist() == [5.0, 30.0]
-
-
-def test_the_frame_of_a_run_that_did_not_end_has_its_times():
-    run = cb.solve(pushed(5.0, 50.0), "contact-rkn6", step=1e-3, max_steps=100)
-    assert run.status == "budget"
-    assert run.to_frame()["t"].tolist() == run.t.tolist() == [55.0]
-    assert run.to_frame().columns[0] == "t"
-
-
-# -- what cannot be recorded -------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("force", "says"),
-    [(lambda t: (t > 10) * (t < 10.05), "cb.math.where"), (lambda t: t % 1, "cb.math.floor")],
-)
-def test_a_refusal_of_a_pulse_names_where_and_breaks(force, says):
-    given = {"q": (1.0,), "p": (0.0,), "t_end": 20.0}
-    driven = refusal(lambda: cb.Driven(name="d", potential=lambda q, t: q[0] * force(t), **given))
-    equations = cb.Equations(rhs=lambda t, y: (force(t) - y[0],), y0=(1.0,), t_end=20.0)
-    for told in (driven, cb.solve(equations, "rk8", step=0.1, engine="llvm").message):
-        assert says in told
-        assert "breaks" in told

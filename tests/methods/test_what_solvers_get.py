@@ -224,19 +224,3 @@ def test_heyoka_steps_into_a_wall_at_a_low_order_only():
     assert all(run.ok for run in runs)
     assert loose > 1e-4 > 1e-11 > tight
     assert runs[0].laws().loc["solution_error", "deviation"] > 1e-4
-
-
-def test_heyoka_may_reorder_operations_of_motion_in_coordinates_only(monkeypatch):
-    import heyoka
-
-    from contactbench.peers import heyoka as peer
-
-    made, original = [], heyoka.taylor_adaptive
-    monkeypatch.setattr(peer, "_integrators", type(peer._integrators)(4))
-    monkeypatch.setattr(
-        heyoka, "taylor_adaptive", lambda *a, **k: made.append(k["fast_math"]) or original(*a, **k)
-    )
-    for scene in (SCENE, cb.SCENES["rigid_body"]):
-        run = cb.solve(scene, "heyoka-taylor", rtol=1e-12, save_at=[END])
-        assert cb.LAWS["solution_error"](run) < 1e-12
-    assert made == [True, False]

@@ -16,7 +16,6 @@ from contactbench.testing import check_scene
 from contactbench.truth import decimal_context
 from contactbench.xla import jax, jnp
 from decimals import pullback
-from own_scenes import FORCED_PULSATING
 
 m = cb.math
 
@@ -94,7 +93,7 @@ def test_where_the_rate_is_known_and_s_need_not_be_carried_is_seen_from_h():
     np.testing.assert_allclose(bare, whole[:4], atol=1e-14)
 
 
-@pytest.mark.quick(scene="general", method=("contact-gauss8", "cyrk-dop853", "heyoka-taylor"))
+@pytest.mark.quick(scene="general", method=("contact-gauss4", "cyrk-dop853", "heyoka-taylor"))
 @pytest.mark.parametrize("scene", [GENERAL, ROUGH], ids=["general", "rough"])
 @pytest.mark.parametrize("method", [*METHODS, *PEERS])
 def test_methods_of_all_engines_agree_on_it(method, scene):
@@ -175,14 +174,14 @@ def test_a_step_is_a_contact_map_whatever_h(method, scene):
     assert off > 1e-12 if method == "rk4" else off < 1e-90
 
 
-@by_name([GENERAL, PENDULUM])
+@by_name([GENERAL])
 @pytest.mark.parametrize("method", METHODS)
 def test_a_step_of_doubles_is_one_to_round_off(method, scene):
     steps = [cb.solve(scene, method, step=h, save_at=[h]) for h in (0.02, 0.1, 0.2)]
     assert max(map(cb.LAWS["distribution_drift"], steps)) < 3e-15  # measured: 1e-15
 
 
-@by_name([PENDULUM, POLAR, cb.SCENES["central"], FORCED_PULSATING])
+@by_name([PENDULUM, POLAR, cb.SCENES["central"]])
 def test_where_the_rate_is_known_the_factor_is_that_of_the_flow(scene):
     solution = cb.solve(scene, "contact-gauss4", step=0.25, save_at=[2.0])
     assert cb.LAWS["solution_error"](solution) > 1e-6
@@ -207,13 +206,6 @@ def test_a_wrong_coefficient_costs_the_structure(monkeypatch):
 
     monkeypatch.setattr(contact_gauss, "rule", wrong)
     assert off_the_form("contact-gauss4", ROUGH) > 1e-9
-
-
-def test_stages_start_from_the_last_steps_polynomial():
-    """Evaluations a stage: 6.2 and 14.2, where every step starts afresh 7.7 and 15.1 (measured)."""
-    for step, most in ((0.0125, 6.5), (0.2, 14.6)):
-        counts = cb.solve(PENDULUM, "contact-gauss8", step=step, save_at=[20.0]).counts
-        assert counts.evaluations / counts.steps / 4 < most
 
 
 @pytest.mark.parametrize("engine", ["llvm", "python"])
@@ -331,24 +323,17 @@ def massive(**changes):
     [
         (system(lambda q, p, s: 1.0), "depends on none of q, p and s"),
         (system(lambda q, p, s: p[0] if p[0] > 0 else q[0]), "its hamiltonian cannot be recorded"),
-        (system(lambda q, p, s: math.sin(p[0])), "use cb.math.sin"),
         (system(lambda q, p, s: 1j * p[0]), "must return a real number"),
-        (system(lambda q, p, s: (p[0],)), "must return a real number"),
         (system(lambda q, p: p[0]), "is called with q, p, s; it takes q, p"),
-        (system(lambda q, p, s: p[0] * q[1]), "IndexError"),
         (system(lambda q, p, s: q[0] / (p[0] - 0.5)), "ZeroDivisionError"),
-        (system(3), "hamiltonian = 3: must be a function"),
-        (system(lambda q, p, s: p[0], p=(1.0, 2.0)), "q has 1 components and p 2"),
         (system(lambda q, p, s: p[0] ** 2, gamma=0.1), "gamma: ContactSystem takes none"),
         (system(lambda q, p, s: p[0] ** 2 + q[0], momentum=lambda q, p, s: p[0]), "momentum: is none of a symmetry"),
         (system(lambda q, p, s: p[0] ** 2, momentum=lambda q, p, s: "J"), "momentum: must return a real number"),
-        (system(lambda q, p, s, c: c * p[0], parameters={"s": 1.0}), "parameter 's': must have a name of its own"),
         (massive(mass=lambda q: 2.0), "mass: is 2.0 at q = (1.0, 0.5): must be 2 rows of 2 numbers"),
         (massive(mass=lambda q: ((1.0, 2.0), (2.0, 1.0))), "symmetric and positive definite"),
         (massive(gradient=height), "gradient: is derived"),
         (massive(parameters={"gamma": 0.1}), "parameter 'gamma': must have a name of its own"),
         (massive(mass=((1.0, 0.0), (0.0, 1.0))), "cb.Mechanical(mass=lambda q: …)"),
-        (massive(potential=None), "potential = None: must be a function"),
         (massive(rotation_invariant=True), "is none of a symmetry"),
     ],
 )  # fmt: skip

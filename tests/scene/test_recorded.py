@@ -31,20 +31,15 @@ def from_a_closure():
     return (lambda q: k * q[0] ** 2 / 2), (lambda q: (k * q[0],)), change
 
 
-#: every engine once, and one method of every kind of run
+#: every engine once
 RUNS = [
     ("contact-rkn6", {"step": 0.01}),
     ("contact-rkn6", {"step": 0.01, "engine": "python"}),
-    ("contact-strang", {"rtol": 1e-6}),
-    ("rk4", {"step": 0.01}),
-    ("herglotz2", {"step": 0.001}),
-    ("cvode-adams", {"rtol": 1e-10}),
     ("cvode-bdf", {"rtol": 1e-9, "engine": "c+python"}),
     ("cyrk-dop853", {"rtol": 1e-10}),
     ("heyoka-taylor", {"rtol": 1e-10}),
-    ("diffrax-tsit5", {"rtol": 1e-8}),
+    pytest.param("diffrax-tsit5", {"rtol": 1e-8}, marks=pytest.mark.slow),
     ("scipy-dop853", {"rtol": 1e-10}),
-    ("scipy-radau", {"rtol": 1e-7}),
 ]
 
 
@@ -110,6 +105,8 @@ CALLS = {
 
 @pytest.mark.parametrize("made", [from_a_closure, from_an_attribute, from_a_global_number])
 @pytest.mark.parametrize("call", CALLS)
+@pytest.mark.quick(made=from_a_closure)
+@pytest.mark.quick(call="solve")
 def test_so_it_is_wherever_the_stiffness_is_held_and_whoever_is_called(made, call):
     potential, gradient, change = made()
     scene = oscillator(potential, gradient)
@@ -190,36 +187,15 @@ def test_what_cannot_be_recorded_is_kept_nowhere_and_not_pickled():
         assert cb.solve(scene, "scipy-dop853", rtol=1e-10).q[-1, 0] == pytest.approx(truth(k), abs=1e-6)
 
 
-class Own(Mechanical):
-    """A kind of scene of a user's own: its force is a method."""
-
-    strength = 1.0
-
-    def V(self, q):
-        return self.strength * q[0] ** 2 / 2
-
-    def dV(self, q):
-        return (self.strength * q[0],)
-
-
-@pytest.mark.parametrize("method", ["contact-rkn6", "cvode-adams", "heyoka-taylor"])
-def test_so_are_the_equations_of_a_kind_of_ones_own(method, monkeypatch):
-    scene = oscillator(lambda q: 0.0, lambda q: (q[0],), Own)
-    options = {"step": 0.01} if method == "contact-rkn6" else {"rtol": 1e-10}
-    for k in (1.0, 2.0):
-        monkeypatch.setattr(Own, "strength", k)
-        solution = cb.solve(scene, method, **options)
-        assert solution.q[-1, 0] == pytest.approx(truth(k), abs=1e-6)
-
-
 def test_a_function_that_wraps_another_of_the_same_name_is_not_that():
     """`functools.wraps` lends the name of a registered scene's force, and with it its frozen reference."""
     particle = cb.SCENES["particle"]
     potential = wraps(particle.potential)(lambda q, **own: 2 * particle.potential(q, **own))
     gradient = wraps(particle.gradient)(lambda q, **own: tuple(2 * x for x in particle.gradient(q, **own)))
     scene = particle.with_(potential=potential, gradient=gradient, hessian=None)
-    assert cb.solve(scene, "contact-rkn6", step=0.05).laws().loc["solution_error", "deviation"] < 1e-6
-    assert cb.reference(scene, [20.0]).source == "live"
+    run = cb.solve(scene, "contact-rkn6", step=0.05, save_at=[2.0])
+    assert cb.LAWS["solution_error"](run) < 1e-6
+    assert cb.reference(scene, [2.0]).source == "live"
 
 
 def test_what_cannot_be_trusted_or_differentiated_is_refused():
@@ -292,25 +268,23 @@ def test_derivatives_of_formulas_against_jax(name, by_jax):
 
 
 # -- sizes -----------------------------------------------------------------------------------------
-@pytest.mark.parametrize("n", [100, 256])
-@pytest.mark.quick(n=100)
-def test_many_components_compile(n):
+def test_many_components_compile():
+    n = 100
     options = {"step": 0.05, "save_at": [1.0], "carry": ()}
     found, python = (cb.solve(chain(n), "contact-strang", engine=e, **options) for e in (None, "python"))
     np.testing.assert_allclose(found.y, python.y, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("method", ["cvode-adams", "cvode-bdf", "cyrk-dop853"])
-def test_programs_of_peers_grow_with_the_couplings_not_with_their_square(method):
+def test_programs_of_peers_grow_with_the_couplings_not_with_their_square():
     sizes = [
         sum(len(function.body) for function in functions(chain(n).recorded(), ())[1].values())
-        for n in (8, 16, 32, 64)
+        for n in (8, 16, 32)
     ]
     assert max(b / a for a, b in pairwise(sizes)) < 2.6
 
 
 # -- pickling --------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("method", "options"), RUNS[::3])
+@pytest.mark.parametrize(("method", "options"), RUNS[::2])
 def test_solutions_are_pickled_and_copied(method, options):
     solution = cb.solve(oscillator(*from_a_closure()[:2]), method, **options)
     for other in (pickle.loads(pickle.dumps(solution)), copy.deepcopy(solution)):

@@ -11,18 +11,12 @@ import contactbench as cb
 from cases import ALL_SCENES, TILTED, USER, by_name, random_state
 from chains import SMALL
 from contactbench.peers.heyoka import taylor_system
-from contactbench.scene import State, definition, rotation_matrix, verify
+from contactbench.scene import State, rotation_matrix, verify
 from contactbench.scene.definition import verify_along, verify_at
 from contactbench.testing import SCENE_RULES, Violation, check_scene
 from contactbench.xla import jax, jnp
 
 AD = 1e-13  # a handful of float64 operations on numbers of size one
-
-
-def test_tilted_damping_is_the_matrix_itself():
-    x = random_state(TILTED, 6)
-    expected = np.cross(x.M, np.array(x.M) / TILTED.inertia) - np.array(TILTED.damping) @ x.M
-    np.testing.assert_allclose(TILTED.rhs(x).M, expected, rtol=AD, atol=AD)
 
 
 def test_attitude_may_be_given_as_a_matrix_or_a_quaternion():
@@ -39,7 +33,7 @@ def springs(gradient, size=1, q=1.0):
 
 
 @pytest.mark.parametrize("q", [0.0, 1.0])
-@pytest.mark.parametrize(("size", "wrong"), [(n, i) for n in range(1, 5) for i in range(n)])
+@pytest.mark.parametrize(("size", "wrong"), [(1, 0), (2, 1), (4, 0), (4, 2)])
 def test_a_gradient_wrong_in_any_one_component_is_refused(size, wrong, q):
     """Also where it is right at the start itself."""
     scene = springs(lambda q: tuple(1.01 * x if i == wrong else x for i, x in enumerate(q)), size, q)
@@ -183,23 +177,6 @@ def test_a_part_that_is_wrong_away_from_the_start_is_refused_along_the_motion(sc
     with pytest.raises(cb.BadInput, match=re.escape(says)):
         verify_at(scene, run.y)
     assert math.isfinite(run.y[-1, 0])
-
-
-def test_the_motion_is_followed_for_what_is_compared_and_not_for_long(monkeypatch):
-    """Of three thousand evaluations of a slow force so many as there is time for, on a clock that they move."""
-    bare = cb.Mechanical(name="bare", potential=lambda q: q[0] ** 4, q=(1.0,), p=(0.0,), t_end=1e3).recorded()
-    with monkeypatch.context() as patch:
-        patch.setattr(definition, "_motion", lambda scene: pytest.fail("it has no gradient to compare"))
-        verify_along(bare)
-    now = [0.0]
-    monkeypatch.setattr(definition, "perf_counter", lambda: now[0])
-
-    def slow(q):
-        now[0] += definition.FOLLOWED_SECONDS / 100
-        return (4 * q[0] ** 3,)
-
-    followed = definition._motion(bare.with_(gradient=slow))
-    assert 10 < len(followed) < 100
 
 
 WELL = {"name": "well", "potential": lambda q: q[0] ** 2 / 2, "q": (1.0,), "p": (0.0,)}

@@ -17,7 +17,7 @@ from contactbench.scene.spheres import circular
 from contactbench.testing import check_scene
 from contactbench.truth import decimal_context, with_decimals
 from contactbench.xla import jax, jnp
-from own_scenes import PENDULUM_RING, UPRIGHT_PENDULUM
+from own_scenes import UPRIGHT_PENDULUM
 
 PENDULUM = cb.SCENES["spherical_pendulum"]
 #: two points of other masses and radii, coupled, with nonlinear damping
@@ -270,15 +270,6 @@ def test_a_symmetry_that_is_none_is_refused():
         ROTORS.with_(axis=(0, 0, 1))
 
 
-def test_methods_in_flat_coordinates_refuse():
-    for name in ("rkn8", "rkn12", "rkn8-6", "herglotz2", "quinlan-tremaine8"):
-        ended = cb.solve(PENDULUM, name, **({"rtol": 1e-6} if name == "rkn8-6" else {"step": 0.1}))
-        assert ended.status == "unsupported"
-        assert "needs" in ended.message
-        assert "\n" not in ended.message
-    assert "cb.step_map takes it" in refusal(lambda: cb.diffrax.terms_of(PENDULUM))
-
-
 def test_a_start_of_one_s_own_and_a_copy():
     run = cb.prepare(PENDULUM, "contact-rkn6", step=0.1, save_at=[1.0])
     found = run(q=(0.8, 0.0, -0.6), p=(0.0, 0.5, 0.0))
@@ -292,17 +283,3 @@ def test_a_start_of_one_s_own_and_a_copy():
     flat = PAIR.with_(q=PAIR.q, mass=2.0)  # one after the other, as they are kept
     assert flat.bodies == 2
     assert flat.momentum(flat.initial(()))[2] == pytest.approx(0.6 * 0.9 - 2.0 * 0.3)
-
-
-def test_a_torus_of_sixteen_circles_is_kept():
-    found = cb.solve(PENDULUM_RING, "contact-strang", step=0.1, save_at=[2.5, 5.0])
-    assert cb.LAWS["sphere_drift"](found) < 2e-14
-    assert cb.LAWS["contact_drift"](found) < 5e-12
-
-
-@pytest.mark.slow
-def test_a_reference_of_several_points_is_computed():
-    found = cb.reference(ROTORS, [1.0, 2.0])
-    assert found.digits >= 15
-    best = cb.solve(ROTORS, "contact-rkn8", step=0.02, save_at=[1.0, 2.0])
-    assert np.allclose(best.y, found.y, rtol=0, atol=1e-13)

@@ -61,8 +61,8 @@ def test_integrals_of_the_damping_over_a_step_are_right_to_round_off(size, turn)
     """γh ≤ 1 and νh ≤ 1, steps back among them; of twice the length to 10⁻¹¹; against quadrature at 30 digits."""
     xp, scene = decimal_context(30), FORCED_PULSATING.with_(friction=size, depth=0.9, pulse=turn, t=0.0)
     longest = min(1 / (1.9 * size), 1 / turn)
-    for t in (0.0, 1.25, 4.0):  # binary fractions, so that t + h is what it says
-        for h, off in ((longest, 4e-15), (longest / 4, 4e-15), (-longest / 2, 4e-15), (2 * longest, 1e-11)):
+    for t in (0.0, 1.25):  # binary fractions, so that t + h is what it says
+        for h, off in ((longest, 4e-15), (-longest / 2, 4e-15), (2 * longest, 1e-11)):
             h = round(h * 64) / 64
 
             def total(u, t=t):
@@ -91,9 +91,7 @@ STEPS = {FORCED_OSCILLATOR.name: 64, LANE_EMDEN_5.name: 64, FORCED_PULSATING.nam
 
 
 @pairs(CONTACT, [FORCED_OSCILLATOR, LANE_EMDEN_5, FORCED_PULSATING])
-@pytest.mark.quick(
-    scene="forced_pulsating", method=("contact-abc", "contact-rkn4", "contact-rkn8", "contact-gauss4")
-)
+@pytest.mark.quick(scene="forced_pulsating", method=("contact-rkn4", "contact-gauss4"))
 @pytest.mark.quick(scene="forced_oscillator", method=("contact-strang", "contact-rkn6"))
 def test_order_at_fifty_digits(method, scene):
     assert order_at(method, scene, 2.0, STEPS[scene.name]) == pytest.approx(method.order, abs=0.1)
@@ -112,7 +110,7 @@ def test_order_of_the_others(name):
 # -- contact form ----------------------------------------------------------------------------------
 
 
-@by_name([FORCED_PULSATING, LANE_EMDEN_1])
+@by_name([LANE_EMDEN_1])
 @pytest.mark.parametrize("name", ["herglotz1", "herglotz2"])
 def test_herglotz_maps_keep_the_distribution_with_a_factor_of_their_own(name, scene):
     """(1 − ½γ_k h)/(1 + ½γ_{k+1} h) and 1 − γ_k h with the γ of the time; off from e^{−∫γ} by their order."""
@@ -180,7 +178,7 @@ def end(run):
     return run.y[-1, :2]
 
 
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("side", few_slow(SIDES, "right"))
 def test_the_truth_of_a_jump_is_that_of_the_textbook(side):
     found = cb.reference(jumping(side), [JUMP, 12.0], ())
     assert found.y[-1, :2] == pytest.approx(AFTER_JUMP, abs=1e-12)
@@ -225,7 +223,7 @@ def test_peers_with_callbacks_take_jumps(name):
 
 PEERS = [m for m in cb.METHODS.values() if m.own_time and m.refuses(pulse()) is None]
 #: XLA compiles for seconds; one of its methods stands for all
-LONG = [m for m in PEERS if m.name in ("diffrax-dopri8", "diffrax-kvaerno5")]
+LONG = [m for m in PEERS if m.name in ("diffrax-dopri8", "diffrax-kvaerno5", "scipy-radau")]
 
 
 @pytest.mark.parametrize("method", few_slow(PEERS, *LONG), ids=lambda m: m.name)
@@ -250,12 +248,11 @@ def test_what_steps_over_a_pulse_is_seen_in_its_laws():
     run = cb.solve(pulse(), "cvode-adams", rtol=1e-8, save_at=[20.0])
     assert run.ok
     assert run.laws().loc["solution_error", "deviation"] > 0.1
-    digits = [cb.reference(pulse(breaks=at), [20.0], ()).digits for at in ((), (13.3,))]
-    assert digits[0] > 20 > 14 == digits[1]
 
 
-@pytest.mark.parametrize("engine", ["llvm", "python"])
-@pytest.mark.parametrize("setting", [{"step": 0.01}, {"rtol": 1e-7}])
+@pytest.mark.parametrize(
+    ("engine", "setting"), [("llvm", {"step": 0.01}), ("python", {"step": 0.01}), ("llvm", {"rtol": 1e-7})]
+)
 def test_steps_end_at_breaks_on_every_engine(engine, setting):
     scene = pulse(breaks=(13.0, 13.6))
     times = [0.0, 13.0, 15.0, 20.0]
@@ -278,7 +275,7 @@ def test_prescribed_steps_are_to_end_at_breaks():
     )
 
 
-@pytest.mark.parametrize("begin", [JUMP, JUMP - 1e-3, 9.0])
+@pytest.mark.parametrize("begin", [JUMP, 9.0])
 def test_a_run_may_begin_at_a_break_or_behind_it(begin):
     scene = jumping(t=begin, t_end=3.0)
     early = damped(1.0, 0.0, 0.1, 1.0, max(JUMP - begin, 0.0))

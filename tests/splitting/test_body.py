@@ -115,7 +115,7 @@ def test_derivatives_beside_the_separatrix_are_right_to_a_rounding_over_the_modu
 def test_double_precision_is_right_to_what_the_data_determine(kind):
     """M/L and R within 16 roundings, and 16 times what one rounding of each datum changes (long times: the
     phase); J = R M and the lengths of M and R to round-off."""
-    for inertia, M, t in motions(kind, 12):
+    for inertia, M, t in motions(kind, 6):
         x = moved(inertia, M, t, math)
         assert_determined(x, inertia, M, t)
         assert abs(math.hypot(*x.M) / math.hypot(*M) - 1) < 1e-15
@@ -143,7 +143,7 @@ BODIES += [BODY.with_(name="driven", gamma=-0.1), UNDAMPED]
 
 @pytest.mark.parametrize("engine", EXACT.engines)
 @pytest.mark.parametrize("scene", BODIES, ids=lambda s: s.name)
-@pytest.mark.quick(engine="python")
+@pytest.mark.quick(engine="python", scene=("rigid_body", "tumbling", "needle"))
 @pytest.mark.quick(scene="rigid_body", engine="llvm")
 def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scene):
     times = scene.t_end * np.arange(11) / 10
@@ -180,11 +180,11 @@ def test_fixed_loops_are_long_enough_at_the_smallest_complement():
 
 
 def test_turns_have_length_one_on_average():
-    """Over 4000 turns: what is off has one sign and adds up along a run.
+    """Over 2000 turns: what is off has one sign and adds up along a run.
 
     Measured 1.5·10⁻¹⁷, and 4·10⁻¹⁷ where the turn is not scaled; the average itself is known to 10⁻¹⁸.
     """
-    total, turns = Fraction(0), 1000
+    total, turns = Fraction(0), 500
     for inertia, M in MOTIONS[:4]:
         body = BODY.with_(inertia=inertia, M=M)
         x = body.initial(("R",))
@@ -194,11 +194,11 @@ def test_turns_have_length_one_on_average():
     assert abs(total / (4 * turns)) < 2.5e-17
 
 
-@pytest.mark.parametrize("size", [1e-150, 1e-200, 1e-300, 1e-310, 1e-320, 5e-324])
+@pytest.mark.parametrize("size", [1e-200, 1e-310, 5e-324])
 def test_attitude_stays_a_rotation_where_momentum_has_hardly_any_digits(size):
     """A body that has all but stopped: squares of M underflow, then M itself is left with a digit or none."""
     rng, scene = np.random.default_rng(3), UNDERFLOW
-    for _ in range(50):
+    for _ in range(20):
         M = tuple(float(c) for c in size * rng.uniform(-4, 4, 3))
         x = BodyState(M, (1.0, 0.0, 0.0, 0.0), None)
         for _ in range(20):
@@ -255,7 +255,7 @@ def test_a_step_as_long_as_the_decay_is_no_trouble():
 
 # -- Runge–Kutta methods on the clock of a damped body -------------------------------------------------
 @pytest.mark.parametrize("carry", [(), ("R", "s")], ids=["momentum", "all"])
-@pytest.mark.parametrize(("method", "setting"), [("rk4", 40), ("rk8", 20), ("rk8-7", 1e-8)])
+@pytest.mark.parametrize(("method", "setting"), [("rk8", 20), ("rk8-7", 1e-8)])
 def test_isotropic_damping_costs_a_runge_kutta_method_nothing(method, setting, carry):
     """Times e^{−γT} they are the runs of the free body over (1 − e^{−γT})/γ."""
     gamma, end = 0.1, 20.0
@@ -272,14 +272,6 @@ def test_isotropic_damping_costs_a_runge_kutta_method_nothing(method, setting, c
     assert damped == pytest.approx(kept * free, rel=1e-12, abs=1e-14)
 
 
-#: evaluations with which 10⁻⁶, 10⁻⁹ and 10⁻¹² are reached; in t they take 96, 204, 492
-@pytest.mark.parametrize(("steps", "error"), [(6, 1e-6), (13, 1e-9), (29, 1e-12)])
-def test_rk8_takes_few_steps_on_a_damped_body(steps, error):
-    true = cb.reference(BODY, [20.0]).y[0]
-    found = cb.solve(BODY, "rk8", step=20.0 / steps, save_at=[20.0]).y[-1]
-    assert np.abs(found[:7] - true[:7]).max() < error * 1.5
-
-
 @pytest.mark.parametrize("engine", ["llvm", "python"])
 @pytest.mark.parametrize(("method", "setting"), [("rk8", {"step": 10.0}), ("rk8-7", {"rtol": 1e-9})])
 def test_nothing_overflows_where_everything_has_decayed(method, setting, engine):
@@ -287,14 +279,3 @@ def test_nothing_overflows_where_everything_has_decayed(method, setting, engine)
     found = cb.solve(body, method, save_at=times, engine=engine, **setting)
     assert found.ok
     assert found.y == pytest.approx(cb.solve(body, "contact-exact", save_at=times).y, abs=1e-8)
-
-
-def test_a_pair_says_when_its_steps_were_spent():
-    spent = cb.solve(BODY, "rk8-7", rtol=1e-10, save_at=[10.0, 20.0], max_steps=8)
-    assert spent.status is cb.Status.budget
-    assert 0 < float(spent.message.rpartition("t = ")[2].rstrip(")")) < 20
-
-
-def test_other_damping_and_weight_have_no_such_clock():
-    for scene in ("rigid_body_anisotropic", "heavy_top"):
-        assert not cb.SCENES[scene].slows_its_clock

@@ -29,7 +29,7 @@ def test_the_series_of_strang_is_the_one_that_is_printed_everywhere():
 
 
 @pytest.mark.parametrize("letters", ["", "A", "B", "AA", "AB", "BA", "BB"])
-@pytest.mark.quick(letters=("A", "BA"))
+@pytest.mark.quick(letters="BA")
 def test_brackets_are_jacobis_on_the_whole_of_contact_space(letters):
     """By automatic differentiation of the full bracket in q, p and s."""
     scene, x = CENTRAL.with_(gamma=0.3, mass=1.5), random_state(CENTRAL, 8)

@@ -1,6 +1,6 @@
 """The subflows and compositions have every property of properties.py, which notice every wrong coefficient.
 
-Wrong signs in the sources are planted by tests/mutation.py.
+Wrong signs in the sources are planted by bench/mutation.py.
 """
 
 import pytest

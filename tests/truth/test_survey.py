@@ -9,7 +9,7 @@ import pytest
 
 import contactbench as cb
 from cases import Ticks, after_pulse, few_slow, mine, pulse, refusal
-from contactbench.numbers.functions import exp, sin
+from contactbench.numbers.functions import exp
 from contactbench.truth import OutOfTime
 from contactbench.truth.reference import confirmed
 from contactbench.truth.survey import Survey, stops_between
@@ -20,7 +20,7 @@ def bell(x):
     return exp(-(x * x))
 
 
-@pytest.mark.parametrize("width", few_slow([0.9, 0.3, 0.01, 3e-4], 0.9, 0.01))
+@pytest.mark.parametrize("width", few_slow([0.3, 3e-4], 0.3))
 def test_a_pulse_that_finds_the_motion_at_rest_is_in_the_truth(width):
     """Both precisions of heyoka and extrapolation step over it by themselves."""
     found = cb.reference(pulse(width), [20.0], ())
@@ -82,12 +82,6 @@ def test_two_solvers_that_agree_on_no_digit_are_refused(monkeypatch):
     assert "agree on no digit" in refusal(lambda: doubles(scene, np.array([1.0]), (), np.inf))
 
 
-def test_compare_refuses_a_reference_of_which_no_digit_is_confirmed(monkeypatch):
-    module = importlib.import_module("contactbench.study.schedule")
-    monkeypatch.setattr(module, "confirmed", lambda truth, seconds: 0)
-    assert "confirms none" in refusal(lambda: cb.compare("oscillator", methods=["rk4"], budget=5.0))
-
-
 @pytest.mark.parametrize("width", few_slow([1e-4, 0.0], 1e-4))  # test_pulses has others
 def test_a_step_in_time_is_followed_or_to_be_named(width):
     """A force of 1 from t = 2 on, free motion: q = (t − 2)²/2; a jump is one of floats."""
@@ -103,22 +97,6 @@ def test_a_step_in_time_is_followed_or_to_be_named(width):
     assert found[:2] == pytest.approx([4.5, 3.0], abs=width**2 + 1e-11)
 
 
-def test_a_well_that_moves_past_the_particle_is_seen():
-    """Behind it q = q₀ + v t with a kick that 2000 steps of DOP853 to the width resolve."""
-    from scipy.integrate import solve_ivp
-
-    width = 0.01
-    V = lambda q, t: -0.1 * bell((q[0] - 5 * sin(t)) / width)  # noqa: E731
-    scene = mine(V, q=0.5, t_end=4.0, kind=cb.Driven)
-
-    def slope(t, y):
-        x = (y[0] - 5 * np.sin(t)) / width
-        return y[1], -0.2 * x / width * np.exp(-x * x)
-
-    run = solve_ivp(slope, (0, 4.0), [0.5, 0.0], "DOP853", rtol=1e-12, atol=1e-14, max_step=4e-4)
-    assert cb.reference(scene, [4.0], ()).y[0, :2] == pytest.approx(run.y[:, -1], abs=1e-10)
-
-
 def test_stops_come_before_a_step_could_be_many_times_too_long():
     ends = [0.0, 1.0, 2.0, 2.1, 2.2, 2.3, 3.5, 5.0]
     stops = [0.0, *stops_between(ends), 5.0]
@@ -132,11 +110,11 @@ def test_stops_come_before_a_step_could_be_many_times_too_long():
 
 def test_two_solvers_reach_a_jump_to_round_off():
     """Their steps do not sum up the time: a few roundings late, ten digits would agree."""
-    at = [0.7 + 1.9 * k for k in range(10)]
+    at = [0.7 + 1.9 * k for k in range(4)]
     side = lambda t: float(bisect.bisect(at, float(t)) % 2)  # noqa: E731  # float() refuses to be recorded
     V, gradient = (lambda q, t: q[0] ** 2 / 2 - q[0] * side(t)), (lambda q, t: (q[0] - side(t),))
-    scene = mine(V, 0.3, t_end=20.0, kind=cb.Driven, gradient=gradient, gamma=0.1, breaks=at)
-    found = cb.reference(scene, [20.0], ())
+    scene = mine(V, 0.3, t_end=8.0, kind=cb.Driven, gradient=gradient, gamma=0.1, breaks=at)
+    found = cb.reference(scene, [8.0], ())
     assert found.source == "two solvers"
     assert found.digits >= 12
 
@@ -147,7 +125,7 @@ def test_a_stiff_motion_has_the_truth_of_two_implicit_solvers(rate, span):
     """q = e^{−t/γ}, to 1/γ²; explicit solvers would take 10¹² steps."""
     scene = mine(lambda q: q[0] ** 2 / 2, t_end=span, gamma=rate)
     t = min(span, 3 * rate)
-    found = cb.reference(scene, [t], (), seconds=60)
+    found = cb.reference(scene, [t], (), seconds=6)
     assert found.source == "two solvers"
     assert found.y[0, 0] == pytest.approx(np.exp(-t / rate), rel=1e-9)
 
@@ -156,7 +134,7 @@ def test_a_stiff_motion_has_the_truth_of_two_implicit_solvers(rate, span):
 def test_a_fast_motion_that_cannot_be_afforded_is_said_to_be_that(omega):
     scene = mine(lambda q: omega**2 * q[0] ** 2 / 2, t_end=1e7, gamma=0.1)
     with pytest.raises(OutOfTime, match="in the time it was given"):
-        cb.reference(scene, [1e7], (), seconds=3)
+        cb.reference(scene, [1e7], (), seconds=1)
 
 
 @pytest.mark.parametrize("digits", [12, 30])
@@ -172,5 +150,5 @@ def test_extrapolation_takes_fast_motion_for_no_singularity(digits, monkeypatch)
 
 def test_a_wall_that_a_trial_step_goes_far_beyond_has_a_truth():
     """There q⁴⁰ is no number any more: the step is too long, not the motion lost."""
-    wall = mine(lambda q: q[0] ** 40 / 40, 0.1, 1.5, 4.0, gamma=0.05)
-    assert cb.reference(wall, [4.0]).digits >= 20
+    wall = mine(lambda q: q[0] ** 40 / 40, 0.1, 1.5, 2.0, gamma=0.05)
+    assert cb.reference(wall, [2.0]).digits >= 20

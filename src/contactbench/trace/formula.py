@@ -267,7 +267,7 @@ class Sums:
         """Compute a sum, by Horner's scheme in the factor that most terms have."""
         if not terms:
             return self.kind(0), self.unit
-        counts = Counter(factor for place in terms for factor in {*place})
+        counts = Counter(factor for place in terms for factor in dict.fromkeys(place))
         common, count = max(counts.items(), key=lambda each: each[1], default=("", 0))
         if len(terms) > 1 and count > 1:
             inside: Sum = {}

@@ -215,6 +215,10 @@ def within[Made](make: Callable[[], Made], watch: Stopwatch) -> Made:
 
 
 # -- Taylor series -----------------------------------------------------------------------------------
+#: to optimise calls of MPFR would gain nothing, and takes four fifths of the compilation
+MANY_DIGITS = {"compact_mode": True, "opt_level": 0}
+
+
 def taylor_system(
     scene: Scene, carry: tuple[str, ...], bits: int
 ) -> tuple[list[tuple[heyoka.expression, heyoka.expression]], list[heyoka.real]]:
@@ -248,7 +252,7 @@ def taylor(
 
     system, own = taylor_system(scene, carry, bits)
     origin_state = own if start is None else [heyoka.real(x, bits) for x in start]
-    kind = {"fp_type": heyoka.real, "prec": bits, "compact_mode": True}
+    kind = MANY_DIGITS | {"fp_type": heyoka.real, "prec": bits}
     end, watch, longest, steps = float(times[-1]), Stopwatch(scene, float(times[-1]), deadline), 0.0, 0
     integrator = within(lambda: heyoka.taylor_adaptive(system, np.array(origin_state), **kind), watch)
     context, limits, due = decimal_context(bits * 3 // 10 + 5), heyoka.taylor_outcome, 0.0
@@ -291,7 +295,7 @@ def heyoka_reads_rhs(scene: Scene, rows: Rows, carry: tuple[str, ...]) -> bool:
 
     bits = 160
     variables, slopes = zip(*taylor_system(scene, carry, bits)[0], strict=True)
-    compiled = heyoka.cfunc(slopes, vars=variables, fp_type=heyoka.real, prec=bits, compact_mode=True)
+    compiled = heyoka.cfunc(slopes, vars=variables, fp_type=heyoka.real, prec=bits, **MANY_DIGITS)
     context = decimal_context(48)
     twin = with_decimals(scene, context.mpf)
     states = [[context.mpf(x) for x in row] for row in rows[:: -(-len(rows) // LOOKS)]]

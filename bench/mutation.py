@@ -1,7 +1,7 @@
 """Plant slips in a copy of the sources, one at a time, and see which of them the quick tests let pass.
 
-python tests/mutation.py FOLDER map [pytest's arguments] : which test runs which line, and how long it takes
-python tests/mutation.py FOLDER run COUNT [SEED] : judges mutants drawn at random, and goes on where it was
+python bench/mutation.py FOLDER map [pytest's arguments] : which test runs which line, and how long it takes
+python bench/mutation.py FOLDER run COUNT [SEED] : judges mutants drawn at random, and goes on where it was
 """
 
 import ast

@@ -1,6 +1,6 @@
 """Check that the docstrings of the public names and of the base classes of the contracts are in numpydoc's form.
 
-    python tests/docstrings.py
+    python bench/docstrings.py
 
 Which of numpydoc's checks are made stands in pyproject.toml.  Attributes count as parameters of a class that no user
 makes.
