@@ -326,7 +326,7 @@ class Solution:
 
     @cached_property
     def at_steps(self) -> Solution:
-        """Return the run saved at ends of its steps, where structure is judged; itself of a run without dense output."""
+        """Return the run saved at ends of its steps, where structure is judged; without dense output itself."""
         judged = getattr(self.run, "judged", None)
         if judged is None or not self.ok:
             return self

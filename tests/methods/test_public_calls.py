@@ -31,7 +31,7 @@ def test_public_calls_are_short():
     run = cb.prepare(PARTICLE, "contact-rkn6", **SHORT)
     cb.solve(PARTICLE, "contact-rkn6", step=0.1)
     run(q=(1.0, 0.4)), run.bare(run.start)
-    most = {"run()": 5, "run(q=…)": 8, "bare": 2, "solve": 60}
+    most = {"run()": 5, "run(q=…)": 8, "bare": 2, "solve": 61}
     found = {
         "run()": calls(run),
         "run(q=…)": calls(lambda: run(q=(1.0, 0.45), p=[0.1, 0.2])),

@@ -68,9 +68,9 @@ class Method(ABC):
      5. ``bare(y0)`` is the fastest call of the solver itself, and is timed.  It returns the last state of the run to
         round-off.
      6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between breaks, or saved times,
-        and no longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the error
-        falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and `atol`, and `tolerance` says what they
-        bound; the error falls with them.  `exact`: takes neither and has no truncation error.
+        and no longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the
+        error falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and `atol`, and `tolerance` says what
+        they bound; the error falls with them.  `exact`: takes neither and has no truncation error.
      7. A run never exceeds `max_steps`: a run that needs more ends as `budget`, and the states it did not reach are
         NaN, as after `failed` and `diverged`.  The time of divergence is known to the step.
      8. `Counts.evaluations` counts all evaluations of a run, including those for a Jacobian, an interpolant or a
@@ -278,7 +278,7 @@ def prepare(
             except CannotRecord as error:
                 run = uncompiled(chosen, asked, error)
             if not isinstance(run, Refused):
-                return densely(chosen, asked, run)
+                return densely(chosen, asked, run) if asked.dense else run
             refused.append(run)
     except BaseException as error:
         raise blame(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__

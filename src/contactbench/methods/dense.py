@@ -316,5 +316,5 @@ def dense_again(method: str, request: Request) -> Prepared:
 
 def densely(method: Any, request: Request, run: Prepared) -> Prepared:
     """Return the run, with dense output where the method has it and saved times would shorten its steps."""
-    source = method.source(request) if request.dense and len(request.save_at) > 1 else None
+    source = method.source(request) if len(request.save_at) > 1 else None
     return run if source is None else Dense(method.name, request, method, source)
