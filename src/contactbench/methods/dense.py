@@ -231,10 +231,13 @@ class Dense(Prepared):
             worst = np.zeros((len(intervals), error.shape[1]))
             np.fmax.at(worst, each[probes], error)
             if allowed is None and (worst > rounding).any():
-                part, more = self.measured(y0, found, intervals[np.argmax((worst / scales).max(axis=1))])
+                k = np.argmax((worst / scales).max(axis=1))
+                middle, part, more = self.measured(y0, found, intervals[k])
                 allowed, spent = np.maximum(part * scales, rounding), spent + more
-                left = self.known(found.nodes, left, y, between)
-                continue
+                if (worst[k] > allowed).any():
+                    found.add(middle)
+                    left = self.known(found.nodes, left, y, between)
+                    continue
             good = (worst <= (rounding if allowed is None else allowed)).all(axis=1)
             rows = left[good[each]]
             y[rows], _ = self.interpolated(found, t[rows], each[good[each]], intervals)
@@ -281,24 +284,33 @@ class Dense(Prepared):
                 error[rows] = gap * np.minimum(1.0, gap / np.maximum(before, TINY))
         return self.request.scene.settled(y, self.request.carry), np.nan_to_num(error, nan=math.inf)
 
-    def halve(self, y0: np.ndarray, found: Polynomials, intervals: np.ndarray, finer: bool = False) -> int:
+    def halve(self, y0: np.ndarray, found: Polynomials, intervals: np.ndarray) -> int:
         """Add nodes in the middle of some intervals, and return the evaluations."""
         nodes, made, spent = found.nodes, [], 0
         middle = (nodes.t[intervals] + nodes.t[intervals + 1]) / 2
         for k, time in zip(intervals, middle, strict=True):
-            y, more = self.source.step(y0, nodes.y[k], nodes.t[k], time, finer)
+            y, more = self.source.step(y0, nodes.y[k], nodes.t[k], time)
             made.append(y)
             spent += more
         found.add(Nodes(middle, np.array(made), nodes.piece[intervals]))
         return spent
 
-    def measured(self, y0: np.ndarray, found: Polynomials, k: int) -> tuple[float, int]:
-        """Halve an interval, and return the error that its step allows, in parts of the scales, and the evaluations."""
-        after, spent = found.nodes.y[k + 1], self.halve(y0, found, np.array([k]), finer=True)
+    def measured(self, y0: np.ndarray, found: Polynomials, k: int) -> tuple[Nodes, float, int]:
+        """Return the middle of an interval, the error that its step allows, in parts of the scales, and evaluations.
+
+        Ends of equal steps lie on a smooth path, which the error of a step bends away from the motion: in the middle
+        by half of it.
+        """
         nodes = found.nodes
-        y, more = self.source.step(y0, nodes.y[k + 1], nodes.t[k + 1], nodes.t[k + 2], finer=True)
-        off = np.abs(y - after)[self.moving] / self.scales(y0)
-        return min(ALLOWED * float(off.max()), LARGEST), spent + more
+        (begin, end), (before, after) = nodes.t[k : k + 2], nodes.y[k : k + 2]
+        time = (begin + end) / 2
+        middle, spent = self.source.step(y0, before, begin, time, finer=True)
+        y, more = self.source.step(y0, middle, time, end, finer=True)
+        off = (after - y)[self.moving]
+        middle[self.moving] += off / 2
+        part = float(np.abs(off / self.scales(y0)).max())
+        own = Nodes(np.array([time]), middle[None], nodes.piece[k : k + 1])
+        return own, min(ALLOWED * part, LARGEST), spent + more
 
 
 def place(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -374,7 +374,7 @@ class Spheres(Mechanical):
 
     def settled(self, y: np.ndarray, carry: Sequence[str]) -> np.ndarray:
         n, d = len(self.q), self.dimension
-        q, p = (y[:, part].reshape(len(y), -1, d) for part in (slice(0, n), slice(n, 2 * n)))
+        q, p = (y[:, part].reshape(len(y), n // d, d) for part in (slice(0, n), slice(n, 2 * n)))
         q *= np.array(self.radius).reshape(-1, 1) / np.linalg.norm(q, axis=2, keepdims=True)
         p -= q * (q * p).sum(axis=2, keepdims=True) / (q * q).sum(axis=2, keepdims=True)
         return np.hstack([q.reshape(len(y), n), p.reshape(len(y), n), y[:, 2 * n :]])
