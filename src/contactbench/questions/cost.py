@@ -35,7 +35,6 @@ KINDS: dict[str, tuple[bool, dict[str, Any]]] = {
     "callbacks": (True, {"callbacks": True}),
     "tolerance": (True, {"tolerance": True}),
     "tolerance_evaluations": (False, {"tolerance": True}),
-    "saved": (True, {"saved": CURVE}),
     "saved_evaluations": (False, {"saved": CURVE}),
 }
 ENTRIES: dict[str, dict[str, str]] = PROSE["cost"]["kinds"]

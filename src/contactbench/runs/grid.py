@@ -26,6 +26,8 @@ from contactbench.tables.schema import PROFILES as NAMES
 DEAR = ("jax", "python")
 #: number of settings in the smoke profile
 FEW = 3
+#: largest error of a run that is repeated saved at many times
+FOLLOWS = 1e-2
 #: most evaluations of a run that calls back into Python
 DEAREST_CALLBACKS = 2**12
 #: most evaluations of a run whose map is differentiated; coarser runs show which laws it keeps
@@ -117,13 +119,16 @@ def guarded(scene: Scene, function: Callable[..., Row], question: Question, *mor
         return bad | {"message": " ".join(str(error).split())[:200]}
 
 
-def is_saved(scene: Scene, method: Method, engine: str, control: str, profile: Profile) -> bool:
-    """Return whether runs saved at many times are made: by the first engine, briefly on the mission's scenes alone.
+def is_saved(scene: Scene, method: Method, control: str, row: Row) -> bool:
+    """Return whether a run is repeated saved at many times, for its evaluations: on the mission's scenes.
 
     A method that is given a step is compared as such, not with steps that pilots choose.
     """
-    own = engine == method.engines[0] and not is_dear(method) and control == control_of(scene, method)
-    return own and control != GROWING and (scene.mission or not profile.brief)
+    own = row["engine"] == method.engines[0] and not is_dear(method) and control == control_of(scene, method)
+    follows = row["status"] == "ok" and row.get("error", math.inf) <= FOLLOWS
+    return (
+        scene.mission and own and control != GROWING and follows and row["evaluations"] <= DEAREST_CALLBACKS
+    )
 
 
 def climb(scene: Scene, method: Method, engine: str, control: str, profile: Profile) -> Iterator[Row]:
@@ -139,9 +144,8 @@ def climb(scene: Scene, method: Method, engine: str, control: str, profile: Prof
         row = guarded(scene, ended, (scene.name, method.name, engine, control, value))
         least_profile = {"profile": NAMES[0] if count < FEW else NAMES[1]}
         yield row | least_profile
-        if row["status"] == "ok" and is_saved(scene, method, engine, control, profile):
-            question = scene.name, method.name, engine, control, value
-            yield guarded(scene, many, question) | least_profile
+        if is_saved(scene, method, control, row):
+            yield guarded(scene, many, (scene.name, method.name, engine, control, value)) | least_profile
         error = row.get("error", math.inf)
         if row["status"] in ("budget", "unsupported") or (row.get("evaluations") or 0) > dearest:
             break
@@ -195,13 +199,8 @@ def run(cell: Cell, profile: Profile) -> Recorded:
 
 @timed(run)
 def times(row: Row) -> Timing | None:
-    if row["saved"] not in (1, CURVE) or row["status"] != "ok" or row.get("error") is None:
+    if row["saved"] != 1 or row["status"] != "ok" or row.get("error") is None:
         return None
     names = ("scene", "method", "engine", "control", "setting")
     question = tuple(row[name] for name in names)
-    return Timing(
-        dict(zip(names, question, strict=True)) | {"saved": row["saved"]},
-        bare,
-        (question, row["saved"]),
-        row["error"],
-    )
+    return Timing(dict(zip(names, question, strict=True)) | {"saved": 1}, bare, (question,), row["error"])
