@@ -234,8 +234,8 @@ def prepare(
         for others.
     dense
         Whether states at saved times between ends of steps are interpolated; the solution's `interpolated` says which.
-        Their error is estimated, and kept below that of a step, or a tenth of the tolerance; where steps are too long
-        for that, parts of steps are taken and counted.  If False, steps end at every saved time: each interval between
+        The estimate of their error is at most twice the error of a step, or a tenth of the tolerance; where steps are
+        too long for that, parts of steps are taken and counted.  If False, steps end at every saved time: each interval between
         saved times is divided into the fewest equal steps, and a method starts anew there.  So do methods that choose
         a fixed step from `rtol`, and contact-log8.
     carry

@@ -124,11 +124,11 @@ def is_saved(scene: Scene, method: Method, control: str, row: Row) -> bool:
 
     A method that is given a step is compared as such, not with steps that pilots choose.
     """
-    own = row["engine"] == method.engines[0] and not is_dear(method) and control == control_of(scene, method)
+    if not scene.mission or is_dear(method) or row["engine"] != method.engines[0]:
+        return False
+    own = control == control_of(scene, method) and control != GROWING
     follows = row["status"] == "ok" and row.get("error", math.inf) <= FOLLOWS
-    return (
-        scene.mission and own and control != GROWING and follows and row["evaluations"] <= DEAREST_CALLBACKS
-    )
+    return own and follows and row["evaluations"] <= DEAREST_CALLBACKS
 
 
 def climb(scene: Scene, method: Method, engine: str, control: str, profile: Profile) -> Iterator[Row]:
