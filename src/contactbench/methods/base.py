@@ -235,9 +235,9 @@ def prepare(
     dense
         Whether states at saved times between ends of steps are interpolated; the solution's `interpolated` says which.
         The estimate of their error is at most twice the error of a step, or a tenth of the tolerance; where steps are
-        too long for that, parts of steps are taken and counted.  If False, steps end at every saved time: each interval between
-        saved times is divided into the fewest equal steps, and a method starts anew there.  So do methods that choose
-        a fixed step from `rtol`, and contact-log8.
+        too long for that, parts of steps are taken and counted.  If False, steps end at every saved time: each
+        interval between saved times is divided into the fewest equal steps, and a method starts anew there.  So do
+        methods that choose a fixed step from `rtol`, and contact-log8.
     carry
         Which of s and R to integrate; by default all the scene has.
     engine
