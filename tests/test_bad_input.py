@@ -134,7 +134,7 @@ CALLS = [
     (lambda: cb.SCENES["heavy_top"].with_(potential=lambda u: math.sin(u[0])), "use cb.math.sin"),
     (lambda: cb.compare("oscillator", []), "methods = []: must be names"),
     (rk4(gamma=0.2), "scene.with_(gamma=…)"),
-    (rk4(dt=0.2), "dt: solve takes none: choose from atol"),
+    (rk4(dt=0.2), "dt: solve takes none: choose from about, atol"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gama=0.1), "gama: Mechanical takes none: choose from"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, damping=abs), "cb.GeneralDamping"),
     (lambda: cb.Driven(**DRIVEN, **GIVEN, rate=lambda q, t: t), "a damping that depends on q is cb."),

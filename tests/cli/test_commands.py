@@ -17,6 +17,7 @@ from cases import few_slow, run
 from contactbench.cli import main, parsing
 from contactbench.files import replacing
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.paper import CLAIMS
 from contactbench.questions import write
 from contactbench.testing import METHOD_RULES, SCENE_RULES
 
@@ -142,18 +143,44 @@ def test_every_rule_says_what_to_do():
 
 
 # -- The width of the terminal ---------------------------------------------------------------------
-@pytest.mark.parametrize("width", [72, 100])
 @pytest.mark.parametrize("line", ["list", "list claims", "claim C13", f"{RUN} --laws"])
-def test_lines_are_wrapped_at_the_width_of_the_terminal(line, width, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", str(width))
-    assert main(line.split()) == 0
-    wrapped = capsys.readouterr().out
-    monkeypatch.delenv("COLUMNS")
-    monkeypatch.setattr("shutil.get_terminal_size", lambda fallback=(80, 24): os.terminal_size(fallback))
-    assert main(line.split()) == 0
-    whole = capsys.readouterr().out
-    assert wrapped.split() == whole.split()  # no word is cut
-    assert max(len(line) for line in whole.splitlines()) > width >= max(map(len, wrapped.splitlines()))
+def test_lines_are_wrapped_at_the_width_of_the_terminal(line, capsys, monkeypatch):
+    """Without a terminal it is 80."""
+    found = {}
+    for width in (None, 72, 100, 1000):
+        if width:
+            monkeypatch.setenv("COLUMNS", str(width))
+        else:
+            monkeypatch.delenv("COLUMNS", raising=False)
+        assert main(line.split()) == 0
+        found[width or 80] = capsys.readouterr().out
+    whole = found.pop(1000)
+    for width, wrapped in found.items():
+        assert wrapped.split() == whole.split()  # no word is cut
+        assert max(map(len, whole.splitlines())) > width >= max(map(len, wrapped.splitlines()))
+
+
+@pytest.mark.parametrize("kind", ["methods", "scenes", "laws", "claims"])
+def test_a_list_has_a_line_for_each_and_all_about_one(kind, capsys):
+    items = {"methods": cb.METHODS, "scenes": cb.SCENES, "laws": cb.LAWS, "claims": CLAIMS}[kind]
+    assert main(["list", kind]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines() if not line.startswith(" ")]
+    assert listed == [*items]
+    name = listed[-1]
+    assert main(["list", kind, name]) == 0
+    assert capsys.readouterr().out.split()[:2] == ["name", name]
+
+
+def test_a_method_of_ones_own_is_described_by_what_it_declares(registries, capsys):
+    @cb.fixed_step("my-midpoint", order=2, evaluations=2, about="my source")
+    def midpoint(scene, x, h, xp):
+        return cb.shifted(x, h, scene.rhs(cb.shifted(x, h / 2, scene.rhs(x))))
+
+    assert main(["list", "methods", "my-midpoint"]) == 0
+    said = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert said["good"] == "for   order 2: large errors"
+    assert said["cost"] == "about 2 evaluations a step of oscillator"
+    assert said["source"] == "my source"
 
 
 # -- What cannot be written is refused before anything is computed ---------------------------------

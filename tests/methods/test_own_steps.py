@@ -50,7 +50,7 @@ def test_a_race_refuses_it_too_and_goes_on(registries):
 STATE = "x = State(q=(1.0,), p=(0.0,), s=None)"
 CALLABLE = "scene.dV(q) and scene.velocity(p), which know the scene's parameters"
 WRONG = {
-    "action": (lambda scene, x, h, xp: x._replace(s=x.s + h), f"{STATE}: vectors are tuples, what is not"),
+    "action": (lambda scene, x, h, xp: x._replace(s=x.s + h), f"{STATE}: vectors are tuples, fields not"),
     "vector": (lambda scene, x, h, xp: x._replace(p=x.p - h * x.q), STATE),
     "parameters": (lambda scene, x, h, xp: x._replace(p=scene.gradient(x.q)), CALLABLE),
     "arguments": (lambda scene, x, h: x, "a step map is called with scene, x, h, xp"),

@@ -145,7 +145,8 @@ def test_error_is_within_the_tolerance_at_a_few_times_the_cost_of_the_longest_st
         enough = FIRST
         while not error(run := cb.solve(scene, method.name, step=scene.t_end / enough, **options)) < rtol:
             enough = max(enough + 1, int(1.1 * enough))
-        assert chosen.counts.evaluations < 9 * run.counts.evaluations
+        exact = error(run) < 1e-12  # no step is too long then, and the first pilots are the cost
+        assert exact or chosen.counts.evaluations < 9 * run.counts.evaluations
 
 
 def test_a_round_off_gap_of_pilots_does_not_make_their_step_the_one():

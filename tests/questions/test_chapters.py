@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench.questions.answers import fold
+from contactbench.questions.answers import evaluate, fold
 from contactbench.report import markdown
-from contactbench.report.chapters import chapters, discovered, every
+from contactbench.report.chapters import Fold, chapters, discovered, every
 from contactbench.report.drawing import Figure
 from contactbench.report.views import View
 from contactbench.tables.schema import TABLES
@@ -131,6 +131,24 @@ def test_the_lines_that_a_document_prints_give_its_counts(name, monkeypatch):
                 assert line not in lines[:1] or f"{int(found.sum())} of {len(found)}" in answer.count
             else:
                 assert len(found) or not lines
+
+
+@pytest.mark.parametrize("name", discovered())
+def test_the_lines_under_a_table_run(name, monkeypatch):
+    tables = frames(**SOME)
+    monkeypatch.setattr(cb, "results", tables.__getitem__)
+    for lines in every(Fold, discovered()[name].fill(tables)):
+        exec(lines.code, {})
+
+
+def test_the_line_under_saved_times_finds_the_methods_of_its_table():
+    methods, errors = ("contact-a", "rk4"), (1e-2, 1e-7)
+    runs = [row("particle", m, e, error=e, saved=1) for m in methods for e in errors]
+    tables = frames(**SOME | {"runs": runs, "times": timed(runs, (2e-6, 9e-6, 1e-6, 5e-6))})
+    view, lines, *_ = discovered()["which"].fill(tables)
+    found = evaluate(lines.code.splitlines()[-1], tables)
+    assert found.to_dict() == {"particle": ["rk4"]}
+    assert [[cell.text.split()[0] for cell in line] for line in view.rows] == [["particle", "rk4"]]
 
 
 # -- a contradicting row changes the answer --------------------------------------------------------

@@ -16,7 +16,7 @@ import pytest
 from mpmath import mp
 
 from contactbench.splitting.composition import Composition
-from contactbench.splitting.tables import COMPOSITIONS
+from contactbench.splitting.tables import COMPOSITIONS, LINEAR
 from properties import run
 
 #: of fixed-point numbers: 66 digits after the point
@@ -132,3 +132,24 @@ def test_tables_are_the_published_ones(name):
     for (_, mine), printed in zip(composition.stages, PUBLISHED[name].split(), strict=False):
         unit = Fraction(1, 10 ** len(printed.partition(".")[2]))
         assert abs(mine - Fraction(printed)) < 7 * unit  # the conditions pin fewer digits than are printed
+
+
+#: near-integrable ones: the order in h of the terms with one kick, with two, and with any number of them
+NEAR = {"contact-aba864": (8, 6, 4), "contact-aba1064": (10, 6, 4)}
+
+
+@pytest.mark.parametrize("name", NEAR)
+def test_near_integrable_tables_are_of_their_orders_in_the_size_of_the_kicks(name, mp50):
+    own = next(composition for composition in LINEAR if composition.name == name)
+    letters = {"swing": "drift_damp"}
+    own = replace(own, stages=tuple((letters.get(flow, flow), c) for flow, c in own.stages))
+    highest = max(NEAR[name]) + 1
+    coefficients = expanded(own, 1, highest)
+    for kicks, order in enumerate(NEAR[name], 1):
+        off = dict.fromkeys(range(1, highest + 1), mp.mpf(0))
+        for degree in off:
+            some = [w for w in words(degree) if w.count("B") == kicks]
+            errors = (abs(coefficients.get(w, 0) - mp.mpf(1) / factorial(degree)) for w in some)
+            off[degree] = max(errors, default=mp.mpf(0))
+        assert max(off[degree] for degree in range(1, order + 1)) < mp.mpf(10) ** -37
+        assert off[order + 1] > mp.mpf(10) ** -12

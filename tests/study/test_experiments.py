@@ -331,7 +331,7 @@ def test_fixed_steps_pass_through_the_earlier_ends(method):
     own = ended((scene.name, method.name, "python", "step", step))["error"]
     passing = cb.solve(scene, method, save_at=ends, step=step, engine="python", carry=())
     same = cb.LAWS["solution_error"](passing) == pytest.approx(own, rel=1e-6, abs=1e-14)
-    assert same == passes_through(method, "python", "step")
+    assert same == passes_through(scene, method, "python", "step")
 
 
 def test_a_law_is_judged_by_what_the_run_claims():

@@ -15,7 +15,7 @@ from importlib import metadata
 from typing import NoReturn
 
 from contactbench import early
-from contactbench.cli import runs, tables
+from contactbench.cli import listing, runs, tables
 from contactbench.cli.parsing import HELP, PLUGIN, Parser, add_options
 from contactbench.errors import BadInput, UnknownName, one_line
 from contactbench.limits import VARIABLE, limit
@@ -24,7 +24,7 @@ from contactbench.limits import VARIABLE, limit
 SECONDS = "60"
 
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
-    "list": runs.listing,
+    "list": listing.listing,
     "solve": runs.solve,
     "compare": runs.compare,
     "check": runs.check,

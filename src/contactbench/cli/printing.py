@@ -5,13 +5,13 @@ from __future__ import annotations
 import shutil
 import textwrap
 
-#: least columns of a text beside its label, and columns without a terminal, where lines are not wrapped
-NARROWEST, WHOLE = 20, 100_000
+#: least columns of a text beside its label
+NARROWEST = 20
 
 
 def print_item(label: str, text: object, column: int) -> None:
     """Print a label and a text indented to a column; lines break between words."""
-    width = shutil.get_terminal_size((WHOLE, 0)).columns
+    width = shutil.get_terminal_size().columns  # 80 without a terminal
     lines = textwrap.wrap(
         str(text),
         max(width - column, NARROWEST),

@@ -1,4 +1,4 @@
-"""The commands ``contactbench list | solve | compare | check``."""
+"""The commands ``contactbench solve | compare | check``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from contactbench.methods.base import Method
     from contactbench.scene import Scene
     from contactbench.solution import Solution
 
@@ -38,31 +37,6 @@ def write_csv(frame: pd.DataFrame, path: Path) -> None:
 def write_picture(figure: Figure, path: Path) -> None:
     with replacing(path, mode="wb") as file:
         figure.savefig(file, format=path.suffix[1:].lower())
-
-
-def listing(arguments: argparse.Namespace) -> int:
-    import contactbench as cb
-    from contactbench.paper import CLAIMS
-
-    def method(item: Method) -> str:
-        kind = {"fixed": "fixed step"}.get(item.stepping, item.stepping)
-        order = [f"order {item.order}"] if item.order else ["variable order"] if item.adaptive else []
-        lacks = item.lacks(item.engines[0])
-        return f"{', '.join([*order, kind, '/'.join(item.engines)])}: {f'{lacks}; ' if lacks else ''}{item.about}"
-
-    kinds = {
-        "scenes": {name: scene.about for name, scene in cb.SCENES.items()},
-        "methods": {name: method(item) for name, item in cb.METHODS.items()},
-        "laws": {name: law.definition for name, law in cb.LAWS.items()},
-        "claims": {name: f"{item.where}: {item.says}" for name, item in CLAIMS.items()},
-    }
-    for kind in [arguments.kind] if arguments.kind else kinds:
-        if not arguments.kind:
-            print(kind)
-        indent = "" if arguments.kind else "  "
-        for name, about in kinds[kind].items():
-            print_item(f"{indent}{name:24} ", about, len(indent) + 25)
-    return 0
 
 
 def scene_of(arguments: argparse.Namespace) -> Scene:

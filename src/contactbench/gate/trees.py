@@ -87,7 +87,7 @@ def gate(
     """Compare the project around `folder` with its base revision.
 
     results : folder of its tables.  fresh : tables of a finished run; without it the smoke profile runs now.
-    changed : names of tables that are meant to change, beside those that commit messages announce.
+    changed : names of tables that are meant to change; commit messages may announce more.
     """
     root, where, results = revisions.project(folder), results, (folder / results).resolve()
     if not revisions.ours(root) and not brought():

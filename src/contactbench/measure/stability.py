@@ -53,7 +53,8 @@ def oscillator(gamma: float, omega: float = 1.0) -> Mechanical:
 
 
 def fixed_step_methods() -> list[FixedStep]:
-    equal = [m for m in METHODS.values() if m.control == "step" and m.one_step]
+    """Return the methods that oscillators tell something about: they are not exact there, and have a step map."""
+    equal = [m for m in METHODS.values() if m.control == "step" and m.one_step and not m.expands]
     return [m for m in equal if m.refuses(SCENES["oscillator"]) is None]
 
 
@@ -62,7 +63,8 @@ def is_processed(method: Method) -> TypeGuard[ContactMethod]:
 
 
 def of_stages(method: ContactMethod, stages: Sequence[Stage]) -> FixedStep:
-    return replace(method, composition=replace(method.composition, stages=tuple(stages), processor=()))
+    own = replace(method.composition, stages=tuple(stages), processor=(), postprocessor=())
+    return replace(method, composition=own)
 
 
 def kernel(method: FixedStep) -> FixedStep:

@@ -17,7 +17,7 @@ def costs_to_reach(errors: Sequence[float], costs: Sequence[float], targets: Seq
     """Return the cost to reach each target error; nan if no setting is accurate enough.
 
     Costs are interpolated log–log on the lower envelope, so that a poor setting does not count against a method.  If
-    every setting is more accurate than the target, the cost is that of the cheapest, an upper bound.
+    every setting is more accurate than the target, the cheapest gives the cost, an upper bound.
     """
     return interpolate(errors, costs, envelope(errors, costs), targets)
 

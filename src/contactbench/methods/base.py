@@ -7,12 +7,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from contactbench.blame import blame
-from contactbench.checks import missing, positive, switch, text, whole
+from contactbench.checks import missing, positive, switch, text, vector, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.dense import Source, densely
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_start
@@ -123,11 +123,13 @@ class Method(ABC):
     unsolved: ClassVar[str] = ""
     #: the package that runs it; blank for this one
     package: str = ""
-    #: whether it is one of those that the benchmark is about, which is run by all of its engines
+    #: whether the benchmark is about it; then it runs on all of its engines
     mission: bool = False
+    #: whether it solves the linear part of the force about a point exactly
+    expands: bool = False
     #: whether it is meant for stiff problems
     stiff: bool = False
-    #: the method of another maker whose formulas it has; blank for what is run for its own sake
+    #: the method of another maker with the same formulas; blank for a method that is run for its own sake
     like: str = ""
 
     @property
@@ -143,6 +145,10 @@ class Method(ABC):
     def refuses(self, scene: Scene) -> str | None:
         """Return why the scene is out of reach, or None."""
         return None
+
+    def on(self, scene: Scene) -> Self:
+        """Return the method with what it takes from a scene beforehand."""
+        return self
 
     def lacks(self, engine: str) -> str | None:
         """Return a message if a package that an engine needs is not installed, else None."""
@@ -203,6 +209,7 @@ def prepare(
     engine: str | None = None,
     max_steps: int | None = None,
     dense: bool = True,
+    about: Sequence[float] | None = None,
 ) -> Prepared:
     """Return a solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
 
@@ -245,6 +252,10 @@ def prepare(
         that branches on values cannot be compiled.  Under NUMBA_DISABLE_JIT Python comes first.
     max_steps
         Budget; a run that needs more ends with status `budget`.
+    about
+        Of a method that solves the linear part of the force exactly (contact-linear2): the point about which the
+        potential is expanded, a number for each q; by default the minimum of the potential downhill from the start,
+        or nothing is expanded where there is none.
 
     Returns
     -------
@@ -269,6 +280,10 @@ def prepare(
     )
     if isinstance(request, Refused):
         return request
+    if about is not None:
+        if not chosen.expands:
+            raise BadInput(f"about = {excerpt(about)}: {chosen.name} expands nothing about a point")
+        request = replace(request, about=vector("about", about, scene.motion // 2))
     refused: list[Refused] = []
     try:
         for each in engines_of(chosen) if engine is None else (engine,):
@@ -402,7 +417,7 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     ----------
     scene, method
         As of `prepare`.
-    step, rtol, atol, save_at, carry, engine, max_steps, dense
+    step, rtol, atol, save_at, carry, engine, max_steps, dense, about
         As of `prepare`.
 
     Returns

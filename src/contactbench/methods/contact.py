@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep, Piece
@@ -39,19 +40,27 @@ class ContactMethod(FixedStep):
     def advance(
         self, scene: Scene, x: AnyState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> AnyState:
-        after: AnyState = advance(self.composition, scene, x, h, n, xp, repeat)
+        own = self.on(scene)
+        after: AnyState = advance(own.composition, own.parts(scene, xp), x, h, n, xp, repeat)
         return after
 
+    def parts(self, scene: Scene, xp: Namespace | None = None) -> Any:
+        """Return the object whose flows are composed; without numbers only its flows are needed."""
+        return scene
+
     def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
-        if by_the_clock(self.composition, scene):  # the clock is no part of the state
+        own, parts = self.on(scene), self.parts(scene)
+        if by_the_clock(own.composition, parts):  # the clock is no part of the state
             return super().pieces(scene, whole)
-        steps = plan(self.composition, scene)
+        steps = plan(own.composition, parts)
         made = steps.opening, steps.inner, steps.joint, steps.closing
         if whole and steps.joint:  # some stages in two of the pieces
             made = steps.opening, (), (*steps.inner, *steps.joint), (*steps.inner, *steps.closing)
 
         def piece(stages: tuple[Stage, ...]) -> Piece:
-            return lambda scene, x, h, xp, repeat: runner(stages, scene, h, xp, repeat)(stages, x)
+            return lambda scene, x, h, xp, repeat: runner(stages, own.parts(scene, xp), h, xp, repeat)(
+                stages, x
+            )
 
         return tuple(piece(stages) if stages else None for stages in made)
 
@@ -71,8 +80,9 @@ class ContactMethod(FixedStep):
         if key not in _costs:
             kind = self.kind_on(scene)
             kinds = (kind, *(["attitude"] if kind == "rotation" and key[-1] else []))
-            steps, flows = plan(self.composition, scene), scene.flows
-            once, twice = (steps.count(flows, kinds, k) for k in (1, 2))
+            parts = self.parts(scene)
+            steps = plan(self.composition, parts)
+            once, twice = (steps.count(parts.flows, kinds, k) for k in (1, 2))
             _costs[key] = once, twice - once
         first, each = _costs[key]
         return first + (n - 1) * each

@@ -85,7 +85,7 @@ class Equations(NamedTuple):
 
     coupling : a_ij.
     near : the slope where the step begins, as a function of a move from there.
-    scales : for every stage the units of the components in which its Jacobian is that of `near`.
+    scales : for every stage the units of the components in which it has the Jacobian of `near`.
     moves : how far a unit of each component of a slope moves the state in a step, relative to the size of the state.
     end : from the slopes the state after the step, and for every component the factor of a slope in the next step.
     """

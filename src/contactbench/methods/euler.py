@@ -1,7 +1,7 @@
 """Symplectic Euler with the damping treatments of game engines: v ← d v + h a, x ← x + h v.
 
-They differ in d alone, by which s is damped as p is: every step is a conformal contact map with the factor d, that of
-the motion where d = e^{−γh}, the exact flow of γ s.  The others damp at the rates −log(1 − γh)/h ≈ γ + γ²h/2 and
+They differ in d alone, which damps both s and p: every step is a conformal contact map with the factor d.  The motion
+has the factor e^{−γh}, the exact flow of γ s.  The others damp at the rates −log(1 − γh)/h ≈ γ + γ²h/2 and
 log(1 + γh)/h ≈ γ − γ²h/2, which change with the step.
 """
 
@@ -17,7 +17,7 @@ from contactbench.scene import Mechanical, Scene, State, mechanical
 
 #: d, as a function of γh
 Damped = Callable[[Arithmetic, Namespace], Arithmetic]
-#: name → d, whether it is that of the motion, and who does it
+#: name → d, whether the motion has this factor, and who does it
 TREATMENTS: dict[str, tuple[Damped, bool, str]] = {
     "euler-explicit-damping": (lambda z, xp: 1 - z, False, "damping 1 − γh, as of Godot's bodies"),
     "euler-implicit-damping": (lambda z, xp: 1 / (1 + z), False, "damping 1/(1 + γh), as of Box2D's bodies"),

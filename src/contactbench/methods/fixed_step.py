@@ -188,7 +188,9 @@ def expected(x: AnyState, error: BaseException | None) -> str:
     if not isinstance(error, TypeError | AttributeError | IndexError | ValueError):
         return ""
     kind = type(x).__name__
-    return f"; x = {excerpt(x)}: vectors are tuples, what is not carried is None, and scene.rhs(x) is a {kind} too"
+    return (
+        f"; x = {excerpt(x)}: vectors are tuples, fields not carried are None, scene.rhs(x) is a {kind} too"
+    )
 
 
 def alike(old: object, new: object) -> bool:

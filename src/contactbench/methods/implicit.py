@@ -26,7 +26,7 @@ MOST, CONVERGED = 200, 1e-10
 #: an increment larger than any that occurs
 LARGEST = 1e300
 #: moves of doubles below the first are rounding; below the second an iteration ends, far from a unit in the last place
-#: since what is left of it has one sign, and adds up from step to step
+#: since its remainder has one sign, and adds up from step to step
 ROUNDING, SETTLED = 2.0**-46, 2e-17
 #: number of iterations of a typical step
 TYPICAL = 8

@@ -228,4 +228,4 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
         raise BadInput(f"method = {method!r}: {before}")
     if (why := chosen.refuses(scene)) is not None:
         raise BadInput(f"method = {method!r}: {why}")
-    return OneStep(scene, chosen, scene.carry(carry))
+    return OneStep(scene, chosen.on(scene), scene.carry(carry))

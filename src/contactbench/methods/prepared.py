@@ -37,6 +37,7 @@ class Request:
     steps : prescribed steps, the longest is `step`; None for equal steps between saved times.  atol : one number, or
     one for every component but the time.  scales : the factors that gave atol = rtol · scales, see `to_scale`; None
     where the user gave atol.  dense : saved times do not shorten steps.
+    about : the point about which a method expands the potential, if the user gave it.
     """
 
     scene: Scene
@@ -50,6 +51,7 @@ class Request:
     steps: np.ndarray | None = None
     scales: Any = None
     dense: bool = True
+    about: tuple[float, ...] | None = None
 
     def to_scale(self, takes_atol: bool, **data: object) -> Request:
         """Return the request with the scales of the motion and the atol they give; data : another start."""

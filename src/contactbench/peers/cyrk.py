@@ -66,10 +66,10 @@ class Cyrk(Compiled):
 
 
 for _solver, _order, _stages, _about in (
-    ("DOP853", 8, 12, "explicit Runge–Kutta 8(5,3), C++"),
+    ("DOP853", 8, 12, "explicit Runge–Kutta 8(5,3), C++; Hairer, Nørsett, Wanner I, §II.5"),
     ("Vern8", 8, 13, "Verner's explicit Runge–Kutta 8(7), C++"),
-    ("LSODA", None, None, "Adams or BDF, chosen as it goes (ODEPACK), C++"),
-    ("RADAU", 5, None, "implicit Radau IIA, Jacobian by differences, C++"),
+    ("LSODA", None, None, "Adams or BDF, chosen as it goes (ODEPACK), C++; Petzold, doi:10.1137/0904010"),
+    ("RADAU", 5, None, "implicit Radau IIA, Jacobian by differences, C++; Hairer, Wanner II, §IV.8"),
 ):
     _name, _range = f"cyrk-{_solver.lower()}", (CLAMPED, 1e-1)
     METHODS.add(

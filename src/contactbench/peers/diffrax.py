@@ -154,9 +154,9 @@ class Diffrax(Call):
 
 
 for _solver, _order, _stages, _implicit, _about in (
-    ("Tsit5", 5, 6, False, "Tsitouras 5(4), explicit"),
-    ("Dopri8", 8, 13, False, "Dormand–Prince 8(7), explicit"),
-    ("Kvaerno5", 5, 6, True, "Kvaerno 5(4), implicit, Chord"),
+    ("Tsit5", 5, 6, False, "Tsitouras 5(4), explicit; doi:10.1016/j.camwa.2011.06.002"),
+    ("Dopri8", 8, 13, False, "Prince, Dormand 8(7), explicit; doi:10.1016/0771-050X(81)90010-3"),
+    ("Kvaerno5", 5, 6, True, "Kværnø 5(4), implicit, Chord; doi:10.1023/B:BITN.0000046811.70614.38"),
 ):
     _known = _solver, "diffrax", _order, _stages, _implicit
     _named = f"diffrax-{_solver.lower()}", _about, Diffrax, ("jax",), (ROUNDING, 1e-1)

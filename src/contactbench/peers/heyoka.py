@@ -170,7 +170,7 @@ class Taylor(Call):
 TAYLOR = METHODS.add(
     Peer(
         "heyoka-taylor",
-        "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)",
+        "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol); Biscani, Izzo, doi:10.1093/mnras/stab1032",
         *(Taylor, ("llvm",), (ROUNDING, 1e-1)),
         package="heyoka",
         takes_atol=False,

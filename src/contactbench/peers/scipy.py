@@ -47,11 +47,12 @@ class Scipy(Callback):
         return np.full_like(y0, math.nan)
 
 
+PAPER = "Virtanen et al., Nat. Methods 17, 261 (2020), doi:10.1038/s41592-019-0686-2"
 for _solver, _order, _stages, _cost, _about in (
     ("DOP853", 8, 12, 13, "explicit Runge–Kutta 8(5,3), Python callbacks"),
     ("Radau", 5, None, 9, "implicit Radau IIA, analytic Jacobian"),
 ):
     _known = _solver, "scipy", _order, _stages, _stages is None
-    _named = f"scipy-{_solver.lower()}", _about, Scipy, ("python",), (CLAMPED, 1e-1)
+    _named = f"scipy-{_solver.lower()}", f"{_about}; {PAPER}", Scipy, ("python",), (CLAMPED, 1e-1)
     _same: dict[str, Any] = {"mission": True, "stiff": _stages is None, "like": f"cyrk-{_solver.lower()}"}
     METHODS.add(Peer(*_named, *_known, costs={"python": _cost}, **_same))

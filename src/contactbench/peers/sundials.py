@@ -126,8 +126,9 @@ def cvode(method: Peer, request: Request) -> Call:
         raise ImportError(f"{why}{others}") from why
 
 
+PAPER = "Hindmarsh et al., ACM Trans. Math. Softw. 31, 363 (2005), doi:10.1145/1089014.1089020"
 for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):
     _about = f"variable-order {_name}, Newton with analytic Jacobian (differences beyond 64 components)"
-    _named = f"cvode-{_solver.lower()}", _about, cvode, ("c", "c+python"), (ROUNDING, 1e-1)
+    _named = f"cvode-{_solver.lower()}", f"{_about}; {PAPER}", cvode, ("c", "c+python"), (ROUNDING, 1e-1)
     _about_it: dict[str, Any] = {"mission": True, "stiff": _solver == "BDF"}
     METHODS.add(Peer(*_named, _solver, "sksundae", implicit=True, costs={"c+python": 2}, **_about_it))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from itertools import groupby
 
@@ -19,8 +19,8 @@ from contactbench.tables.schema import TABLES
 FUNCTIONS = {
     name: getattr(contest, name)
     for name in ("contests", "credited", "drawn", "families", "hard_runs", "random_contests", "ring_costs")
-} | {"mean_regrets": regret.mean_regrets}
-#: what is counted beside an answer, in words
+} | {"ranked": contest.ranked, "mean_regrets": regret.mean_regrets}
+#: other counts that stand beside an answer, in words
 BESIDE = {
     "alone": ", alone on {}",
     "credited": "; {} without fixed costs and with calls by address credited",
@@ -44,9 +44,9 @@ def count(frames: Frames, query: str) -> tuple[int, int]:
 
 
 def share(frames: Frames, question: str, what: str, query: str, **beside: str) -> Answer | None:
-    """Return the answer to a question by the share of what is counted; None where there is nothing to count.
+    """Return the answer to a question by the share of rows that are true; None where there are none.
 
-    query : gives a series of truth values.  beside : queries by the keys of `BESIDE` of what is counted beside it.
+    query : gives a series of truth values.  beside : queries of other counts, by the keys of `BESIDE`.
     """
     part, whole = count(frames, query)
     if not whole:
@@ -57,21 +57,27 @@ def share(frames: Frames, question: str, what: str, query: str, **beside: str) -
     )
 
 
-def fold(answers: Iterable[Answer]) -> Fold | None:
-    """Return the lines that counted, with what they need to run."""
+def fold(answers: Iterable[Answer], title: str = "How each count is made") -> Fold | None:
+    """Return the lines that counted, with their imports."""
     found = [(answer, query) for answer in answers for query in answer.queries]
     if not found:
         return None
     words = {word for _, query in found for word in WORD.findall(query)}
     tables, functions = ([name for name in names if name in words] for names in (TABLES, FUNCTIONS))
-    lines = ["import contactbench as cb"]
+    lines = ["import numpy as np"] * ("np" in words) + ["import contactbench as cb"]
     for module, some in groupby(functions, key=lambda name: FUNCTIONS[name].__module__):
         lines.append(f"from {module} import {', '.join(some)}")
     lines += [f'{name} = cb.results("{name}")' for name in tables]
     last = ""
     for answer, query in found:
         if answer.question != last:
-            lines.append(f"\n# {answer.question} {answer.count}".replace("`", ""))
+            lines.append(f"\n# {answer.question} {answer.count}".replace("`", "").rstrip())
             last = answer.question
         lines.append(query)
-    return Fold("How each count is made", "\n".join(lines))
+    return Fold(title, "\n".join(lines))
+
+
+def made_by(queries: Mapping[str, str]) -> Fold | None:
+    """Return the lines that a table is made by, each under its words."""
+    made = [Answer(words, "", "", (query,)) for words, query in queries.items()]
+    return fold(made, "How the table is made")

@@ -1,4 +1,4 @@
-"""The paper's claims as a review: where each stands, its verdict, what was measured, and what is true instead."""
+"""The paper's claims as a review: where each stands, its verdict, the measurements, and the correction."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def known(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def claims_view(frame: pd.DataFrame) -> View:
-    """Return the claims that do not hold as printed, and what is true instead."""
+    """Return the claims that do not hold as printed, with their corrections."""
     rows = []
     for _, row in frame[frame["verdict"] != "holds"].iterrows():
         needed = DASH if pd.isna(row["bound"]) else f"{row['relation']} {row['bound']:.2g}"

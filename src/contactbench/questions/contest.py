@@ -121,7 +121,7 @@ def comparable(
 def credited(times: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
     """Return the times without the calls of right-hand sides by their address, and without fixed costs.
 
-    The fixed cost of a method on a scene is what is left of its time without evaluations: the intercept of the line
+    The fixed cost of a method on a scene is its time without evaluations: the intercept of the line
     with the least relative errors, at least 0, and at most nine tenths of its shortest time.
     """
     rows = times.merge(runs[[*KEY, "evaluations"]], on=KEY, how="left")
@@ -145,7 +145,7 @@ def costs(runs: pd.DataFrame, times: pd.DataFrame | None = None, **which: Any) -
     which : as in `comparable`.  Columns beside scene, method, family, engine and error:
 
     - cost : nan where the error is not reached.  reason : why no finer setting was tried, blank where none would help.
-    - bound : every setting is more accurate than the error; the cost is that of the cheapest.
+    - bound : every setting is more accurate than the error; the cheapest gives the cost.
     - halves, processes : the ratios by which the halves of its visits, and two processes, differ; 1 of evaluations.
     """
     part = comparable(runs, times, **which)
@@ -296,21 +296,22 @@ def with_family(rows: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(family=[known.get(name, "") for name in rows["method"]])
 
 
-def drawn(population: pd.DataFrame, problems: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of the random problems that are not hard, with what a pilot says of each problem."""
-    usual = problems[problems["hard"] == ""].rename(columns={"cost": "force"})
+def drawn(population: pd.DataFrame, problems: pd.DataFrame, hard: str = "") -> pd.DataFrame:
+    """Return the rows of the random problems of a hard kind, or not hard, with what a pilot says of each problem."""
+    usual = problems[problems["hard"] == hard].rename(columns={"cost": "force"})
     return population.merge(usual, on=["seed", "scene"])
 
 
 @once
 def random_contests(
-    population: pd.DataFrame, problems: pd.DataFrame, runs: pd.DataFrame, cost: str
+    population: pd.DataFrame, problems: pd.DataFrame, runs: pd.DataFrame, cost: str, hard: str = ""
 ) -> pd.DataFrame:
     """Return the best contact method beside the best other on each random problem; as `contests`.
 
-    cost : evaluations, or time_s, which was measured in one process.
+    cost : evaluations, or time_s, which was measured in one process.  hard : a kind of hard problems, blank for those
+    that are not hard.
     """
-    rows = with_family(drawn(population, problems), runs).assign(halves=1.0, processes=1.0)
+    rows = with_family(drawn(population, problems, hard), runs).assign(halves=1.0, processes=1.0)
     rows["cost"] = rows[cost].where(rows["status"] == "ok")
     within = WIDEST if cost == "time_s" else 1.0
     return sides(rows, ("seed", "scene", "error"), within=within).merge(problems, on=["seed", "scene"])

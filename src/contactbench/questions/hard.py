@@ -147,9 +147,7 @@ def ticks_view(limits: pd.DataFrame) -> View | None:
 def ticks_figure(limits: pd.DataFrame) -> Figure | None:
     rows = limits[(limits["question"] == "tick") & np.isfinite(limits["error"].astype(float))]
     rows = rows.assign(damping=rows["gamma"] / rows["setting"]).drop_duplicates(["method", "damping"])
-    curves = by_method(
-        rows[rows["error"] > STRUCTURE].sort_values("damping", kind="stable"), "damping", "error"
-    )
+    curves = by_method(rows.sort_values("damping", kind="stable"), "damping", "error")
     if not curves:
         return None
     exact = rows.groupby("method", sort=False)["error"].max() <= STRUCTURE

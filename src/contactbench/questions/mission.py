@@ -13,6 +13,7 @@ from itertools import islice
 import numpy as np
 import pandas as pd
 
+from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import WIDEST
 from contactbench.questions import claims, cost, hard, laws, orders, problems, ring, which
 from contactbench.questions.answers import evaluate
@@ -50,7 +51,7 @@ FINDINGS = 4
 KEPT = {"momentum_law": "J decays as e^{−γt}", "contact_drift": "contact form"}
 #: errors at which costs stand in its tables; the last decides who is the best contact method, and who the fastest
 ERRORS = (1e-3, 1e-6)
-#: laws of its tables, that of the map last; J stands where a method claims it
+#: laws of its tables, the law of the map last; J stands where a method claims it
 LAWS = ("energy_law", "momentum_law", "contact_drift")
 #: the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
@@ -222,7 +223,7 @@ def keeps(frames: Frames, methods: Mapping[str, str], law: str) -> str:
 
 
 def overview(frames: Frames) -> View | None:
-    """Return the mission in one table: the time of a solve on each scene, and what is kept."""
+    """Return the mission in one table: the time of a solve on each scene, and the laws kept."""
     rows = rows_of(frames)
     scenes = [scene for scene in SCENES if any(scene in methods for _, methods in rows)]
     lines = [
@@ -271,7 +272,7 @@ def worst(frames: Frames, found: Mapping[str, pd.Series], law: str) -> Cell:
     rows = [row for scene, row in found.items() if claimed(frames, scene, law) and not np.isnan(row[law])]
     if not rows:
         return Cell(DASH)
-    kept = all(row.get(f"{law}_kept", False) for row in rows)
+    kept = all(row[law] <= STRUCTURE or row.get(f"{law}_kept", False) for row in rows)
     return as_cell(max(row[law] for row in rows), scientific, Mark.kept if kept else None)
 
 
@@ -363,4 +364,6 @@ def machine(runs: Sequence[Mapping[str, object]]) -> Text:
         f"commit `{str(run.get('commit', ''))[:12] or 'unknown'}`{' with local changes' if run.get('dirty') else ''}"
         for run in runs
     )
-    return Text(f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units.")
+    return Text(
+        f"Measured on {'; '.join(places)} ([environment.json](environment.json)). All quantities are dimensionless."
+    )

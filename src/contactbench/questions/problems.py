@@ -107,6 +107,13 @@ def answers(frames: Frames) -> Iterator[Answer]:
             counts.append(f"{part} of {whole}{beside}")
             queries += [first, *more]
         yield Answer(QUESTIONS[cost], ", ".join(says), "; ".join(counts), tuple(queries))
+    query = f"random_contests(population, problems, runs, 'evaluations', {CREEP!r})"
+    query += f".query('seed == {seed}').ratio < 1"
+    part, whole = count(frames, query)
+    if whole:
+        yield Answer(
+            QUESTIONS[CREEP], percent(part, whole), f"{part} of {whole} pairs of problem and error", (query,)
+        )
 
 
 # -- views -----------------------------------------------------------------------------------------
@@ -188,11 +195,34 @@ def strata_view(frames: Frames) -> View:
     return view("random_strata", frame_of(joined.itertuples(index=False), labels))
 
 
+# -- strong damping --------------------------------------------------------------------------------
+#: the kind of hard problems whose motions creep under strong damping, a contest as those that are not hard
+CREEP = "creep"
+
+
+def creep_view(frames: Frames) -> View:
+    """How often contact methods need the fewest evaluations on motions that creep, against whom, by what factor."""
+    tables = [frames[name] for name in ("population", "problems", "runs")]
+    rows, lines = random_contests(tables[0], tables[1], tables[2], "evaluations", CREEP), []
+    rows = rows[rows["seed"] == seeds(frames)[0]]
+    for error in sorted(rows["error"].unique(), reverse=True):
+        own = rows[rows["error"] == error]
+        leaders = own["ours"].where(own["ratio"] < 1, own["other"]).value_counts()
+        ratio = 1 / own["ratio"].astype(float)
+        first = ", ".join(f"{name} {number}" for name, number in leaders.items())
+        line = [power(error), len(own), share(own["ratio"] < 1), first]
+        lines.append([*line, *(quantile(ratio, q) for q in (0.1, 0.5, 0.9))])
+    heads = ["error", "problems", "contact needs the fewest", "who does, on how many"]
+    parts = [f"other / contact, {part}" for part in ("10 %", "median", "90 %")]
+    return view("random_creep", frame_of(lines, [*heads, *parts]))
+
+
 # -- hard problems ---------------------------------------------------------------------------------
 def hard_rows(frames: Frames) -> pd.DataFrame:
     """Return the runs of the hard problems; end : right, wrong, or how the run ended."""
     problems = frames["problems"]
     rows = frames["population"].merge(problems[problems["hard"] != ""][["seed", "scene", "hard"]])
+    rows = rows[rows.groupby("hard")["error"].transform("nunique") == 1]  # others are contests
     right = (rows["reached"] <= RIGHT).map({True: "right", False: "wrong"})
     return rows.assign(end=rows["status"].where(rows["status"] != "ok", right))
 
@@ -210,4 +240,4 @@ def hard_view(frames: Frames) -> View:
 @chapter("problems", answers)
 def parts(frames: Frames) -> Iterable[Part | None]:
     if len(usual(frames)):
-        yield from (one(frames) for one in (contests_view, methods_view, strata_view, hard_view))
+        yield from (one(frames) for one in (contests_view, methods_view, strata_view, creep_view, hard_view))

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 
-import numpy as np
 import pandas as pd
 
 from contactbench.measure.statistics import WIDEST
 from contactbench.questions import cost, problems
-from contactbench.questions.answers import evaluate
-from contactbench.questions.contest import CONTACT, costs, drawn, families
-from contactbench.questions.contest import standings as stand
+from contactbench.questions.answers import evaluate, made_by
+from contactbench.questions.contest import CONTACT, drawn, families, ranked
 from contactbench.questions.regret import COSTS, regrets
 from contactbench.report.chapters import PROSE, Frames, Part, chapter, chart, view
 from contactbench.report.drawing import Axis, Field, Figure, Panel
@@ -46,9 +44,9 @@ def query(frames: Frames, condition: str, error: float = ERROR, of: str = "time_
     return f'mean_regrets(drawn(population, problems).query("{chosen}"), {error:g}, "{of}")'
 
 
-def best(table: pd.DataFrame, ranked: pd.Series, allowed: set[str] | None = None) -> Cell:
+def best(table: pd.DataFrame, order: pd.Series, allowed: set[str] | None = None) -> Cell:
     """Return the first of some methods, and its regret, median and 90 %."""
-    first = next((m for m in ranked.index if allowed is None or m in allowed), None)
+    first = next((m for m in order.index if allowed is None or m in allowed), None)
     if first is None:
         return Cell(DASH)
     return Cell(f"{first} {times(table[first].median())}, {times(table[first].quantile(0.9))}")
@@ -61,8 +59,8 @@ def contact_methods(frames: Frames) -> set[str]:
 def pair(frames: Frames, condition: str, error: float, of: str) -> tuple[int, list[Cell]]:
     """Return how many problems meet a condition, and the best of all methods and of the contact methods there."""
     table = regrets(problems_of(frames, condition), error, of)
-    ranked = evaluate(query(frames, condition, error, of), frames)
-    return len(table), [best(table, ranked), best(table, ranked, contact_methods(frames))]
+    order = evaluate(query(frames, condition, error, of), frames)
+    return len(table), [best(table, order), best(table, order, contact_methods(frames))]
 
 
 # -- by kind of problem ----------------------------------------------------------------------------
@@ -74,11 +72,7 @@ def kinds_view(frames: Frames) -> View:
             lines.append([f"{label}, {power(error)}", found[0][0], *found[0][1], *found[1][1]])
     labels = [("", "problems, error"), ("", "how many")]
     labels += [(problems.LABELS[each], what) for each in COSTS for what in ("any", "a contact method")]
-    return view("which_kinds", frame_of(lines, labels), queries=listed(frames))
-
-
-def listed(frames: Frames) -> str:
-    return f"`{query(frames, next(iter(KINDS.values())))}`"
+    return view("which_kinds", frame_of(lines, labels))
 
 
 def damping_map(frames: Frames) -> Figure | None:
@@ -119,20 +113,41 @@ def hard_view(frames: Frames) -> View:
     return view("which_hard", frame_of(lines, ["problems", "most often right"]))
 
 
+#: how often each method ends right on each kind of hard problem
+HARD = (
+    """population.merge(problems.query("hard != ''")[["seed", "scene", "hard"]])"""
+    f""".query("status == 'ok' and reached <= {problems.RIGHT:g}").groupby(["hard", "method"]).size()"""
+)
+
+
 # -- how many times are saved ----------------------------------------------------------------------
+def saved_numbers(frames: Frames) -> list[int]:
+    return sorted(int(saved) for saved in frames["times"]["saved"].unique())
+
+
+def near(saved: int) -> str:
+    """Return the line of pandas that finds the methods within a quarter of the least time, by scene."""
+    rows = f'ranked(runs, times, saved={saved}).query("error == {ERROR:g} and ratio <= {WIDEST:g}")'
+    return f'{rows}.groupby("scene", sort=False).method.agg(list)'
+
+
 def saved_view(frames: Frames) -> View:
     """Return who is within a quarter of the least time at each number of saved times that was timed."""
     lines: dict[str, list[object]] = {}
-    numbers = sorted(int(saved) for saved in frames["times"]["saved"].unique())
+    numbers = saved_numbers(frames)
     for saved in numbers:
-        ranked = stand(costs(frames["runs"], frames["times"], saved=saved), within=WIDEST)
-        here = ranked[ranked["error"] == ERROR]
+        found = ranked(frames["runs"], frames["times"], saved=saved)
+        here = found[found["error"] == ERROR]
         for scene, rows in here.groupby("scene", sort=False):
             lines.setdefault(str(scene), [scene, *[DASH] * len(numbers)])
             lines[str(scene)][1 + numbers.index(saved)] = cost.leaders(rows, True)
-    heads = ["scene", *("the end alone" if saved == 1 else f"{saved} times" for saved in numbers)]
+    heads = ["scene", *map(saved_label, numbers)]
     both = [line for line in lines.values() if DASH not in line]
     return view("which_saved", frame_of(both or lines.values(), heads), error=power(ERROR))
+
+
+def saved_label(saved: int) -> str:
+    return "the end alone" if saved == 1 else f"{saved} times"
 
 
 # -- the short table -------------------------------------------------------------------------------
@@ -148,26 +163,45 @@ def system(frames: Frames, condition: str = "", kind: str = "") -> list[object]:
             return [DASH] * 3
         number, cells = pair(frames, condition, ERROR, "time_s")
         return [f"{number} random problems", *cells]
-    table = named_regrets(frames, kind)
-    ranked = np.log(table.dropna(axis=1)).mean().sort_values(kind="stable")
-    cells = [best(table, ranked), best(table, ranked, contact_methods(frames))]
+    found = ranked(frames["runs"], frames["times"]).query(of_kind(kind))
+    table = found.pivot_table(index="scene", columns="method", values="ratio", sort=False)
+    order = evaluate(named_query(kind), frames)
+    cells = [best(table, order), best(table, order, contact_methods(frames))]
     return [", ".join(f"`{scene}`" for scene in table.index) or DASH, *cells]
 
 
-def named_regrets(frames: Frames, kind: str) -> pd.DataFrame:
-    """Return compiled time over the least by named scene of a kind and method, at one error."""
-    ranked = cost.standings(frames, "compiled")
-    of_kind = ranked["scene"].map(lambda name: name in SCENES and SCENES[name].kind == kind)
-    rows = ranked[of_kind & (ranked["error"] == ERROR)]
-    return rows.pivot_table(index="scene", columns="method", values="ratio", sort=False)
+def of_kind(kind: str) -> str:
+    """Return the condition that takes the named scenes of a kind."""
+    return f"error == {ERROR:g} and scene in {[name for name, scene in SCENES.items() if scene.kind == kind]}"
+
+
+def named_query(kind: str) -> str:
+    """Return the line of pandas that ranks the methods on the named scenes of a kind."""
+    rows = f'ranked(runs, times).query("{of_kind(kind)}")'
+    return f'np.log({rows}.pivot_table("ratio", "scene", "method").dropna(axis=1)).mean().sort_values(kind="stable")'
+
+
+def system_query(frames: Frames, condition: str = "", kind: str = "") -> str:
+    return query(frames, condition) if condition else named_query(kind)
+
+
+def with_lines(table: View, queries: Mapping[str, str]) -> Iterator[Part | None]:
+    """Yield a table that has rows, and the lines that it is made by."""
+    if table.rows:
+        yield from (table, made_by(queries))
 
 
 @chapter("which")
 def parts(frames: Frames) -> Iterator[Part | None]:
     if len(frames["times"]):
-        yield saved_view(frames)
-    yield systems_view(frames)
-    if len(problems.usual(frames)):
+        lines = {saved_label(saved): near(saved) for saved in saved_numbers(frames)}
+        yield from with_lines(saved_view(frames), lines)
+    random = len(problems.usual(frames)) > 0
+    shown = {label: one for label, one in SYSTEMS.items() if random or "condition" not in one}
+    lines = {label: system_query(frames, **one) for label, one in shown.items()}
+    yield from with_lines(systems_view(frames), lines)
+    if random:
         yield damping_map(frames)
-        yield kinds_view(frames)
-        yield hard_view(frames)
+        lines = {label: query(frames, condition) for label, condition in KINDS.items()}
+        yield from with_lines(kinds_view(frames), lines)
+        yield from with_lines(hard_view(frames), {"the number of right runs": HARD})

@@ -18,7 +18,7 @@ from contactbench.registry import Registry
 CONTACT = "contact"
 LOOK = tomllib.loads(files(__package__).joinpath("looks.toml").read_text(encoding="utf-8"))
 FAMILIES: dict[str, str] = LOOK["families"]
-#: the methods of which the best is drawn in every figure
+#: groups of methods; every figure draws the best of each group
 CONTESTANTS: list[list[str]] = LOOK["contestants"]
 #: colours of contact methods, and dashes of all, by order
 SHADES: dict[int, str] = {int(order): color for order, color in LOOK["shades"].items()}

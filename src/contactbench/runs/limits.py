@@ -78,7 +78,8 @@ def rate_cells(profile: Profile) -> list[Cell]:
         first = next(iter(cb.METHODS))
         return [("creep", first, creep), ("weak", first, SPANS[0])]
     full = profile.reaches("full")
-    soon = {m.name: full or m.engines[0] not in PACKAGES for m in cb.METHODS.values()}
+    able = (m for m in cb.METHODS.values() if not m.expands)  # those have every rate of an oscillator exactly
+    soon = {m.name: full or m.engines[0] not in PACKAGES for m in able}
     found = [
         ("creep", name, creep)
         for name, soon_compiled in soon.items()

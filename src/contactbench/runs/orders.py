@@ -93,7 +93,7 @@ def cells(profile: Profile) -> list[Cell]:
         brought = not {scene.name, method.name} <= OWN
         if profile.brief and not (brought or scene is scenes[0] or method is methods[0]):
             return False
-        dear = method.iterates and is_extended(scene, method)
+        dear = method.expands or (method.iterates and is_extended(scene, method))
         return not dear or scene.mission or profile.reaches("full")
 
     return [(scene.name, method.name) for scene in scenes for method in methods if runs(scene, method)]

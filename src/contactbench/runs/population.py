@@ -14,7 +14,7 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.peers.heyoka import SHARED, TAYLOR
 from contactbench.runs.experiment import Cell, Profile, Recorded, Row, experiment
 from contactbench.runs.features import Features, features
-from contactbench.runs.problems import COUNT, FAMILIES, HARD, HARD_COUNT, SEED, Problem, draw
+from contactbench.runs.problems import COUNT, FAMILIES, HARD, SEED, Problem, draw
 from contactbench.runs.search import Attempt, Question
 from contactbench.runs.settings import carry_of
 from contactbench.runs.trial import CLEAR, ENDS, Trial, agreed
@@ -58,17 +58,21 @@ def raced(scene: Scene) -> list[Method]:
     """Return the methods that race: those likely to lead, and the compiled contestants of the mission.
 
     Among our fixed-step methods the cheapest per family and order races, contact methods from order 2 on and others
-    from `HIGH` on; besides them exact methods, embedded pairs of high order, and the Taylor method.
+    from `HIGH` on; besides them exact methods, embedded pairs of high order, and the Taylor method.  On a stiff scene
+    only methods for stiff problems race, and the contestants among other packages.
     """
     stand_ins = {method.like for method in METHODS.values() if method.mission}
     compiled = [m for m in METHODS.values() if m.engines[0] not in (*CALLBACKS, *PACKAGES)]
-    able = [m for m in compiled if not (m.stiff or m.iterates or m.follows or m.refuses(scene))]
+    fit = [m for m in compiled if not m.stiff]
+    if scene.stiff:
+        fit = [m for m in compiled if m.stiff or (m.package and (m.mission or m.name in stand_ins))]
+    able = [m for m in fit if not (m.iterates or m.follows or m.refuses(scene))]
     theirs = [m for m in able if m.package and (m.mission or m.name in stand_ins or m is TAYLOR)]
     ours = [m for m in able if not m.package and (m.contact or m.mission or (m.order or HIGH) >= HIGH)]
     steps: dict[object, FixedStep] = {}
     for method in ours:
         if isinstance(method, FixedStep) and method.order > 1:
-            alike = method.contact, method.order, method.one_step
+            alike = method.contact, method.order, method.one_step, method.stiff
             both = method, steps.get(alike, method)
             steps[alike] = min(both, key=lambda own: (own.per_step(scene), not own.mission))
     # first the methods whose cost lets others give up
@@ -97,8 +101,9 @@ def cost_rows(problem: Problem) -> Recorded:
     yield PROBLEMS, row
     if truth is None:
         return
-    targets = [error for error in ERRORS if error >= CLEAR * 10.0**-truth.digits]
-    question = Question(problem.scene, truth, ERRORS, math.inf)
+    errors = HARD[problem.hard].errors if problem.hard else ERRORS
+    targets = [error for error in errors if error >= CLEAR * 10.0**-truth.digits]
+    question = Question(problem.scene, truth, errors, math.inf)
     trials = [Trial(question, method, known) for method in raced(problem.scene)]
     least: dict[float, float] = {}
     with np.errstate(all="ignore"):
@@ -152,7 +157,8 @@ def cells(profile: Profile) -> list[Cell]:
 def population(cell: Cell, profile: Profile) -> Recorded:
     family, seed, kind = cell
     families = HARD[kind].families if kind else (family,)
-    count = HARD_COUNT if kind else 1 if profile.brief else COUNT
+    count = HARD[kind].count if kind else 1 if profile.brief else COUNT
+    rows = hard_rows if kind and not HARD[kind].errors else cost_rows
     for number in range(count):
         if families[number % len(families)] == family:
-            yield from (hard_rows if kind else cost_rows)(draw(seed, family, number, kind))
+            yield from rows(draw(seed, family, number, kind))

@@ -31,6 +31,11 @@ HARD_COUNT = 6
 DAMPING, SPAN, FREQUENCY = (1e-5, 10.0), (3.0, 3000.0), (0.1, 10.0)
 #: the same ranges for hard problems
 HARD_SPAN, HARD_DAMPING = (3.0, 30.0), (10**2.5, 10**3.5)
+#: of motions that creep: damping over frequency, span in the slow times γ/ω², number, and the errors of their contest
+CREEP_DAMPING, CREEP_SPAN, CREEP_COUNT = (10.0, 100.0), (1.0, 10.0), 50
+CREEP_ERRORS = (1e-2, 1e-3, 1e-4, 1e-5)
+#: number of distances at which a rise is looked for, and the farthest
+DISTANCES, FARTHEST = 400, 10.0
 #: energies this close to the barrier, relatively, occur in hard problems only
 BESIDE = 0.05
 #: largest span in periods times the cost of the force, and largest exponent of the decay of the amplitude
@@ -277,7 +282,7 @@ def slowest(scene: Any, omega: float) -> float:
 class Family:
     """One structure.  draw : its scene without damping, of random numbers, ω² and what makes it extreme, or None.
 
-    damped : the scene with a damping γ.  rate : how fast it then decays; None of what is driven or falls.  most : γ at
+    damped : the scene with a damping γ.  rate : how fast it then decays; None where it is driven or falls.  most : γ at
     most, of ω and the span.
     """
 
@@ -327,11 +332,19 @@ for family in (
 
 @dataclass(frozen=True)
 class Hard:
-    """Define a kind of hard problem: its families, how extreme they are, and whether damping is strong instead."""
+    """Define a kind of hard problem: its families, how extreme they are, and whether damping is strong instead.
+
+    span : in periods.  errors : of a contest; blank where only the endings count.  creeps : the motion starts at rest,
+    uphill, and the span is in slow times.
+    """
 
     families: tuple[str, ...]
     extreme: Callable[[Generator], float | None] = lambda rng: None
     damping: tuple[float, float] = DAMPING
+    span: tuple[float, float] = HARD_SPAN
+    count: int = HARD_COUNT
+    errors: tuple[float, ...] = ()
+    creeps: bool = False
 
 
 HARD = {
@@ -340,8 +353,27 @@ HARD = {
         ("pendulum", "well-4"), lambda rng: 1 + rng.choice((-1, 1)) * 10 ** -rng.uniform(3.0, 9.0)
     ),
     "strong-damping": Hard(("well-4", "cosine-lattice", "toda-5"), damping=HARD_DAMPING),
+    "creep": Hard(
+        ("well-4", "well-6", "pendulum", "cosine-lattice", "toda-5"),
+        damping=CREEP_DAMPING,
+        span=CREEP_SPAN,
+        count=CREEP_COUNT,
+        errors=CREEP_ERRORS,
+        creeps=True,
+    ),
     "steep-wall": Hard(("power-law",), lambda rng: rng.uniform(20.0, 60.0)),
 }
+
+
+def released(scene: Any) -> Mechanical:
+    """Return a thrown point at rest where its energy would take it straight, or halfway to the top if that is lower."""
+    p, bottom = np.array(scene.p), np.array(scene.q)
+    along, distances = p / np.linalg.norm(p), np.geomspace(1e-3, FARTHEST, DISTANCES)
+    rises = np.array([scene.V(tuple(bottom + d * along)) for d in distances]) - scene.V(scene.q)
+    reached = rises >= p @ p / 2
+    far = distances[np.argmax(reached)] if reached.any() else distances[np.argmax(rises)] / 2
+    rest: Mechanical = scene.with_(q=tuple((bottom + far * along).tolist()), p=(0.0,) * len(p), stiff=True)
+    return rest
 
 
 @dataclass(frozen=True)
@@ -360,9 +392,11 @@ def draw(seed: int, family: str, number: int, hard: str = "") -> Problem:
     rng = np.random.default_rng([seed, crc32(f"{family} {hard}".encode()), number])
     omega = log_uniform(rng, *FREQUENCY)
     gamma = omega * log_uniform(rng, *(kind.damping if kind else DAMPING))
-    span = log_uniform(rng, *(HARD_SPAN if kind else SPAN))
+    span = log_uniform(rng, *(kind.span if kind else SPAN))
     scene = own.draw(rng, omega**2, kind.extreme(rng) if kind else None)
     t_end = 2 * math.pi / omega * min(span, max(SPAN[0], DEAREST / force_cost(scene)))
+    if kind and kind.creeps:
+        scene, t_end = released(scene), span * gamma / omega**2
     scene = own.damped(scene, min(gamma, own.most(omega, t_end)))
     if own.rate is not None and not kind:
         t_end = min(t_end, DAMPED_OUT / own.rate(scene, omega))

@@ -53,7 +53,8 @@ def methods() -> list[Method]:
     scene, found = ring(GAMMA, SPAN), []
     for method in cb.METHODS.values():
         compiled = method.engines[0] not in (*CALLBACKS, *PACKAGES)
-        if method.refuses(scene) or not compiled or method.stiff or method.iterates or method.follows:
+        other = method.stiff or method.iterates or method.follows or method.expands
+        if method.refuses(scene) or not compiled or other:
             continue
         if method.package or (isinstance(method, FixedStep) and is_suited(method, scene)):
             found.append(method)

@@ -110,13 +110,14 @@ def outcome(question: Question, saved: int, solution: Solution) -> Row:
 
 
 # -- to the end alone ------------------------------------------------------------------------------
-def passes_through(method: Method, engine: str, control: str) -> bool:
+def passes_through(scene: Scene, method: Method, engine: str, control: str) -> bool:
     """Return whether one run saved at all ends can replace the separate runs, and is slow enough to matter.
 
     It cannot for a processed method, which leaves its own coordinates at every saved time, nor for a method that
     restarts there.
     """
-    return engine == "python" and control == "step" and method.one_step and not is_processed(method)
+    slow = engine == "python" and control == "step"
+    return slow and method.one_step and not is_processed(method.on(scene))
 
 
 def ended(question: Question) -> Row:
@@ -133,7 +134,7 @@ def ended(question: Question) -> Row:
     solution = solve([end])
     row = outcome(question, 1, solution)
     if solution.ok:
-        whole = passes_through(method, *question[2:4])
+        whole = passes_through(scene, method, *question[2:4])
         others = [solve(ends) for ends in ([earlier] if whole else [[t] for t in earlier])]
         if all(each.ok for each in others):
             found = np.vstack([each.y for each in (*others, solution)])

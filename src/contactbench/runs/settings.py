@@ -37,11 +37,16 @@ BETWEEN = [3e-14, 3e-15, 1e-15]
 
 
 def halving_steps(scene: Scene, count: int) -> list[float]:
-    """Return halving steps t_end/(25·2^k), the coarsest not above 0.8."""
+    """Return halving steps t_end/(25·2^k), the coarsest not above 0.8 or, of a slow stiff motion, its pace."""
     n = SAVES
-    while scene.t_end / n > COARSEST:
+    while scene.t_end / n > max((COARSEST, *slow_pace(scene))):
         n *= 2
     return [scene.t_end / (n * 2**k) for k in range(count)]
+
+
+def slow_pace(scene: Scene) -> tuple[float, ...]:
+    """Return the steps that suit a stiff scene and are longer than those of the others."""
+    return tuple(step for step in scene.pace if scene.stiff and step > COARSEST)
 
 
 def steps(scene: Scene, method: Method) -> list[float]:
@@ -52,7 +57,7 @@ def steps(scene: Scene, method: Method) -> list[float]:
     """
     if (method.order or 1) < HIGH_ORDER:
         fine = halving_steps(scene, 9)
-        longer = "body" in scene.kind or scene.slows_after is not None
+        longer = "body" in scene.kind or scene.slows_after is not None or slow_pace(scene)
         return [fine[0] * 5, fine[0] * 2.5, *fine] if longer else fine
     coarse = halving_steps(scene, 1)[0] * (0.5 if isinstance(method, Multistep) else 4)
     counts = [ENDS * max(1, round(scene.t_end / coarse / ENDS * 2 ** (k / 2))) for k in range(11)]

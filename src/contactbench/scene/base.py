@@ -360,11 +360,14 @@ class Scene(metaclass=Kind):
             changes = {"parameters": extra | named} | changes
         return dataclasses.replace(self, **changes)
 
-    def _repr_html_(self) -> str:
+    def values(self) -> dict[str, Any]:
+        """Return its initial data, coefficients, end time and parameters, to be shown."""
         names = (*self.initial_fields, *self.coefficients, "t_end")
-        rows: dict[str, Any] = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
-        rows |= self.parameters
-        return html_table(rows, f"{self.name}: {self.about or self.kind}")
+        shown: dict[str, Any] = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
+        return {**shown, **self.parameters}
+
+    def _repr_html_(self) -> str:
+        return html_table(self.values(), f"{self.name}: {self.about or self.kind}")
 
     def numbers(self) -> list[float]:
         own = Scene.pack([getattr(self, name) for name in self.coefficients])

@@ -135,6 +135,15 @@ HARD = tuple(
             stiff=True,
             pace=(0.5, 0.1, 0.02, 0.005),  # γh = 25, 5, 1
         ),
+        PARTICLE.with_(
+            name="creeping",
+            about="the particle at γ = 50: after a moment it creeps back along a curve, slower by thousands than the "
+            "damping. Explicit methods follow the damping, and compositions of order two fall to order one.",
+            gamma=50.0,
+            t_end=200.0,
+            stiff=True,
+            pace=(10.0, 2.5, 0.5, 0.1, 0.02),
+        ),
         OSCILLATOR.with_(
             name="weak_damping",
             about="γ = 10⁻⁵ over 1600 periods: a tenth of the energy is lost in all. The numerical dissipation of a "

@@ -53,6 +53,8 @@ class Composition:
     processor
         Stages that act once before the first step and, in reverse order, once after the last (Nyström
         compositions).  Palindromic stages between them make the whole run palindromic.
+    postprocessor
+        Other stages that act once after the last step.
     mission
         Whether the benchmark is about the method, as `Method.mission`.
     """
@@ -63,6 +65,7 @@ class Composition:
     source: str
     nystrom: bool = False
     processor: tuple[Stage, ...] = ()
+    postprocessor: tuple[Stage, ...] = ()
     mission: bool = False
 
     @property
@@ -148,15 +151,23 @@ class Plan:
 
 def plan(composition: Composition, scene: Scene) -> Plan:
     """Return the composition on a scene, with the merged joint where first and last flow are the same."""
-    return arrange(stages_on(composition, scene), composition.processor, by_the_clock(composition, scene))
+    before, after = composition.processor, composition.postprocessor
+    return arrange(stages_on(composition, scene), before, after, by_the_clock(composition, scene))
 
 
-def arrange(stages: tuple[Stage, ...], before: tuple[Stage, ...] = (), clocked: bool = False) -> Plan:
+def arrange(
+    stages: tuple[Stage, ...],
+    before: tuple[Stage, ...] = (),
+    after: tuple[Stage, ...] = (),
+    clocked: bool = False,
+) -> Plan:
     """Return the plan of stages and a processor; clocked : every step ends with the joint."""
     first, last = stages[0], stages[-1]
     if len(stages) == 1 or first[0] != last[0]:
-        return Plan(before, stages, before[::-1], ())
+        return Plan(before, stages, after or before[::-1], ())
     inner, joint = stages[1:-1], merge((last, first))
+    if after:
+        return Plan((*before, first), inner, (last, *after), joint)
     if not (before or clocked):
         return Plan((first,), inner, (last,), joint)
     # the last joint runs one first stage too far, which is taken back at the end

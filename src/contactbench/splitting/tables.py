@@ -123,3 +123,43 @@ O8 = Composition(
     "s17odr8b of Kahan, Li, Math. Comput. 66, 1089 (1997), doi:10.1090/S0025-5718-97-00873-9, on Strang",
 )
 COMPOSITIONS = (PRINTED, ABC, STRANG, BM6, RKN4, RKN6, RKN8, O8)
+
+# -- with an exact linear part, see linear.py -----------------------------------------------------------
+NEAR = "Blanes et al., Appl. Numer. Math. 68, 58 (2013), doi:10.1016/j.apnum.2013.01.003"
+
+_ABA864 = """
+ 0.0711334264982231177779387300061549964174   0.183083687472197221961703757166430291072
+ 0.241153427956640098736487795326289649618    0.310782859898574869507522291054262796375
+ 0.521411761772814789212136078067994229991   -0.0265646185119588006972121379164987592663
+"""
+
+_ABA1064 = """
+ 0.03809449742241219545697532230863756534060  0.09585888083707521061077150377145884776921
+ 0.1452987161169137492940200726606637497442   0.2044461531429987806805077839164344779763
+ 0.2076276957255412507162056113249882065158   0.2170703479789911017143385924306336714532
+ 0.4359097036515261592231548624010651844006
+"""
+
+
+def linear_strang(name: str, kick: str, about: str, settled: bool = False) -> Composition:
+    stages = (("swing", HALF), (kick, ONE), ("swing", HALF))
+    before, after = ((("unsettle", ONE),), (("settle", ONE),)) if settled else ((), ())
+    source = f"{about}; the linear part about the nearest equilibrium is exact, derived here"
+    return Composition(name, 2, stages, source, processor=before, postprocessor=after)
+
+
+def near_integrable(name: str, half: str, which: str) -> Composition:
+    return Composition(
+        name,
+        4,
+        palindrome("swing", "kick", half.split()),
+        f"{which} of {NEAR}, about the nearest equilibrium",
+    )
+
+
+LINEAR = (
+    linear_strang("contact-linear2", "gradient_kick", "a gradient kick and a processor", settled=True),
+    linear_strang("contact-linear2-plain", "kick", "a kick between halves of the exact linear flow"),
+    near_integrable("contact-aba864", _ABA864, "ABA(8,6,4)"),
+    near_integrable("contact-aba1064", _ABA1064, "ABA(10,6,4)"),
+)

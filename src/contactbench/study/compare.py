@@ -77,7 +77,7 @@ def compare(
     scene :
         A scene or the name of one.  Where it `slows_after` some time, fixed steps grow geometrically.
     methods :
-        Names; or "all", the most likely to lead first.  By default those that lead on problems like this one: on a
+        Names; or "all", the most likely to lead first.  By default the ones that lead on problems like this one: on a
         fifth of the random problems of its kind and about its damping (of a kind without any, of the named scenes)
         they cost at most a quarter more than the least, in time or evaluations; beside them the contestants of the
         README and what plug-ins bring.  Where no tables are installed all race.
