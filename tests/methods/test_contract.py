@@ -27,7 +27,6 @@ BODY_METHODS = ("contact-exact", "contact-bm6", "cvode-bdf", "cyrk-dop853")
 @pytest.mark.quick(scene="particle", engine=("llvm", "c", "c++"))
 @pytest.mark.quick(scene="particle", engine="python", method=BY_PYTHON)
 @pytest.mark.quick(scene="rigid_body", engine=("llvm", "c", "c++"), method=BODY_METHODS)
-@pytest.mark.quick(scene="particle", engine="jax", method="diffrax-tsit5")
 def test_a_method_keeps_its_contract(method, engine, scene):
     assert [found.rule for found in case_findings(method, engine, scene)] == list(METHOD_RULES)
 
