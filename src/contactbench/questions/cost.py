@@ -153,8 +153,8 @@ def tolerance_figure(frames: Frames) -> Figure | None:
     if not curves:
         return None
     asked = Axis("tolerance asked for (tighter to the right)", "log", inverted=True)
-    reached = Axis("error reached, the median of all scenes", "log")
-    same = Curve(ASKED, ASKED, "as asked", role="guide", markers=False)
+    reached = Axis("error reached, median over all scenes", "log")
+    same = Curve(ASKED, ASKED, "error = tolerance", role="guide", markers=False)
     panel = Panel("", asked, reached, (same, *only(curves, choose(curves, lowest))))
     return chart("tolerances", [panel])
 
@@ -211,10 +211,13 @@ def message(frames: Frames, scene: str) -> tuple[str, list[str]]:
     if not len(table):
         return f"{scene}: cost against error", []
     row = table.iloc[(len(table) - 1) // 2]
-    at, both, ratio = f"at {power(row['error'])}", [row["ours"], row["other"]], row["ratio"]
+    at, both, ratio = f"at an error of {power(row['error'])}", [row["ours"], row["other"]], row["ratio"]
     if 1 / row["margin"] <= ratio <= row["margin"]:
-        found = "take the same time within 25 %" if row["margin"] <= 1.25 else "are too near for the clock"
-        return f"{scene}: {both[0]} and {both[1]} {found} {at}", both
+        first, second = both if ratio <= 1 else both[::-1]
+        found = f"{both[0]} and {both[1]} take the same time within 25 %"
+        if row["margin"] > 1.25:
+            found = f"the lead of {first} over {second} is within the timing margin"
+        return f"{scene}: {found} {at}", both
     if ratio > 1:
         both, ratio = both[::-1], 1 / ratio
     return f"{scene}: {both[0]} needs {100 * ratio:.0f} % of the time of {both[1]} {at}", both

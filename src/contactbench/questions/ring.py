@@ -49,10 +49,10 @@ def answers(frames: Frames) -> Iterator[Answer]:
         others = [m for m in found.index[ratio > within] if known.get(m) != CONTACT]
         beside = names([f"{method} {times(ratio[method])}" for method in others], BESIDE)
         where = (
-            f"after T = {power(end)}, γ = {power(gamma)}, within {100 * ALLOWED:g} % (median of the starts)"
+            f"after T = {power(end)}, γ = {power(gamma)} (median over the starts)"
         )
-        text = "; others than contact methods: ".join(filter(None, [show(found.iloc[0]) + unit, beside]))
-        question = f"Which {asked} to have the energy left in a chaotic ring {where}?"
+        text = "; best non-contact methods: ".join(filter(None, [show(found.iloc[0]) + unit, beside]))
+        question = f"Which method {asked} for the energy left in a chaotic ring to be right to {100 * ALLOWED:g} % {where}?"
         yield Answer(question, names(list(found.index[ratio <= within]), 3), text, (query,))
 
 
@@ -128,7 +128,7 @@ def figure(frames: Frames, rows: pd.DataFrame) -> Figure | None:
         return None
     (own, first), (other, second) = (next(iter(side.items())) for side in sides)
     drawn: list[str] = []
-    panels, y = [], Axis("error of the energy left", "log")
+    panels, y = [], Axis("relative error of the energy left", "log")
     for end in spans:
         part = timed[timed["t_end"] == end]
         curves = by_method(part.assign(ms=1e3 * part["run_s"]), "ms", "energy_error")
@@ -138,7 +138,7 @@ def figure(frames: Frames, rows: pd.DataFrame) -> Figure | None:
     grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in drawn])
     panels.append(
         Panel(
-            "one setting, with 1 % at first",
+            "one setting, right to 1 % in the shorter run",
             Axis("T", "log"),
             y,
             only(by_method(grown, "t_end", "energy_error"), drawn),
