@@ -89,7 +89,8 @@ def test_the_readmes_example_has_its_rows_in_the_tables(results):
 def test_a_partial_run_fills_its_part_of_every_table(results):
     work, times = to_the_end(results), read(TIMES, results)
     assert set(work["method"]) == {"contact-strang", "cvode-adams", "cvode-bdf", "my-method"}
-    ok = work[work["status"] == "ok"]
+    ok, curves = work[work["status"] == "ok"], read(RUNS, results).query("saved == 1000")
+    assert {"contact-strang", "cvode-adams", "my-method"} == set(curves["method"])
     assert ok[["error", "steps", "evaluations"]].notna().all().all()
     key = list(TIMES.key)
     assert set(map(tuple, times[key].values.tolist())) == set(map(tuple, ok[key].values.tolist()))

@@ -166,6 +166,8 @@ class Solution:
         The `Reference` at its times, where it is known already, or why there is none; else the laws compute it.
     patience
         The limit of time while laws are measured.
+    between
+        Which states are interpolated, (k,); None of none, see `interpolated`.
     """
 
     scene: Scene
@@ -187,6 +189,8 @@ class Solution:
     truth: Reference | BadInput | None = None
     #: limit of time while laws are measured
     patience: Patience | None = None
+    #: which states are interpolated; None of none
+    between: np.ndarray | None = None
 
     @staticmethod
     def of(ending: dict[str, object], y: np.ndarray, y0: np.ndarray) -> Solution:
@@ -198,6 +202,11 @@ class Solution:
     @property
     def setting(self) -> str:
         return setting_key(self.control, self.value) if self.run is None else self.run.request.setting
+
+    @property
+    def interpolated(self) -> np.ndarray:
+        """Return whether each saved state is interpolated between ends of steps, (k,), where steps ended elsewhere."""
+        return np.zeros(len(self.y), dtype=bool) if self.between is None else self.between
 
     @property
     def ok(self) -> bool:
@@ -314,6 +323,16 @@ class Solution:
         if self.run is None:
             raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
         return self.run.differential(self.y0, self, self.patience)
+
+    @cached_property
+    def at_steps(self) -> Solution:
+        """Return the run saved at ends of its steps, where structure is judged; without dense output itself."""
+        judged = getattr(self.run, "judged", None)
+        if judged is None or not self.ok:
+            return self
+        again: Solution = judged.solved(self.y0, judged.integrate)
+        again.patience = self.patience
+        return again
 
     @property
     def sensitivity(self) -> np.ndarray:

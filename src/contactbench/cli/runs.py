@@ -150,7 +150,8 @@ def compare(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     methods = arguments.method + arguments.more or ("all" if arguments.all else None)
     budget = None if arguments.budget is None else duration(arguments.budget)
-    frame = cb.compare(scene, methods, numbers(arguments.error), budget, progress=not arguments.quiet)
+    asked = {"progress": not arguments.quiet, "saved": arguments.saved}
+    frame = cb.compare(scene, methods, numbers(arguments.error), budget, **asked)
     if arguments.csv:
         write_csv(frame, arguments.csv)
     if arguments.plot and (figure := race.figure(frame)) is not None:

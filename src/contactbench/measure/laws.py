@@ -353,11 +353,12 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
             bar.set_postfix_str(item.label)
             if set(item.needs_on(solution.scene)) <= set(solution.carry):
                 with np.errstate(all="ignore"):  # states may be huge
-                    rows[item.name] = measured_row(item, solution)
+                    judged = solution.at_steps if item.structural else solution
+                    rows[item.name] = measured_row(item, judged)
     finally:  # results that ran out of time are computed again by a later call
         solution.patience = None
         if patience.over:
-            del solution.differential
+            vars(solution.at_steps).pop("differential", None)
         if isinstance(solution.truth, OutOfTime):
             solution.truth = None
     return pd.DataFrame.from_dict(
@@ -376,22 +377,22 @@ def row(
     """
     if not solution.ok:
         return {}
-    scene, found = solution.scene, dict[str, Measured]()
+    scene, found, judged = solution.scene, dict[str, Measured](), solution.at_steps
     for item in laws_of(scene):
         wanted = item.name == "solution_error" or not leave_out(item.name)
         if wanted and not (without and item.differentiates):
             with suppress(Undefined):
-                found[item.name] = item.measured(solution)
+                found[item.name] = item.measured(judged if item.structural else solution)
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}
-    known = scene.is_contact and not without and solution.differential.taken
-    magnified = (growth(in_units(solution)) if known else 0.0) or condition_number(scene) or 1.0
+    known = scene.is_contact and not without and judged.differential.taken
+    magnified = (growth(in_units(judged)) if known else 0.0) or condition_number(scene) or 1.0
     evaluations = solution.counts.evaluations or 0
     of_state, of_map = (max(STRUCTURE, round_off_bound(each, evaluations)) for each in (1.0, magnified))
     follows = not columns["solution_error"] > WRECKED
     for name, measured in found.items():
         if LAWS[name].structural and not math.isnan(measured.value):
-            bound, faded = of_state if name in OF_THE_STATE else of_map, measured.clamped == len(solution.t)
-            columns[f"{name}_claimed"] = LAWS[name].claimed(solution)
+            bound, faded = of_state if name in OF_THE_STATE else of_map, measured.clamped == len(judged.t)
+            columns[f"{name}_claimed"] = LAWS[name].claimed(judged)
             kept = is_kept(measured.value, bound, measured.bound, faded) if follows else None
             columns[f"{name}_kept"] = kept
     return columns | {"bound": of_map if follows else math.nan}

@@ -143,7 +143,8 @@ def borders(method: FixedStep, gamma: float) -> Stability:
     Both eigenvalues are in the unit disc if |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in which s passes ±1
     and returns may be narrower than the grid, but it contains an extremum of s.  So the extrema of s and det are
     located, and every border between neighbours of grid and extrema is bracketed.  An excess below 10⁻¹² is no window
-    (a double root); an interval of stability of less than a per cent of the step does not end a window.
+    (a double root); an interval of stability of less than a per cent of the step does not end a window.  A method that
+    iterates has no windows: it is followed to its first border.
     """
 
     def invariants(h: np.ndarray) -> np.ndarray:
@@ -163,6 +164,8 @@ def borders(method: FixedStep, gamma: float) -> Stability:
 
     grid = np.geomspace(SHORTEST, LONGEST, SCANNED)
     values = invariants(grid)
+    if method.iterates and (lost := unbounded(values)).any():  # beyond, iterations fail here and there
+        grid, values = grid[: np.argmax(lost) + 1], values[:, : np.argmax(lost) + 1]
     of_trace = turning_points(lambda h: invariants(h)[0], grid, values[0])
     of_det = turning_points(lambda h: invariants(h)[1], grid, values[1])
     extrema = np.concatenate([of_trace, of_det])

@@ -12,8 +12,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from contactbench.blame import blame
-from contactbench.checks import missing, positive, text, vector, whole
+from contactbench.checks import missing, positive, switch, text, vector, whole
 from contactbench.errors import BadInput, excerpt
+from contactbench.methods.dense import Source, densely
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_start
 from contactbench.methods.prescribed import SHORTEST_RUN, default_times, saved_times, steps_of, steps_until
 from contactbench.numbers.protocol import CannotRecord
@@ -62,13 +63,14 @@ class Method(ABC):
         compiling, allocating).  It raises `CannotRecord` where that fails for one engine, and the next engine is
         tried.  Its result may be called any number of times, with other initial data too.  Calls are independent:
         equal data give equal bits.
-     4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.
+     4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.  With a
+        `source` it takes its own steps, and interpolates between them.
      5. ``bare(y0)`` is the fastest call of the solver itself, and is timed.  It returns the last state of the run to
         round-off.
-     6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between saved times and no
-        longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the error
-        falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and `atol`, and `tolerance` says what they
-        bound; the error falls with them.  `exact`: takes neither and has no truncation error.
+     6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between breaks, or saved times,
+        and no longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the
+        error falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and `atol`, and `tolerance` says what
+        they bound; the error falls with them.  `exact`: takes neither and has no truncation error.
      7. A run never exceeds `max_steps`: a run that needs more ends as `budget`, and the states it did not reach are
         NaN, as after `failed` and `diverged`.  The time of divergence is known to the step.
      8. `Counts.evaluations` counts all evaluations of a run, including those for a Jacobian, an interpolant or a
@@ -153,6 +155,10 @@ class Method(ABC):
         package = self.package or PACKAGES.get(engine)
         return missing(package) if package else None
 
+    def source(self, request: Request) -> Source | None:
+        """Return its own steps for dense output, or None: then steps end at saved times, or it interpolates itself."""
+        return None
+
     @abstractmethod
     def prepare(self, request: Request) -> Prepared:
         """Return a run for the request, compiled."""
@@ -202,6 +208,7 @@ def prepare(
     carry: Sequence[str] | None = None,
     engine: str | None = None,
     max_steps: int | None = None,
+    dense: bool = True,
     about: Sequence[float] | None = None,
 ) -> Prepared:
     """Return a solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
@@ -213,9 +220,8 @@ def prepare(
     method
         Itself, or the name of a registered one.
     step
-        Size of the steps of a fixed-step method.  Steps never straddle a saved time: each interval between saved
-        times is divided into the fewest equal steps not longer than `step`, and the last saved time is the end.  The
-        steps taken may be shorter, down to the distance of two saved times; the solution's `step` is the longest one.
+        Size of the steps of a fixed-step method.  The time to the last saved one, and between two breaks of a scene, is
+        divided into the fewest equal steps not longer than `step`; the solution's `step` is the longest one.
 
         A sequence of steps is used as given, so that every step of a contact method is a contact map.  Saved times must
         be ends of steps; by default they are all ends, or every k-th.  Steps after the last saved time are left out.
@@ -232,8 +238,13 @@ def prepare(
     save_at
         Increasing times from the scene's t on (from 0 on where nothing depends on the time), also beyond t + t_end;
         by default the start and every k-th step, at most 1001 of them, for fixed steps, and 201 equally spaced times
-        for others.  A fixed-step method starts anew at each saved time: with save_at=[t_end] it takes the fewest
-        steps.
+        for others.
+    dense
+        Whether states at saved times between ends of steps are interpolated; the solution's `interpolated` says which.
+        The estimate of their error is at most twice the error of a step, or a tenth of the tolerance; where steps are
+        too long for that, parts of steps are taken and counted.  If False, steps end at every saved time: each
+        interval between saved times is divided into the fewest equal steps, and a method starts anew there.  So do
+        methods that choose a fixed step from `rtol`, and contact-log8.
     carry
         Which of s and R to integrate; by default all the scene has.
     engine
@@ -264,7 +275,9 @@ def prepare(
     np.float64(0.5)
     """
     scene, chosen = lookup(scene, method)
-    request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
+    request = make_request(
+        scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps, switch("dense", dense)
+    )
     if isinstance(request, Refused):
         return request
     if about is not None:
@@ -280,7 +293,7 @@ def prepare(
             except CannotRecord as error:
                 run = uncompiled(chosen, asked, error)
             if not isinstance(run, Refused):
-                return run
+                return densely(chosen, asked, run) if asked.dense else run
             refused.append(run)
     except BaseException as error:
         raise blame(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
@@ -304,6 +317,7 @@ def make_request(
     carry: Sequence[str] | None = None,
     engine: str | None = None,
     max_steps: int | None = None,
+    dense: bool = True,
 ) -> Request | Refused:
     """Return the checked request for the first engine; `Refused` where the method refuses the scene."""
     if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
@@ -318,6 +332,7 @@ def make_request(
         if save_at is None
         else saved_times(save_at, scene)
     )
+    dense = dense and (save_at is not None or step is None)  # by default steps end at saved times
     steps = None
     if isinstance(step, np.ndarray):
         steps = step[: steps_until(step, times[times > 0])[-1]]
@@ -325,7 +340,7 @@ def make_request(
     if times[-1] < SHORTEST_RUN:
         raise BadInput(f"the run ends at t = {times[-1]:.3g}: must be {SHORTEST_RUN:g} or later")
     engine = engine or engines_of(chosen)[0]
-    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget, steps)
+    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget, steps, dense=dense)
     if (why := chosen.refuses(scene) or too_large(chosen, request)) is not None:
         return Refused(chosen.name, request, why)
     require_start(scene, request.carry)
@@ -402,7 +417,7 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     ----------
     scene, method
         As of `prepare`.
-    step, rtol, atol, save_at, carry, engine, max_steps, about
+    step, rtol, atol, save_at, carry, engine, max_steps, dense, about
         As of `prepare`.
 
     Returns

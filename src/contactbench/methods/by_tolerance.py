@@ -21,8 +21,10 @@ import numpy as np
 
 from contactbench.methods import dates
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive
-from contactbench.methods.dates import division
+from contactbench.methods.dates import division, from_origin
+from contactbench.methods.dense import Nodes, Source
 from contactbench.methods.loops import Loop, watch_of
+from contactbench.methods.parts import Parts
 from contactbench.methods.prepared import (
     NO_NUMBER,
     Outcome,
@@ -46,6 +48,7 @@ from contactbench.methods.runge_kutta import (
     pull,
     read_tableau,
     refusal,
+    runge_kutta,
     undamped,
     undamped_twin,
 )
@@ -85,6 +88,8 @@ NUDGE = 1e-5
 BESIDE = 5
 #: the place of the attempts, from the end, in the numbers of every such loop
 ATTEMPTS = -3
+#: attempts of the first call for dense output; the part of the tolerance that interpolation may add
+CHUNK, ALLOWED = 64, 0.1
 #: numbers below this count as zero
 TINY = 1e-30
 
@@ -362,8 +367,14 @@ def march_by_the_clock(
 
 
 # -- the run -------------------------------------------------------------------------------------------
-def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: int) -> Program:
-    """Return the loop over intervals of given spans, with at most n attempts; may raise `CannotRecord`."""
+def loop_program(
+    method: Any, scene: Scene, carry: tuple[str, ...], settings: int, single: bool = False
+) -> Program:
+    """Return the loop over intervals of given spans, with at most n attempts; may raise `CannotRecord`.
+
+    single : an interval is n further attempts on the way to the end of the span, of which the start says how much is
+    left.
+    """
     d, given = len(scene.labels(carry)), len(scene.numbers())
 
     def advance(
@@ -375,8 +386,12 @@ def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: in
         repeat: Repeat,
         *clock: Arithmetic,
     ) -> list[Arithmetic]:
-        twin, x = scene.with_numbers(numbers[:given]), scene.unpack(y[:d], carry)
-        x, beside = marched(method, twin, x, y[d:], span, clock, most, numbers[given:], xp, repeat)
+        twin, x, beside = scene.with_numbers(numbers[:given]), scene.unpack(y[:d], carry), y[d:]
+        if single:
+            left, most = beside[-1], most + beside[ATTEMPTS]
+            clock = clock and (clock[0], clock[1] + (span - left), *clock[2:])
+            span, beside = left, [*beside[:-1], 0 * left]
+        x, beside = marched(method, twin, x, beside, span, clock, most, numbers[given:], xp, repeat)
         return [*scene.pack(x), *beside]
 
     def started(statement: Statement) -> Statement:
@@ -387,9 +402,10 @@ def loop_program(method: Any, scene: Scene, carry: tuple[str, ...], settings: in
         return statement
 
     clock = scene.clock if scene.keeps_dates else None
-    watch = watch_of(scene, carry)
+    watch = None if single else watch_of(scene, carry)
     program = record(advance, given + settings, d + method.beside(d), scene.motion, DIVERGENCE, watch, clock)
-    return program._replace(run=replace(program.run, body=tuple(map(started, program.run.body))))
+    body = program.run.body if single else tuple(map(started, program.run.body))
+    return program._replace(run=replace(program.run, body=body))
 
 
 def marched(
@@ -573,6 +589,62 @@ class ToleranceRun(RunByTolerance):
         return self.finish(y0, states, counts, status, f"{message} (t = {time:.6g})", (time, y[-1, :d]))
 
 
+class OwnSteps(Parts):
+    """The accepted steps of a pair, attempt by attempt; parts of steps by its formula of the higher order."""
+
+    def __init__(self, run: Any) -> None:
+        r, pair = run.request, run.method_
+        filler = runge_kutta(pair.name, pair.form.tableau, pair.about)
+        super().__init__(filler, r, math.inf)
+        self.run, self.pair = run, pair
+        self.marks = np.append(0.0, division(r.scene, r.save_at[-1:])[0])
+        self.since = dates.dates(r.scene, self.marks[:-1], self.marks[1:]) if r.scene.keeps_dates else None
+        self.numbers = np.array([*r.scene.numbers(), *run.settings])
+
+        def make() -> Loop:
+            elapsed = stopwatch()
+            program = loop_program(pair, r.scene, r.carry, len(run.settings), single=True)
+            return Loop(program, elapsed())
+
+        self.attempts = _loops.get(key(r.scene.identity, pair, r.carry, "single"), make)
+
+    def allowed(self, scales: np.ndarray) -> np.ndarray:
+        r = self.request
+        return np.asarray(ALLOWED * (np.asarray(r.atol) + (r.rtol or 0.0) * scales))
+
+    def steps(self, y0: np.ndarray) -> tuple[Nodes, Counts] | None:
+        d, size, entered = len(y0), self.attempts.program.size, 0
+        t, y, piece = list[Any](), list[Any](), list[Any]()
+        row = np.concatenate([y0, np.zeros(size - d)])
+        for number, (begin, end) in enumerate(zip(self.marks, self.marks[1:], strict=False)):
+            t, y, piece = [*t, np.array([begin])], [*y, row[None, :d]], [*piece, np.array([number])]
+            row = from_origin(self.request.scene, row, y0)
+            row[-1] = end - begin
+            many = CHUNK
+            while row[-1] > 0:
+                rows = self.taken(row, end - begin, many, number)
+                gone = np.append(row[ATTEMPTS], rows[:, ATTEMPTS])
+                if gone[-1] > self.request.max_steps or (rows[-1, -1] > 0 and gone[-1] < gone[0] + many):
+                    return None
+                moved = np.diff(np.append(row[-1], rows[:, -1])) < 0
+                entered += int((np.diff(gone) > 0).sum())
+                row = from_origin(self.request.scene, rows[-1], y0)
+                after = end - rows[moved, -1]
+                t, y, piece = [*t, after], [*y, rows[moved, :d]], [*piece, np.full(len(after), number)]
+                many *= 2
+        nodes = Nodes(np.concatenate(t), np.concatenate(y), np.concatenate(piece))
+        tried, rejected = int(row[ATTEMPTS]), int(row[-2])
+        evaluations = self.pair.evaluations(tried, entered)
+        return nodes, Counts(tried - rejected, evaluations, 0, rejected, self.kind)
+
+    def taken(self, row: np.ndarray, span: float, many: int, number: int) -> np.ndarray:
+        """Return the rows after each of many further attempts."""
+        since = None if self.since is None else np.repeat(self.since[number : number + 1], many, axis=0)
+        one = np.ones(many, dtype=np.int64)
+        given = self.numbers, np.full(many, span), one
+        return self.attempts.after(row, *given, since=since, python=self.request.engine == "python")
+
+
 @dataclass(frozen=True)
 class RungeKuttaPair(Adaptive):
     """A pair of Runge–Kutta formulas with step control."""
@@ -598,6 +670,12 @@ class RungeKuttaPair(Adaptive):
 
     def prepare(self, request: Request) -> Prepared:
         return ToleranceRun(self.name, request, self)
+
+    def source(self, request: Request) -> Source | None:
+        try:
+            return OwnSteps(self.prepare(replace(request, save_at=request.save_at[-1:], dense=False)))
+        except CannotRecord:
+            return None
 
     def settings(self, request: Request, step: float | None) -> list[float]:
         moved = len(request.start) - (request.scene.clock is not None)

@@ -11,8 +11,9 @@ from contactbench.blame import UserError, their_code
 from contactbench.checks import function, is_number, switch, text, whole
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
-from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.loops import Plain, Recorded, StepLoop, is_fixed
+from contactbench.methods.dense import Source
+from contactbench.methods.fixed_step_run import EqualSteps, FixedStepRun
+from contactbench.methods.loops import LOOPS, StepLoop, is_fixed
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
@@ -25,9 +26,6 @@ from contactbench.scene.base import TRIED, OwnState
 Step = Callable[[Any, OwnState, Arithmetic, Namespace], OwnState]  # (scene, x, h, xp) -> x
 Piece = Callable[[Scene, AnyState, Arithmetic, Namespace, Repeat], AnyState]  # (scene, x, h, xp, repeat) -> x
 Factor = Callable[[Any, Arithmetic, Namespace], Arithmetic]  # (scene, h, xp) -> conformal factor of one step
-
-#: engine → the loop that takes the steps
-LOOPS: dict[str, type[StepLoop[Any]]] = {"llvm": Recorded, "python": Plain}
 
 
 @dataclass(frozen=True)
@@ -67,6 +65,11 @@ class FixedStep(Method):
         loop = LOOPS[request.engine](self, request)
         kind = ChosenStep if request.step is None else FixedStepRun
         return kind(self.name, request, self, loop)
+
+    def source(self, request: Request) -> Source | None:
+        if request.step is None or request.steps is not None:
+            return None
+        return EqualSteps.of(self, request)
 
     def run_of(self, request: Request, loop: StepLoop[Any]) -> FixedStepRun:
         return FixedStepRun(self.name, request, self, loop)

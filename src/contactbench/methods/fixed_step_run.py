@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactbench.methods.dates import dates, division, from_origin
+from contactbench.methods.dense import Nodes, on_grid
 from contactbench.methods.loops import StepLoop, is_fixed, total
-from contactbench.methods.prepared import Outcome, Pilot, Prepared
+from contactbench.methods.parts import Parts
+from contactbench.methods.prepared import Outcome, Pilot, Prepared, Request
 from contactbench.methods.prescribed import EQUAL, UNCOUNTED, ends_between, plateaus, steps_in
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
@@ -203,3 +205,51 @@ class FixedStepRun(Prepared):
         if np.ptp(self.h) > EQUAL * self.h[0]:
             return None
         return self.method_.modified_hamiltonian(self.request.scene, x, float(self.h[0]))
+
+
+#: evaluations that may be spent on saving states at the ends of steps, in parts of those of the steps
+SHARE = 0.15
+#: least number of nodes between two breaks, where there are as many steps
+LEAST = 24
+
+
+class EqualSteps(Parts):
+    """Equal steps between breaks, with nodes at every k-th of them."""
+
+    def __init__(self, run: FixedStepRun, piece: np.ndarray, longest: float) -> None:
+        super().__init__(run.method_, run.request, longest)
+        self.run = self.judged = run
+        self.piece = piece
+        self.t = np.append(0.0, run.ends)
+
+    @staticmethod
+    def of(method: FixedStep, request: Request) -> EqualSteps | None:
+        """Return the steps; None if all saved times are ends of steps."""
+        scene, saved = request.scene, request.save_at
+        later = saved[saved > 0]
+        marks = np.append(0.0, division(scene, later[-1:])[0])
+        n = steps_in(np.diff(marks), marks[1:], request.step or math.nan)
+        if total(n) > request.max_steps:
+            return None
+        each = method.per_step(scene, request.carry)
+        more = method.counts(scene, 1, request.carry) - each + 1 if method.one_step else 0
+        grids, whole = [], []
+        for begin, end, count in zip(marks, marks[1:], n.tolist(), strict=False):
+            k = max(1, min(math.ceil(more / (SHARE * each)), count // LEAST))
+            whole.append(np.append(np.arange(count) * ((end - begin) / count) + begin, end))
+            grids.append(np.append(whole[-1][:-1:k], end))
+        if (on_grid(later, np.unique(np.concatenate(whole))) >= 0).all():
+            return None
+        piece = [np.full(len(grid), number) for number, grid in enumerate(grids)]
+        nodes = np.concatenate([grids[0], *(grid[1:] for grid in grids[1:])])
+        run: Any = method.prepare(replace(request, save_at=nodes, dense=False))
+        source = EqualSteps(run, np.concatenate(piece), float(np.max(np.diff(marks) / n)))
+        source.t = np.concatenate(grids)
+        return source
+
+    def steps(self, y0: np.ndarray) -> tuple[Nodes, Counts] | None:
+        found = self.run.audit(y0, self.run.integrate(y0))
+        if found.status is not Status.ok:
+            return None
+        again = np.append(0, np.cumsum(np.diff(self.piece) == 0))  # a break is two nodes
+        return Nodes(self.t, found.y[again], self.piece), found.counts

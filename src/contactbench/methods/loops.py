@@ -327,6 +327,25 @@ class Loop:
         self.setup(numbers, spans, program.data, program.shape, w)
         return w
 
+    def after(
+        self, start: np.ndarray, *given: np.ndarray, since: np.ndarray | None = None, python: bool = False
+    ) -> np.ndarray:
+        """Return the rows after intervals, (k, size), from a row, not only from a state; given : as of `rows`."""
+        numbers, h, n = given
+        rows, after = self.rows(numbers, h, n, since), np.empty(len(n) * len(start))
+        if python:
+            found = [0.0] * len(after)
+            self.run_in_python(start.tolist(), *(part.tolist() for part in rows), found)
+            after[:] = found
+        else:
+            self.execute(start, rows, after, total(n))
+        return after.reshape(-1, len(start))
+
+    @cached_property
+    def run_in_python(self) -> Callable[..., None]:
+        made: Callable[..., None] = execute(self.program.run)
+        return made
+
     def states(
         self, scene: Scene, y0: np.ndarray, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None
     ) -> np.ndarray:
@@ -484,6 +503,10 @@ class Plain(StepLoop[Spans]):
             x, more = advanced(self.method, scene, x, h, n, math, clock, counted=self.counted)
             made += more
             yield [*scene.pack(x), *([made] if self.counted else [])]
+
+
+#: engine → the loop that takes the steps
+LOOPS: dict[str, type[StepLoop[Any]]] = {"llvm": Recorded, "python": Plain}
 
 
 def trajectory(

@@ -9,14 +9,22 @@ points before the start.  The action is s e^{γt} = s₀ + ½ [e^{γt} q·p] + �
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import partial
 from itertools import accumulate
 from typing import Any, NoReturn
 
+import numpy as np
+
 from contactbench.methods.base import METHODS, unfit
+from contactbench.methods.dense import Nodes, Source
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import EqualSteps
+from contactbench.methods.loops import Loop
+from contactbench.methods.parts import Parts
+from contactbench.methods.prepared import Request
 from contactbench.methods.runge_kutta import (
     RKN8,
     RKN12,
@@ -26,18 +34,25 @@ from contactbench.methods.runge_kutta import (
     looped,
     nystrom_step,
     pull,
+    runge_kutta,
     undamped,
 )
 from contactbench.numbers.control import Repeat, Rows, repeat
-from contactbench.numbers.protocol import Arithmetic, Count, Namespace
-from contactbench.scene import Scene, State, Vector, dot, scaled
+from contactbench.numbers.dual import leaves, rebuild
+from contactbench.numbers.protocol import Arithmetic, CannotRecord, Count, Namespace
+from contactbench.scene import Cache, Scene, State, Vector, dot, key, scaled
 from contactbench.scene.base import OwnState
+from contactbench.solution import DIVERGENCE, Counts
 from contactbench.splitting.composition import number
+from contactbench.trace.program import Program, record
 
+#: a step of the starter over a step, whose error is larger all the same
+LONGER = 3
 #: e^{γt/2} overflows for larger γt
 LONGEST = 1400.0
-#: variables of a step: z, the last increments, z'', the earlier z'', the last ψ, the fading sum of ψ, e^{−γt/2}
-Carried = tuple[Vector, Any, Vector, Any, Vector, Arithmetic, Arithmetic]
+#: variables of a step: z, the last increments, z'', the earlier z'', the last ψ, the fading sum of ψ, e^{−γt/2}, and
+#: the part of the action that fades alone
+Carried = tuple[Vector, Any, Vector, Any, Vector, Arithmetic, Arithmetic, Arithmetic]
 
 
 def weights(nodes: Sequence[int], moments: Iterable[Fraction]) -> list[Fraction]:
@@ -102,6 +117,13 @@ class Multistep(FixedStep):
     def advance(
         self, scene: Any, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> OwnState:
+        begin, step, end = self.parts(scene, x, h, xp, repeat, looped(repeat, self.forces, scene, x))
+        return end(repeat(n, step, begin(x)))
+
+    def parts(
+        self, scene: Any, x: OwnState, h: Arithmetic, xp: Namespace, repeat: Repeat, loop: Repeat | None
+    ) -> tuple[Callable[..., Carried], Callable[..., Carried], Callable[..., State]]:
+        """Return the functions from a state to the variables of a step, over a step, and back to a state."""
         K, gamma, over_m = self.forces, scene.gamma, scene.inverse_mass
         beta, velocity = ([number(c, xp) for c in row] for row in (self.beta, self.velocity))
         alpha = list(accumulate((1, *self.alpha)))[1:-1]  # of the increments z_n − z_{n−1}
@@ -109,9 +131,8 @@ class Multistep(FixedStep):
         loss, gain = -xp.expm1(-gamma * h / 2), xp.expm1(gamma * h / 2)
         fading = -xp.expm1(-gamma * h)
         one, nothing = xp.exp(0 * h), 0 * h
-        q, p = (tuple(a + nothing for a in v) for v in (x.q, x.p))
-        d, acts, loop = len(q), x.s is not None, looped(repeat, K, scene, x)
-        rates, increments = (past_of(K, q, xp, loop) for _ in range(2))
+        d, acts = len(x.q), x.s is not None
+        rates, increments = (past_of(K, tuple(a + nothing for a in x.q), xp, loop) for _ in range(2))
         back = self.starter
         factors = factors_of(back, scene, None, -h, xp)
         stage = factors_by_stage(back, factors, -h, xp, loop)
@@ -131,8 +152,19 @@ class Multistep(FixedStep):
             slopes = rates.append(slopes, scaled(1 / shrunk, own))
             return y, own, older, shrunk, steps, slopes, (*psis[1:], psi)
 
+        def begin(x: OwnState) -> Carried:
+            q, p = (tuple(a + nothing for a in v) for v in (x.q, x.p))
+            start = undamped(scene, State(q, p))
+            own, psi = force(q)
+            known = start, own, q, one, increments.none, rates.none, (psi + nothing,) * (K + 1)
+            *_, steps, slopes, psis = repeat(K, before, known)
+            psis = (psi, *psis[1:])
+            base = x.s - dot(x.q, x.p) / 2 - h * combine(ends, psis) if acts else nothing
+            newest = increments.newest(steps), own, rates.newest(slopes)
+            return q, *newest, psis, 0 * psi, one, base + nothing
+
         def step(carried: Carried) -> Carried:
-            z, steps, rate, slopes, psis, total, shrunk = carried
+            z, steps, rate, slopes, psis, total, shrunk, base = carried
             moved = zip(rate, rates.sum(slopes, beta[1:]), increments.sum(steps, alpha), strict=True)
             increment = tuple(h * h * (beta[0] * a + b) - c for a, b, c in moved)
             steps, slopes = increments.push(steps, increment), rates.push(slopes, rate)
@@ -141,26 +173,89 @@ class Multistep(FixedStep):
             shrunk = shrunk - loss * shrunk
             own, psi = force(scaled(shrunk, z))
             total = total - fading * total + psi
-            return z, steps, scaled(1 / shrunk, own), slopes, (psi, *psis[:-1]), total, shrunk
+            return z, steps, scaled(1 / shrunk, own), slopes, (psi, *psis[:-1]), total, shrunk, base
 
-        start = undamped(scene, State(q, p))
-        own, psi = force(q)
-        known = start, own, q, one, increments.none, rates.none, (psi + nothing,) * (K + 1)
-        *_, steps, slopes, psis = repeat(K, before, known)
-        psis = (psi, *psis[1:])
-        begun = combine(ends, psis)
-        carried = q, increments.newest(steps), own, rates.newest(slopes), psis, 0 * psi, one
-        z, steps, rate, slopes, psis, total, shrunk = repeat(n, step, carried)
-        q, latest = scaled(shrunk, z), increments.sum(steps, (1.0,))
-        pulls = zip(latest, rate, rates.sum(slopes, velocity[1:]), strict=True)
-        v = tuple(a / h + h * (velocity[0] * b + c) for a, b, c in pulls)
-        v = tuple(shrunk * a - gamma / 2 * b for a, b in zip(v, q, strict=True))
-        masses = tuple(1 / w for w in over_m) if isinstance(over_m, tuple) else 1 / over_m
-        p = scaled(masses, v)
-        if not acts:
-            return State(q, p)
-        s = shrunk * shrunk * (x.s - dot(x.q, x.p) / 2 - h * begun)
-        return State(q, p, s + dot(q, p) / 2 + h * (total + combine(ends, psis)))
+        def end(carried: Carried, slope: bool = False) -> State:
+            """Return the state, or its slope."""
+            z, steps, rate, slopes, psis, total, shrunk, base = carried
+            q, latest = scaled(shrunk, z), increments.sum(steps, (1.0,))
+            pulls = zip(latest, rate, rates.sum(slopes, velocity[1:]), strict=True)
+            v = tuple(a / h + h * (velocity[0] * b + c) for a, b, c in pulls)
+            v = tuple(shrunk * a - gamma / 2 * b for a, b in zip(v, q, strict=True))
+            masses = tuple(1 / w for w in over_m) if isinstance(over_m, tuple) else 1 / over_m
+            p = scaled(masses, v)
+            s = shrunk * shrunk * base + dot(q, p) / 2 + h * (total + combine(ends, psis)) if acts else None
+            if not slope:
+                return State(q, p, s)
+            change = (shrunk * a - gamma * (b + gamma / 4 * c) for a, b, c in zip(rate, v, q, strict=True))
+            pulled = scaled(masses, tuple(change))
+            force = tuple(a + gamma * b for a, b in zip(pulled, p, strict=True))
+            V = -dot(q, force) / 2 - psis[0]
+            return State(v, pulled, dot(p, v) / 2 - V - gamma * s if acts else None)
+
+        return begin, step, end
+
+    def source(self, request: Request) -> Source | None:
+        found = EqualSteps.of(self, request)
+        if found is None:
+            return None
+        try:
+            return OwnHistory(self, found)
+        except CannotRecord:
+            return None
+
+
+class OwnHistory(Parts):
+    """Equal steps of a multistep method, which save states from their history; parts of steps by its starter."""
+
+    def __init__(self, method: Multistep, steps: EqualSteps) -> None:
+        r = steps.request
+        super().__init__(runge_kutta(method.name, method.starter, method.about), r, LONGER * steps.longest)
+        self.run, self.method, self.t, self.piece = steps.run, method, steps.t, steps.piece
+        self.h = steps.longest
+        scene, carry, x = r.scene, r.carry, r.scene.initial(r.carry)
+        d, q, K = len(r.start), x.q, method.forces
+        like: Any = (q, (q,) * K, q, (q,) * K, (0.0,) * (K + 1), 0.0, 0.0, 0.0)
+        size = 2 * d + len(leaves(like))
+
+        def program(first: bool) -> Program:
+            def interval(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Repeat) -> list[Any]:
+                x = scene.unpack(y[:d], carry)
+                begin, step, end = method.parts(scene.with_numbers(numbers), x, h, xp, repeat, None)
+                if first:
+                    return [*scene.pack(x), *scene.pack(x), *leaves(begin(x))]
+                carried = repeat(n, step, rebuild(like, y[2 * d :]))
+                return [*scene.pack(end(carried)), *scene.pack(end(carried, slope=True)), *leaves(carried)]
+
+            return record(interval, len(scene.numbers()), size, scene.motion, DIVERGENCE)
+
+        identity = r.scene.identity
+        self.loops = [
+            _loops.get(
+                key(identity, method, carry, first), partial(lambda first: Loop(program(first), 0.0), first)
+            )
+            for first in (True, False)
+        ]
+        self.size, self.numbers = size, np.array(scene.numbers())
+
+    def steps(self, y0: np.ndarray) -> tuple[Nodes, Counts] | None:
+        first, others = self.loops
+        n = np.rint(np.diff(self.t) / self.h).astype(np.int64)
+        h, python = np.full(len(n), self.h), self.request.engine == "python"
+        d, scene = len(y0), self.request.scene
+        row = np.concatenate([y0, np.zeros(self.size - d)])
+        row = first.after(row, self.numbers, h[:1], n[:1], python=python)[0]
+        rows = others.after(row, self.numbers, h, n, python=python)
+        y, start = np.vstack([y0, rows[:, :d]]), scene.rhs(scene.unpack(y0.tolist(), self.request.carry))
+        if self.run.first_divergence(y0, y) is not None:
+            return None
+        steps = int(n.sum())
+        evaluations = self.method.counts(scene, steps) + 1
+        nodes = Nodes(self.t, y, self.piece, np.vstack([scene.pack(start), rows[:, d : 2 * d]]))
+        return nodes, Counts(steps, evaluations, 0, 0, self.kind)
+
+
+_loops: Cache[Loop] = Cache(64)
 
 
 class Shifted:

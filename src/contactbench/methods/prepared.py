@@ -36,7 +36,8 @@ class Request:
 
     steps : prescribed steps, the longest is `step`; None for equal steps between saved times.  atol : one number, or
     one for every component but the time.  scales : the factors that gave atol = rtol · scales, see `to_scale`; None
-    where the user gave atol.  about : the point about which a method expands the potential, if the user gave it.
+    where the user gave atol.  dense : saved times do not shorten steps.
+    about : the point about which a method expands the potential, if the user gave it.
     """
 
     scene: Scene
@@ -49,6 +50,7 @@ class Request:
     max_steps: int = 10**8
     steps: np.ndarray | None = None
     scales: Any = None
+    dense: bool = True
     about: tuple[float, ...] | None = None
 
     def to_scale(self, takes_atol: bool, **data: object) -> Request:
@@ -87,6 +89,7 @@ class Outcome:
     """The result of a run: packed states (NaN where not reached), counts, status and message.
 
     checked : the states are known to be finite and to reach the end.  steps : the chosen step and the longest taken.
+    interpolated : which states are; None of none.
     """
 
     y: np.ndarray
@@ -96,6 +99,7 @@ class Outcome:
     end_time: float
     checked: bool = False
     steps: tuple[float, float] | None = None
+    interpolated: np.ndarray | None = None
 
 
 class Pilot(NamedTuple):
@@ -191,7 +195,7 @@ class Prepared(ABC):
         out = self.audit(y0, out)
         steps = out.steps or self.steps_taken
         ended = self.attributes(out.status, out.message, out.counts, out.end_time, steps)
-        ended["t"] = self.times_from(y0)
+        ended["t"], ended["between"] = self.times_from(y0), out.interpolated
         return Solution.of(ended, self._dated(y0, out.y), y0)
 
     def times_from(self, y0: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from contactbench.questions.contest import (
     ranked,
     sides,
 )
+from contactbench.questions.judgement import CURVE
 from contactbench.report.chapters import PROSE, Answer, Frames, Part, Section, Text, chapter, chart, view
 from contactbench.report.curves import by_method, cheapest, choose, contest_end, lowest, only
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
@@ -28,12 +29,13 @@ from contactbench.report.numbers import DASH, count, duration, exact_power, name
 from contactbench.report.views import Cell, Mark, View, frame_of, matrix
 
 #: the kinds of contest: whether times are compared, and what takes part, as in `comparable`
-KINDS: dict[str, tuple[bool, dict[str, bool]]] = {
+KINDS: dict[str, tuple[bool, dict[str, Any]]] = {
     "compiled": (True, {}),
     "evaluations": (False, {}),
     "callbacks": (True, {"callbacks": True}),
     "tolerance": (True, {"tolerance": True}),
     "tolerance_evaluations": (False, {"tolerance": True}),
+    "saved_evaluations": (False, {"saved": CURVE}),
 }
 ENTRIES: dict[str, dict[str, str]] = PROSE["cost"]["kinds"]
 #: what the contests by tolerance are judged by: looser tolerances are no wish, tighter ones are round-off
@@ -54,7 +56,7 @@ def standings(frames: Frames, kind: str) -> pd.DataFrame:
 def answer(frames: Frames, kind: str) -> Answer | None:
     """Return how often a contact method is near the least time, and alone there; or needs the fewest evaluations."""
     timed, given = KINDS[kind]
-    arguments = ", ".join(["runs", *["times"] * timed, *(f"{name}=True" for name in given)])
+    arguments = ", ".join(["runs", *["times"] * timed, *(f"{name}={value}" for name, value in given.items())])
     query, asked, what = f"contests({arguments})", ENTRIES[kind]["question"], "pairs of scene and error"
     if not timed:
         return share(frames, asked, what, f"{query}.ratio < 1")

@@ -13,10 +13,12 @@ import contactbench as cb
 from contactbench.measure.isolation import Died, TimedOut, Worker
 from contactbench.methods.base import ENGINES, Method
 from contactbench.plugins import OWN
+from contactbench.questions.judgement import CURVE
 from contactbench.runs.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed
-from contactbench.runs.rows import Question, SolverError, along, bare, ended, key
+from contactbench.runs.rows import Question, SolverError, along, bare, ended, key, many
 from contactbench.runs.settings import DEAREST, SAVES, control_of, ladder, rungs_of_equal_cost
 from contactbench.scene import Scene
+from contactbench.solution import GROWING
 from contactbench.tables.declared import RUNS
 from contactbench.tables.schema import PROFILES as NAMES
 
@@ -24,6 +26,8 @@ from contactbench.tables.schema import PROFILES as NAMES
 DEAR = ("jax", "python")
 #: number of settings in the smoke profile
 FEW = 3
+#: largest error of a run that is repeated saved at many times
+FOLLOWS = 1e-2
 #: most evaluations of a run that calls back into Python
 DEAREST_CALLBACKS = 2**12
 #: most evaluations of a run whose map is differentiated; coarser runs show which laws it keeps
@@ -104,7 +108,7 @@ def worker() -> Worker:
 
 def guarded(scene: Scene, function: Callable[..., Row], question: Question, *more: object) -> Row:
     """Return the row of a run, even if the solver raises, dies or hangs; hard scenes use a process of their own."""
-    saved = 1 if function is ended else SAVES
+    saved = {ended: 1, many: CURVE}.get(function, SAVES)
     bad = key(question, saved) | {"status": "failed"}
     try:
         if scene.hard:
@@ -114,6 +118,18 @@ def guarded(scene: Scene, function: Callable[..., Row], question: Question, *mor
         return bad | {"status": "timeout", "message": str(error)}
     except (Died, SolverError) as error:  # any other exception is a fault of this package and fails the cell
         return bad | {"message": " ".join(str(error).split())[:200]}
+
+
+def is_saved(scene: Scene, method: Method, control: str, row: Row) -> bool:
+    """Return whether a run is repeated saved at many times, for its evaluations: on the mission's scenes.
+
+    A method that is given a step is compared as such, not with steps that pilots choose.
+    """
+    if not scene.mission or is_dear(method) or row["engine"] != method.engines[0]:
+        return False
+    own = control == control_of(scene, method) and control != GROWING
+    follows = row["status"] == "ok" and row.get("error", math.inf) <= FOLLOWS
+    return own and follows and row["evaluations"] <= DEAREST_CALLBACKS
 
 
 def climb(scene: Scene, method: Method, engine: str, control: str, profile: Profile) -> Iterator[Row]:
@@ -127,7 +143,10 @@ def climb(scene: Scene, method: Method, engine: str, control: str, profile: Prof
     least, idle, value = math.inf, 0, math.inf
     for count, value in enumerate(enough[:FEW] if profile.brief else enough):
         row = guarded(scene, ended, (scene.name, method.name, engine, control, value))
-        yield row | {"profile": NAMES[0] if count < FEW else NAMES[1]}
+        least_profile = {"profile": NAMES[0] if count < FEW else NAMES[1]}
+        yield row | least_profile
+        if is_saved(scene, method, control, row):
+            yield guarded(scene, many, (scene.name, method.name, engine, control, value)) | least_profile
         error = row.get("error", math.inf)
         if row["status"] in ("budget", "unsupported") or (row.get("evaluations") or 0) > dearest:
             break

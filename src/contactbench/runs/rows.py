@@ -21,8 +21,9 @@ from contactbench.measure.laws import row as law_columns
 from contactbench.measure.stability import is_processed
 from contactbench.methods.base import Method
 from contactbench.methods.prepared import Prepared
+from contactbench.questions.judgement import CURVE
 from contactbench.runs.experiment import Row
-from contactbench.runs.settings import ENDS, SAVES, carry_of, setting_to, times
+from contactbench.runs.settings import ENDS, LOOKED_AT, SAVES, carry_of, setting_to, times
 from contactbench.scene import Scene
 from contactbench.scene.base import Elapsed
 from contactbench.scene.scales import errors
@@ -62,7 +63,9 @@ def step_budget(scene: Scene, method: Method, engine: str) -> int | None:
     return int(round(CALLBACKS * share) // each)
 
 
-def prepared(question: Question, saves: Sequence[float], carry: Sequence[str] | None) -> Prepared:
+def prepared(
+    question: Question, saves: Sequence[float], carry: Sequence[str] | None, dense: bool = True
+) -> Prepared:
     """Return the run to the last of some times, saved at each of them."""
     name, method, engine, control, value = question
     scene = cb.SCENES[name]
@@ -70,6 +73,7 @@ def prepared(question: Question, saves: Sequence[float], carry: Sequence[str] | 
         "engine": engine,
         "carry": carry,
         "max_steps": step_budget(scene, cb.METHODS[method], engine),
+        "dense": dense,
     }
     setting = setting_to(saves[-1], scene, control, value)
     with blamed_on_solver():
@@ -77,8 +81,8 @@ def prepared(question: Question, saves: Sequence[float], carry: Sequence[str] | 
 
 
 @cache
-def truth_at(scene: str, carry: tuple[str, ...], count: int) -> Reference:
-    return cb.reference(scene, Elapsed(times(cb.SCENES[scene], count)), carry)
+def truth_at(scene: str, carry: tuple[str, ...], count: int, which: slice = slice(None)) -> Reference:
+    return cb.reference(scene, Elapsed(times(cb.SCENES[scene], count)[which]), carry)
 
 
 @cache
@@ -139,6 +143,20 @@ def ended(question: Question) -> Row:
     return row
 
 
+def many(question: Question) -> Row:
+    """Return the row of a run saved at `CURVE` times, with its error at some of them, which end no step."""
+    scene = cb.SCENES[question[0]]
+    run = prepared(question, times(scene, CURVE).tolist(), carry_of(scene))
+    with blamed_on_solver():
+        solution = run()
+    row = outcome(question, CURVE, solution)
+    if solution.ok and row["truth"] != "diverged":
+        true = truth_at(scene.name, solution.carry, CURVE, LOOKED_AT).y
+        found = solution.y[LOOKED_AT]
+        row["error"] = float(errors(scene, found, true, solution.y0, solution.carry).max())
+    return row
+
+
 def bare(question: Question) -> tuple[Row, Call]:
     """Return the times of preparation and of the first call of a run to the end, and the call to time."""
     scene = cb.SCENES[question[0]]
@@ -157,7 +175,7 @@ def along(question: Question, without: str = "", most: float = math.inf) -> Row:
     without : why no derivative is taken.  most : largest number of evaluations of a differentiated run.
     """
     scene = cb.SCENES[question[0]]
-    run = prepared(question, times(scene).tolist(), None)
+    run = prepared(question, times(scene).tolist(), None, dense=False)
     with blamed_on_solver():
         solution = run()
     row = outcome(question, SAVES, solution)

@@ -120,6 +120,8 @@ class Question:
     errors: tuple[float, ...]
     longest: float
     deadline: float = math.inf
+    #: number of saved times of a run; its error is measured at the ends
+    saved: int = 1
 
     def error(self, solutions: Sequence[Solution]) -> float:
         carry, labels = carry_of(self.scene), self.scene.labels(self.truth.carry)
@@ -285,9 +287,12 @@ class Search:
         options: Row = {"carry": carry_of(scene), "max_steps": self.most_steps()}
         *earlier, end = times(scene, ENDS).tolist()
 
-        def prepared(end: float) -> Prepared:
-            setting = setting_to(end, scene, self.control, value)
-            return prepare(scene, self.method, save_at=Elapsed([end]), **setting, **options)
+        def prepared(end: float, saved: int = 1) -> Prepared:
+            setting, saves = (
+                setting_to(end, scene, self.control, value),
+                end * np.arange(1, saved + 1) / saved,
+            )
+            return prepare(scene, self.method, save_at=Elapsed(saves), **setting, **options)
 
         def solved(run: Prepared) -> Solution:
             if perf_counter() > self.question.deadline:
@@ -295,7 +300,7 @@ class Search:
             return run()
 
         start = perf_counter()
-        run = prepared(end)
+        run = prepared(end, 1 if self.control == GROWING else self.question.saved)
         self.engine = run.request.engine
         if first:
             solved(run)  # the first call of a program may compile yet
@@ -322,4 +327,4 @@ class Search:
         scene = self.question.scene
         setting = setting_to(scene.t_end, scene, self.control, attempt.value)
         saves = None if self.control == GROWING else Elapsed(times(scene, ENDS))
-        return prepare(scene, self.method, save_at=saves, engine=self.engine, **setting)
+        return prepare(scene, self.method, save_at=saves, engine=self.engine, dense=False, **setting)

@@ -15,6 +15,8 @@ from contactbench.solution import EXACT, GROWING, keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
+#: those of the `CURVE` saved times of a curve at which its error is measured
+LOOKED_AT = slice(7, None, 20)
 #: number of end times, each of a separate run, for the largest error
 ENDS = 5
 #: the coarsest step; ladders halve it, and divide it by about √2 from order HIGH_ORDER on

@@ -620,6 +620,17 @@ class Scene(metaclass=Kind):
     def rhs(self, x: OwnState) -> OwnState:
         """Return the time derivative of the state, a state of the same fields."""
 
+    def bend(self, x: OwnState, f: OwnState) -> Sequence[Numeric] | None:
+        """Return the packed second derivatives of the state, nan where not known, where q' is linear in p; else None.
+
+        f : the slope at x.  They need no further evaluation of a function.
+        """
+        return None
+
+    def settled(self, y: np.ndarray, carry: Sequence[str]) -> np.ndarray:
+        """Return packed states (k, d) near the manifold of states, on it."""
+        return y
+
     def jacobian(self, x: OwnState) -> Any:
         """Return ∂(rhs)/∂(state) in packed order, or None."""
         return None

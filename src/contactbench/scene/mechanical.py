@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -377,6 +378,14 @@ class Mechanical(Canonical):
             return State(self.velocity(x.p), force)
         s = self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s)
         return State(self.velocity(x.p), force, s)
+
+    def bend(self, x: OwnState, f: OwnState) -> list[Numeric]:
+        action = math.nan  # where V depends on the time
+        if x.s is not None and self.clock is None:
+            rate = self.damping_at(x)
+            action = 2 * dot(f.q, f.p) + rate * (dot(f.q, x.p) - f.s)
+        unknown = f._replace(q=self.velocity(f.p), p=(math.nan,) * len(x.p))
+        return self.pack(unknown if x.s is None else unknown._replace(s=action))
 
     def sizes(self, x: OwnState, end: float) -> Sizes:
         xp = namespace(x.q[0])

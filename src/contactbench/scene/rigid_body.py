@@ -361,6 +361,11 @@ class RigidBody(Scene):
         ds = None if x.s is None else dot(x.M, omega) / 2 - self.gamma * x.s
         return BodyState(dM, dR, ds)
 
+    def settled(self, y: np.ndarray, carry: Sequence[str]) -> np.ndarray:
+        if "R" in carry:
+            y[:, 3:7] /= np.linalg.norm(y[:, 3:7], axis=1, keepdims=True)
+        return y
+
     def jacobian(self, x: BodyState) -> list[list[Arithmetic]]:
         inv, omega = self.inverse_inertia, self.angular_velocity(x.M)
         width = len(self.pack(x))

@@ -372,6 +372,13 @@ class Spheres(Mechanical):
             momenta += [most] * self.dimension
         return [*places, *momenta], float(max(places) * np.max(momenta))
 
+    def settled(self, y: np.ndarray, carry: Sequence[str]) -> np.ndarray:
+        n, d = len(self.q), self.dimension
+        q, p = (y[:, part].reshape(len(y), n // d, d) for part in (slice(0, n), slice(n, 2 * n)))
+        q *= np.array(self.radius).reshape(-1, 1) / np.linalg.norm(q, axis=2, keepdims=True)
+        p -= q * (q * p).sum(axis=2, keepdims=True) / (q * q).sum(axis=2, keepdims=True)
+        return np.hstack([q.reshape(len(y), n), p.reshape(len(y), n), y[:, 2 * n :]])
+
     def departure(self, x: State, start: State) -> Vector:
         """Return | |q|/R − 1 | of every point, and |q·p|/R relative to the size of its momenta from the start on."""
         sizes, found = known(np.array(self.sizes(start, self.t_end)[0][len(x.q) :: self.dimension])), []

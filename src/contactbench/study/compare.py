@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from contactbench.blame import their_code
-from contactbench.checks import finite, function, items_of, positive, real_array, refuse, switch
+from contactbench.checks import finite, function, items_of, positive, real_array, refuse, switch, whole
 from contactbench.measure.laws import laws_of
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.base import METHODS
@@ -43,6 +43,7 @@ ALL = "all"
 #: default seconds for the methods chosen by default, and for methods that the user names
 BUDGET, LONG_BUDGET = 15.0, 50.0
 MOST_RIVALS_NAMED = 3
+MOST_SAVED = 10**6
 #: a single run takes at most this multiple of its least round
 ONCE = 2.0
 #: longer runs spend little of their time in the call from Python, seconds
@@ -61,6 +62,7 @@ def compare(
     budget: float | None = None,
     progress: bool = True,
     reference: Callable[[np.ndarray], ArrayLike] | None = None,
+    saved: int = 1,
 ) -> pd.DataFrame:
     """Race methods on one scene: what each costs at each error, and what it keeps.
 
@@ -91,6 +93,8 @@ def compare(
     reference :
         ``reference(t) -> (k, d)``, the true states at k times where you know them: a row of q, then p (of a body of M,
         then the quaternion R) for each.  It is taken to be right to 15 digits.  By default it is computed.
+    saved :
+        Number of equidistant saved times of a run that is counted and timed, by default the end alone.
 
     Returns
     -------
@@ -119,13 +123,14 @@ def compare(
     every = isinstance(methods, str) and methods == ALL
     given, wanted = [] if methods is None or every else named_methods(methods), errors_asked(errors)
     switch("progress", progress)
+    saved = whole("saved", saved, MOST_SAVED)
     seconds = (BUDGET if methods is None else LONG_BUDGET) if budget is None else positive("budget", budget)
     own = None if reference is None else users_reference(scene, reference)
     with (time := Budget(seconds, begun, progress)).bar:
         leading = given or field(scene, wanted) or [*METHODS]
         raced = list(dict.fromkeys([*leading, *(METHODS if every else [])]))
         truth, confirmed = find_reference(scene, time, own)
-        question = ask(scene, truth, wanted, time)
+        question = ask(scene, truth, wanted, time, saved)
         searches = search(question, raced, leading, time)
         laws = measure_laws(question, searches, time)
         clock = time_runs(question, searches, time)

@@ -103,8 +103,11 @@ def find_reference(scene: Scene, budget: Budget, given: Reference | None) -> tup
     return truth, digits
 
 
-def ask(scene: Scene, truth: Reference, errors: tuple[float, ...], budget: Budget) -> Question:
-    return Question(scene, truth, errors, RUN_SHARE * budget.seconds, budget.begun + LAWS * budget.seconds)
+def ask(
+    scene: Scene, truth: Reference, errors: tuple[float, ...], budget: Budget, saved: int = 1
+) -> Question:
+    longest, deadline = RUN_SHARE * budget.seconds, budget.begun + LAWS * budget.seconds
+    return Question(scene, truth, errors, longest, deadline, saved)
 
 
 def floor_of(truth: Reference) -> float:

@@ -54,6 +54,7 @@ class MethodCase:
         elif self.method.control == "rtol":
             options.setdefault("rtol", float(np.clip(RTOLS[fine], *self.method.rtol_range)))
         options.setdefault("save_at", [self.scene.t_end])
+        options.setdefault("dense", False)
         options["save_at"] = Elapsed(options["save_at"])
         return prepare(self.scene, self.method, engine=self.engine, **options)
 
