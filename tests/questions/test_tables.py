@@ -201,9 +201,7 @@ def test_who_has_the_energy_left_right_at_the_least_cost_in_the_longest_run():
         "8 ms; best non-contact methods: herglotz2 ×2.35 and rk4 ×3.00",
     )
     assert evaluations.answer == "contact-a"
-    assert (
-        evaluations.count == "4 per unit of time; best non-contact methods: herglotz2 ×1.17 and rk4 ×2.00"
-    )
+    assert evaluations.count == "4 per unit of time; best non-contact methods: herglotz2 ×1.17 and rk4 ×2.00"
     faster = on_the_ring("rk5", dict.fromkeys((1e4, 1e5), (1e-4, 1e-5)), 1.0)
     assert next(ring.answers(ring_tables(faster))).answer == "rk5"
     assert not [*ring.answers(frames())]

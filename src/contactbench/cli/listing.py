@@ -93,7 +93,10 @@ def of_method(method: Method) -> Iterator[tuple[str, object]]:
     yield "steps", f"chosen by rtol, which bounds {method.tolerance}" if method.adaptive else method.stepping
     costs = [method.step_cost(fits[0], engine) for engine in method.engines if fits and engine in CALLBACKS]
     if any(costs):
-        yield "cost", f"about {costs[0]:g} evaluation{'s' if costs[0] != 1 else ''} per step on {fits[0].name}"
+        yield (
+            "cost",
+            f"about {costs[0]:g} evaluation{'s' if costs[0] != 1 else ''} per step on {fits[0].name}",
+        )
     by_design = "by construction, at every step size; J where the potential has the symmetry"
     if method.contact and method.iterates:
         by_design += "; on a general H(q, p, s) the kernel of η alone"

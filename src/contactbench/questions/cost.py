@@ -215,11 +215,8 @@ def message(frames: Frames, scene: str) -> tuple[str, list[str]]:
     row = table.iloc[(len(table) - 1) // 2]
     at, both, ratio = f"at an error of {power(row['error'])}", [row["ours"], row["other"]], row["ratio"]
     if 1 / row["margin"] <= ratio <= row["margin"]:
-        first, second = both if ratio <= 1 else both[::-1]
-        found = f"{both[0]} and {both[1]} take the same time within 25 %"
-        if row["margin"] > 1.25:
-            found = f"the lead of {first} over {second} is within the timing margin"
-        return f"{scene}: {found} {at}", both
+        found = "take the same time within 25 %" if row["margin"] <= 1.25 else "are within the timing margin"
+        return f"{scene}: {both[0]} and {both[1]} {found} {at}", both
     if ratio > 1:
         both, ratio = both[::-1], 1 / ratio
     return f"{scene}: {both[0]} needs {100 * ratio:.0f} % of the time of {both[1]} {at}", both

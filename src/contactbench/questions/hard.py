@@ -76,7 +76,7 @@ def stability_map(limits: pd.DataFrame) -> Figure | None:
         first = f"{subjects[0]} is stable up to steps of {finite.max():.3g}/ω per evaluation"
         title = f"At γ = {rows['gamma'].max():g} ω {first}, the median method up to {last.median():.2g}/ω"
     drawn = only(curves, choose(curves, highest, subjects, by_order=True))
-    panel = Panel("", Axis("γ/ω", "log"), Axis("ω × largest stable step / evaluations per step", "log"), drawn)
+    panel = Panel("", Axis("γ/ω", "log"), Axis("ω × largest stable step / its evaluations", "log"), drawn)
     return chart("stability_map", [panel], title=title) if curves else None
 
 
@@ -93,7 +93,7 @@ def rates_view(limits: pd.DataFrame) -> View:
         most = WEAK * float(span)
         what = f"rate of weak damping on `{scene}`, T = {exact_power(span)}"
         rows.append((what, count(most), best_cell(own[own["evaluations"] <= most])))
-    return view("rates", frame_of(rows, ["rate", "at most so many evaluations", "most accurate, its error"]), alike=ALIKE)
+    return view("rates", frame_of(rows, ["rate", "evaluations at most", "most accurate"]), alike=ALIKE)
 
 
 def best_cell(rows: pd.DataFrame) -> Cell:
@@ -151,7 +151,7 @@ def ticks_figure(limits: pd.DataFrame) -> Figure | None:
     if not curves:
         return None
     exact = rows.groupby("method", sort=False)["error"].max() <= STRUCTURE
-    panel = Panel("", Axis("damping times step size, γh", "log"), Axis("relative error of the damping rate", "log"), tuple(curves))
+    panel = Panel("", Axis("γh", "log"), Axis("relative error of the damping rate", "log"), tuple(curves))
     return chart("ticks", [panel], exact=names(list(exact.index[exact])))
 
 

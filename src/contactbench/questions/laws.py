@@ -99,8 +99,8 @@ def equal_cost_view(frames: Frames, scene: str) -> View | None:
             order = order_of(frames, scene, str(method))
             lines.append((method, spent, order, as_cell(found["error"], scientific), *drifts))
     labels = ["method", "evaluations", "order", "error", *map(law_label, laws)]
-    title = f"{scene}: at {count(cost)} evaluations"
-    return View(f"equal_cost_{scene}", title, frame_of(lines, labels), PROSE["laws"]["equal"]["legend"].strip())
+    title, legend = f"{scene}: at {count(cost)} evaluations", PROSE["laws"]["equal"]
+    return View(f"equal_cost_{scene}", title, frame_of(lines, labels), legend)
 
 
 @chapter("laws", answers)

@@ -64,7 +64,7 @@ SLOWER = "contests(runs, times).assign(slower=lambda c: c.ratio > 1.25).groupby(
 def slower(frames: Frames) -> Answer | None:
     found = evaluate(SLOWER, frames)
     scenes = [f"`{scene}`" for scene in found.index[found]]
-    asked = "On which scenes is every contact method more than 25 % slower than the fastest compiled solver, at every error?"
+    asked = "Where is every contact method more than 25 % slower than the fastest compiled solver, at every error?"
     text = f"{int(found.sum())} of {len(found)} scenes"
     return Answer(asked, names(scenes) or "nowhere", text, (SLOWER,)) if len(found) else None
 
@@ -365,5 +365,5 @@ def machine(runs: Sequence[Mapping[str, object]]) -> Text:
         for run in runs
     )
     return Text(
-        f"Measured on {'; '.join(places)} ([environment.json](environment.json)). All quantities but times are dimensionless."
+        f"Measured on {'; '.join(places)} ([environment.json](environment.json)). All else is dimensionless."
     )

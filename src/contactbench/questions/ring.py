@@ -48,11 +48,9 @@ def answers(frames: Frames) -> Iterator[Answer]:
         ratio = found / found.iloc[0]
         others = [m for m in found.index[ratio > within] if known.get(m) != CONTACT]
         beside = names([f"{method} {times(ratio[method])}" for method in others], BESIDE)
-        where = (
-            f"after T = {power(end)}, γ = {power(gamma)} (median over the starts)"
-        )
+        where = f"to {100 * ALLOWED:g} % after T = {power(end)}, γ = {power(gamma)} (median over the starts)"
         text = "; best non-contact methods: ".join(filter(None, [show(found.iloc[0]) + unit, beside]))
-        question = f"Which method {asked} for the energy left in a chaotic ring to be right to {100 * ALLOWED:g} % {where}?"
+        question = f"Which method {asked} to get the energy left in a chaotic ring right {where}?"
         yield Answer(question, names(list(found.index[ratio <= within]), 3), text, (query,))
 
 

@@ -129,7 +129,7 @@ HARD = tuple(
             name="overdamped",
             about="γ = 50: after a short transient the motion creeps back at the slow rate 0.02. A method that "
             "applies force and friction one after the other gets this rate wrong, by a factor of about "
-            "(γh/2)coth(γh/2); an explicit method is unstable unless γh is of order one, although nothing fast happens.",
+            "(γh/2)coth(γh/2); an explicit one is unstable unless γh is of order one, although nothing fast happens.",
             gamma=50.0,
             t_end=100.0,
             stiff=True,
@@ -138,7 +138,8 @@ HARD = tuple(
         PARTICLE.with_(
             name="creeping",
             about="the particle at γ = 50: after a short transient it creeps back along a curve, thousands of times "
-            "more slowly than the damping acts. Explicit methods follow the damping, and compositions of order two fall to order one.",
+            "more slowly than the damping acts. Explicit methods follow the damping, and compositions of order two "
+            "fall to order one.",
             gamma=50.0,
             t_end=200.0,
             stiff=True,
