@@ -101,7 +101,7 @@ def growth(rows: pd.DataFrame) -> Iterator[Panel]:
             replace(curve, line=curve.role == "criterion", markers=curve.role != "criterion")
             for curve in curves(by_kind, panel)
         ]
-        yield Panel(f"rotation about {panel}", Axis(x), Axis(y), tuple(found))
+        yield Panel(f"rotation about {axis}, {cut} D", Axis(x), Axis(y), tuple(found))
 
 
 # -- the figures -----------------------------------------------------------------------------------

@@ -126,7 +126,7 @@ def figure(frames: Frames, rows: pd.DataFrame) -> Figure | None:
         return None
     (own, first), (other, second) = (next(iter(side.items())) for side in sides)
     drawn: list[str] = []
-    panels, y = [], Axis("relative error of the energy left", "log")
+    panels, y = [], Axis("error of the energy left", "log")
     for end in spans:
         part = timed[timed["t_end"] == end]
         curves = by_method(part.assign(ms=1e3 * part["run_s"]), "ms", "energy_error")
@@ -136,7 +136,7 @@ def figure(frames: Frames, rows: pd.DataFrame) -> Figure | None:
     grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in drawn])
     panels.append(
         Panel(
-            "one setting, right to 1 % in the shorter run",
+            f"setting with 1 % at T = {power(spans[0])}",
             Axis("T", "log"),
             y,
             only(by_method(grown, "t_end", "energy_error"), drawn),
