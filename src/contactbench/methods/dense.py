@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ import numpy as np
 from contactbench.methods.dates import dates
 from contactbench.methods.hermite import newton
 from contactbench.methods.prepared import METHODS, NO_NUMBER, Outcome, Prepared, Request
+from contactbench.methods.scaled import compiled_scales
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
@@ -30,8 +32,6 @@ from contactbench.solution import Counts, Status
 NODES, FEWER = 8, 2
 #: rounds in which intervals are halved; after the last one every state that is not accurate has a step of its own
 ROUNDS = 6
-#: where the error is estimated, in eighths of the saved times in an interval
-PROBES = np.array([1, 4, 6])
 #: a number that is not divided by
 TINY = 1e-300
 #: the error of interpolation that is allowed, over the error of a step
@@ -40,6 +40,8 @@ ALLOWED = 2.0
 LARGEST = 1e-3
 #: relative error of a state that is as good as exact
 ROUND_OFF = 1e-13
+#: saved times by which pilots are compared, and steps whose runs are kept
+PILOTED, KEPT = 5, 8
 #: a time within this part of a step from its end is that end
 SAME = 1e-9
 
@@ -192,6 +194,13 @@ class Dense(Prepared):
     def bare(self, y0: np.ndarray) -> np.ndarray:
         return np.asarray(self._dated(y0, self.integrate(y0).y)[-1])
 
+    @cached_property
+    def scaled(self) -> Callable[[np.ndarray], np.ndarray] | None:
+        return compiled_scales(self.request) if self.request.engine == "llvm" else None
+
+    def scales(self, y0: np.ndarray) -> np.ndarray:
+        return super().scales(y0) if self.scaled is None else self.scaled(y0)
+
     @property
     def judged(self) -> Prepared:
         """Return the run that is judged for structure: all of its saved states are ends of steps."""
@@ -226,21 +235,18 @@ class Dense(Prepared):
         for last in [*[False] * ROUNDS, True]:
             inside = place(found.t, t[left])
             intervals, first, each, number = np.unique(inside, True, True, True)
-            probes = np.unique(np.minimum(first[:, None] + number[:, None] * PROBES // 8, len(left) - 1))
-            _, error = self.interpolated(found, t[left[probes]], each[probes], intervals)
-            worst = np.zeros((len(intervals), error.shape[1]))
-            np.fmax.at(worst, each[probes], error)
+            states, error = self.interpolated(found, t[left], each, intervals)
+            worst = np.maximum.reduceat(error, first)
             if allowed is None and (worst > rounding).any():
                 k = np.argmax((worst / scales).max(axis=1))
-                middle, part, more = self.measured(y0, found, intervals[k])
+                middle, part, more = self.measured(y0, found, intervals[k], scales)
                 allowed, spent = np.maximum(part * scales, rounding), spent + more
                 if (worst[k] > allowed).any():
                     found.add(middle)
                     left = self.known(found.nodes, left, y, between)
                     continue
             good = (worst <= (rounding if allowed is None else allowed)).all(axis=1)
-            rows = left[good[each]]
-            y[rows], _ = self.interpolated(found, t[rows], each[good[each]], intervals)
+            y[left[good[each]]] = states[good[each]]
             alone = ~good & ((number == 1) | last)
             spent += self.single(y0, found.nodes, left[alone[each]], y, between)
             halved = ~(good | alone)
@@ -295,7 +301,9 @@ class Dense(Prepared):
         found.add(Nodes(middle, np.array(made), nodes.piece[intervals]))
         return spent
 
-    def measured(self, y0: np.ndarray, found: Polynomials, k: int) -> tuple[Nodes, float, int]:
+    def measured(
+        self, y0: np.ndarray, found: Polynomials, k: int, scales: np.ndarray
+    ) -> tuple[Nodes, float, int]:
         """Return the middle of an interval, the error that its step allows, in parts of the scales, and evaluations.
 
         Ends of equal steps lie on a smooth path, which the error of a step bends away from the motion: in the middle
@@ -308,7 +316,7 @@ class Dense(Prepared):
         y, more = self.source.step(y0, middle, time, end, finer=True)
         off = (after - y)[self.moving]
         middle[self.moving] += off / 2
-        part = float(np.abs(off / self.scales(y0)).max())
+        part = float(np.abs(off / scales).max())
         own = Nodes(np.array([time]), middle[None], nodes.piece[k : k + 1])
         return own, min(ALLOWED * part, LARGEST), spent + more
 
@@ -326,7 +334,56 @@ def dense_again(method: str, request: Request) -> Prepared:
     return densely(METHODS[method], request, METHODS[method].prepare(request))
 
 
+@dataclass
+class Piloted(Prepared):
+    """Choose a step by pilots that save few of the states, and take it with dense output."""
+
+    method_: Any
+    pilots: Prepared
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.compile_s, self.run_of = self.pilots.compile_s, lru_cache(KEPT)(self.run_with)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return dense_again, (self.method, self.request)
+
+    @cached_property
+    def judged(self) -> Prepared:
+        """The run whose steps end at the saved times."""
+        run: Prepared = self.method_.prepare(replace(self.request, dense=False))
+        return run
+
+    @property
+    def composed(self) -> bool:
+        return self.judged.composed
+
+    def run_with(self, step: float) -> Prepared:
+        request = replace(self.request, step=step, rtol=None, atol=None)
+        return densely(self.method_, request, self.method_.prepare(request))
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        self.require_size(y0)
+        found = self.pilots.integrate(y0)
+        if found.status is not Status.ok or found.steps is None:
+            return self.judged.integrate(y0)
+        run = self.run_of(found.steps[1])
+        out = run.integrate(y0)
+        if out.status is not Status.ok:
+            return self.judged.integrate(y0)
+        spent = (found.counts.evaluations or 0) + (out.counts.evaluations or 0)
+        return replace(out, counts=out.counts._replace(evaluations=spent), steps=run.steps_taken)
+
+
 def densely(method: Any, request: Request, run: Prepared) -> Prepared:
     """Return the run, with dense output where the method has it and saved times would shorten its steps."""
-    source = method.source(request) if len(request.save_at) > 1 else None
+    saved = request.save_at
+    if method.control == "step" and request.rtol is not None and not method.follows:
+        if len(saved) <= PILOTED:
+            return run
+        few = saved[np.linspace(0, len(saved) - 1, PILOTED).round().astype(int)]
+        return Piloted(
+            method.name, request, method, method.prepare(replace(request, save_at=few, dense=False))
+        )
+    source = method.source(request) if len(saved) > 1 else None
     return run if source is None else Dense(method.name, request, method, source)
