@@ -87,7 +87,7 @@ class Driven(Mechanical):
         Increasing times at which force or damping changes abruptly or a pulse sits, such as (13.3,); of a pulse its
         middle and both ends.  No step of any method straddles one: each starts afresh there.  Functions are given no
         time nearer than a few roundings to a break, nor beyond one that a step begins or ends at: it does not matter
-        what they return at a jump.  For substeps that lead out of a step, time thus stands still at a break: over a jump
+        what they return at a jump.  For substeps that lead out of a step, time stands still at a break: over a jump
         of a force that depends on time besides, a processor (contact-rkn8) is of lower order.
     span
         ``(t, h, xp, **parameters) -> (G, φ)`` where it is known in closed form: G = ∫_t^{t+h} γ and
