@@ -155,6 +155,10 @@ class Method(ABC):
         package = self.package or PACKAGES.get(engine)
         return missing(package) if package else None
 
+    def solves(self, scene: Scene) -> bool:
+        """Return whether its steps are the motion itself on an accepted scene, which proves nothing of the method."""
+        return False
+
     def source(self, request: Request) -> Source | None:
         """Return its own steps for dense output, or None: then steps end at saved times, or it interpolates itself."""
         return None

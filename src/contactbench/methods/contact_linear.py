@@ -38,6 +38,9 @@ class ContactLinear(ContactMethod):
             fits = False
         return unfit(self, scene, fits, "H = T(p) + V(q) + γ s and a potential that can be differentiated")
 
+    def solves(self, scene: Scene) -> bool:
+        return self.refuses(scene) is None and expand(scene).rest == 0
+
     def on(self, scene: Scene, about: Sequence[float] | None = None) -> ContactLinear:
         """Return the method with the expansion of a scene; without a processor if no mode needs it."""
         if self.expansion is not None:

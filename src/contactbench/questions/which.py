@@ -11,6 +11,7 @@ from contactbench.measure.statistics import WIDEST
 from contactbench.questions import cost, problems
 from contactbench.questions.answers import evaluate, made_by
 from contactbench.questions.contest import CONTACT, drawn, families, ranked
+from contactbench.questions.judgement import CURVE
 from contactbench.questions.regret import COSTS, regrets
 from contactbench.report.chapters import PROSE, Frames, Part, chapter, chart, view
 from contactbench.report.drawing import Axis, Field, Figure, Panel
@@ -121,33 +122,36 @@ HARD = (
 
 
 # -- how many times are saved ----------------------------------------------------------------------
-def saved_numbers(frames: Frames) -> list[int]:
-    return sorted(int(saved) for saved in frames["times"]["saved"].unique())
+def saved_columns(frames: Frames) -> dict[str, tuple[int, bool]]:
+    """Return the columns of the table, each a number of saved times, and whether it is of times or of evaluations."""
+    found = [(int(saved), True) for saved in sorted(frames["times"]["saved"].unique())]
+    found += [(saved, False) for saved in (1, CURVE) if (frames["runs"]["saved"] == saved).any()]
+    return {saved_label(*column): column for column in found}
 
 
-def near(saved: int) -> str:
-    """Return the line of pandas that finds the methods within a quarter of the least time, by scene."""
-    rows = f'ranked(runs, times, saved={saved}).query("error == {ERROR:g} and ratio <= {WIDEST:g}")'
+def near(saved: int, timed: bool) -> str:
+    """Return the line of pandas that finds the leaders of a column, by scene."""
+    given, most = ("runs, times", WIDEST) if timed else ("runs", 1)
+    rows = f'ranked({given}, saved={saved}).query("error == {ERROR:g} and ratio <= {most:g}")'
     return f'{rows}.groupby("scene", sort=False).method.agg(list)'
 
 
 def saved_view(frames: Frames) -> View:
-    """Return who is within a quarter of the least time at each number of saved times that was timed."""
+    """Return who is within a quarter of the least time, and who needs the fewest evaluations, by saved times."""
     lines: dict[str, list[object]] = {}
-    numbers = saved_numbers(frames)
-    for saved in numbers:
-        found = ranked(frames["runs"], frames["times"], saved=saved)
-        here = found[found["error"] == ERROR]
-        for scene, rows in here.groupby("scene", sort=False):
-            lines.setdefault(str(scene), [scene, *[DASH] * len(numbers)])
-            lines[str(scene)][1 + numbers.index(saved)] = cost.leaders(rows, True)
-    heads = ["scene", *map(saved_label, numbers)]
-    both = [line for line in lines.values() if DASH not in line]
-    return view("which_saved", frame_of(both or lines.values(), heads), error=power(ERROR))
+    columns = saved_columns(frames)
+    for number, (saved, timed) in enumerate(columns.values(), 1):
+        found = ranked(frames["runs"], frames["times"] if timed else None, saved=saved)
+        for scene, rows in found[found["error"] == ERROR].groupby("scene", sort=False):
+            lines.setdefault(str(scene), [scene, *[DASH] * len(columns)])
+            lines[str(scene)][number] = cost.leaders(rows, timed)
+    compiled = [line for line in lines.values() if line[1] != DASH]
+    return view("which_saved", frame_of(compiled, ["scene", *columns]), error=power(ERROR))
 
 
-def saved_label(saved: int) -> str:
-    return "the end alone" if saved == 1 else f"{saved} times"
+def saved_label(saved: int, timed: bool) -> str:
+    label = "the end alone" if saved == 1 else f"{saved} times"
+    return f"{label}: {'compiled time' if timed else 'evaluations'}"
 
 
 # -- the short table -------------------------------------------------------------------------------
@@ -194,7 +198,7 @@ def with_lines(table: View, queries: Mapping[str, str]) -> Iterator[Part | None]
 @chapter("which")
 def parts(frames: Frames) -> Iterator[Part | None]:
     if len(frames["times"]):
-        lines = {saved_label(saved): near(saved) for saved in saved_numbers(frames)}
+        lines = {label: near(*column) for label, column in saved_columns(frames).items()}
         yield from with_lines(saved_view(frames), lines)
     random = len(problems.usual(frames)) > 0
     shown = {label: one for label, one in SYSTEMS.items() if random or "condition" not in one}

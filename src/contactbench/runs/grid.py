@@ -57,15 +57,15 @@ def is_run(scene: Scene, method: Method, profile: Profile) -> bool:
     """Return whether a profile runs a method on a scene.
 
     Slow engines run on the mission's scenes only, stiff solvers there and on stiff or hard scenes, methods with an
-    exact linear part there and on stiff ones.  The smoke profile
-    runs all fast methods on the mission's scenes, and only the mission's contestants elsewhere.
+    exact linear part there and on stiff ones, unless the force is linear.  The smoke profile runs all fast methods on
+    the mission's scenes, and only the mission's contestants elsewhere.
     """
     if is_brought(scene, method) or profile.reaches(NAMES[2]):
         return True
     if is_dear(method):
         return not profile.brief and ((method.stiff and scene.stiff) or (method.mission and scene.mission))
     suits = scene.mission or scene.stiff or (not method.expands and (scene.hard or not method.stiff))
-    return suits and (method.mission or scene.mission or not profile.brief)
+    return suits and not method.solves(scene) and (method.mission or scene.mission or not profile.brief)
 
 
 def cells(profile: Profile) -> list[Cell]:
