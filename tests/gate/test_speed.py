@@ -170,7 +170,7 @@ def test_a_cell_one_side_cannot_run_is_refused_and_a_broken_tree_is_not_compared
     (tmp_path / "src" / "contactbench").mkdir(parents=True)
     (tmp_path / "src" / "contactbench" / "__init__.py").write_text("raise RuntimeError('broken')")
     with pytest.raises(BadInput, match="timing process ended: RuntimeError: broken"):
-        speed.time_pairs({"tree": copy, "base": tmp_path}, cells, pairs)
+        speed.time_pairs({"tree": tmp_path, "base": copy}, cells, pairs)
 
 
 #: at the end of the package's own module: what every public call does beside its work

@@ -37,7 +37,6 @@ def end(solution):
 @pytest.mark.parametrize("scene", ["particle", "forced_oscillator", "pulsating"])
 @pytest.mark.parametrize("method", ["contact-abc", "contact-strang", "contact-rkn6", "contact-rkn8"])
 @pytest.mark.quick(scene="particle", method="contact-abc")
-@pytest.mark.quick(scene="pulsating", method="contact-rkn6")
 def test_a_run_is_that_of_solve(scene, method):
     """Where dt0 does not divide the time, diffrax takes 0.1, 0.095 and then steps of 0.0975: three runs.
 
@@ -60,9 +59,13 @@ def test_gradients_are_those_of_the_numerical_map(way):
         options = {"args": {"gamma": gamma}, "max_steps": 8, "adjoint": adjoint}
         return solve("particle", "contact-strang", 0.5, **options).ys[0][-1, 0]
 
+    def by_solve(gamma):
+        scene = SCENES["particle"].with_(gamma=gamma)
+        return cb.solve(scene, "contact-strang", step=0.1, save_at=[0.5], carry=()).q[-1, 0]
+
     h = 1e-5
-    difference = (last(0.1 + h) - last(0.1 - h)) / (2 * h)
-    assert float(derive(last)(0.1)) == pytest.approx(float(difference), rel=1e-8)
+    difference = (by_solve(0.1 + h) - by_solve(0.1 - h)) / (2 * h)
+    assert float(derive(last)(0.1)) == pytest.approx(difference, rel=1e-8)
 
 
 def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum():

@@ -30,20 +30,24 @@ class Impatient(Worker):
         return super().call(0.5 if "planted-hang" in question else 60.0, function, question)
 
 
-def rows_of(names):
-    """The row of each solver on the oscillator, in one worker, as a cell of a hard scene has them made."""
-    with pytest.MonkeyPatch.context() as patch, Impatient() as worker:
-        patch.setattr(grid, "worker", lambda: worker)
-        questions = [("oscillator", name, "python", "rtol", 1e-6) for name in names]
-        return {q[1]: guarded(cb.SCENES["large_step"], planted.row, q) for q in questions}
-
-
 @pytest.fixture(scope="module")
 def rows():
-    """All planted solvers between two sound ones."""
+    """The row of each solver on the oscillator, in one worker, as a cell of a hard scene has them made.
+
+    All planted solvers between two sound ones; then a fault of the experiment, which is no row.
+    """
     planted.register()
+
+    def row(name):
+        return guarded(cb.SCENES["large_step"], planted.row, ("oscillator", name, "python", "rtol", 1e-6))
+
     try:
-        return rows_of(["scipy-dop853", *EXPECTED, "scipy-radau"])
+        with pytest.MonkeyPatch.context() as patch, Impatient() as worker:
+            patch.setattr(grid, "worker", lambda: worker)
+            made = {name: row(name) for name in ("scipy-dop853", *EXPECTED, "scipy-radau")}
+            with pytest.raises(cb.UnknownName, match="no-such-method"):
+                row("no-such-method")  # only what a solver raises is a failed solver
+        return made
     finally:
         for name in planted.NAMES:
             del METHODS[name]
@@ -61,12 +65,6 @@ def test_a_planted_solver_is_a_row_with_its_status(rows, name):
 def test_the_sound_solvers_around_them_are_untouched(rows, name):
     assert rows[name]["status"] == "ok"
     assert rows[name]["error"] < 1e-4
-
-
-def test_a_fault_of_the_experiment_is_no_row():
-    """Only what a solver raises is a failed solver."""
-    with pytest.raises(cb.UnknownName, match="no-such-method"):
-        rows_of(["no-such-method"])
 
 
 ASKER = """

@@ -41,6 +41,7 @@ WITH = Driven(name="timed", **FORCE, t=0.5, **STILL)
 
 
 @every
+@pytest.mark.quick(engine=tuple({engine for _, engine in ADAPTIVE} - {"jax"}))
 @pytest.mark.parametrize("carry", [("s",), pytest.param((), marks=pytest.mark.slow)])
 def test_a_time_that_does_nothing_changes_nothing(method, engine, carry):
     """The same evaluations and the same motion, to the bit where the arithmetic is the same."""

@@ -17,6 +17,8 @@ from trees import defects
 TABLEAUX = {name: read_tableau(name) for name in ("rk4", "rk8", "rk8-7", "rkn8-6", "rkn12-10")}
 #: what the coefficients are known to
 DIGITS = {"rk8": 27, "rkn12-10": 49}
+#: those with the most conditions
+DEAR = ("rk8-7", "rkn12-10")
 #: a defect that is no rounding of doubles
 NOTICED = 1e-10
 PAIRS = ("rk8-7", "rkn8-6", "rkn12-10")
@@ -26,7 +28,8 @@ PARTICLE = cb.SCENES["particle"]
 
 def formulas():
     for name, tableau in TABLEAUX.items():
-        yield pytest.param(name, tableau.weights, tableau.order, id=name)
+        marks = [pytest.mark.slow] if name in DEAR else []
+        yield pytest.param(name, tableau.weights, tableau.order, id=name, marks=marks)
         if tableau.lower:
             yield pytest.param(name, tableau.lower, tableau.lower_order, id=f"{name}, embedded")
 
@@ -53,7 +56,7 @@ def changed(rows):
                 yield (*rows[:i], (*row[:j], a * 1.001, *row[j + 1 :]), *rows[i + 1 :])
 
 
-@pytest.mark.parametrize("name", few_slow(TABLEAUX, "rkn12-10"))
+@pytest.mark.parametrize("name", few_slow(TABLEAUX, *DEAR))
 def test_a_changed_coefficient_is_noticed(name):
     """In doubles, by the conditions up to order nine and the sums of rows."""
     tableau = TABLEAUX[name]

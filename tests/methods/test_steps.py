@@ -277,6 +277,7 @@ ENDING = [
 @pytest.mark.parametrize("scene", ENDING[:1], ids=lambda scene: scene.name)
 def test_a_motion_that_leaves_any_scale_ends_then_and_is_right_before(scene):
     """The times are DOP853's, which ends where its steps vanish."""
+    scene = scene.recorded()
     slope = lambda t, y: [*scene.pack(scene.rhs(scene.unpack(y, ("s",))))]  # noqa: E731
     late = solve_ivp(slope, (0, 20.0), [1.0, 1.0, scene.s or 0.0], method="DOP853", rtol=1e-10)
     times = [0.3, 0.9 * late.t[-1], 20.0]

@@ -148,7 +148,7 @@ def test_criterion(axes, seed, monkeypatch):
     assert rigid_body.count_misjudged(cases) > 5
 
 
-@pytest.mark.parametrize("claim", ["C19", "C20", "C50"])
+@pytest.mark.parametrize("claim", few_slow(["C19", "C20", "C50"], "C20", "C50"))
 def test_what_needs_distinct_moments_is_measured_where_they_are_not(claim, monkeypatch):
     monkeypatch.setattr(rigid_body, "TIED", rigid_body.INERTIA)
     assert "fails" in CLAIMS[claim].row()["corrected_evidence"]
@@ -264,9 +264,9 @@ CHANGES = [
     # half a kick: no Verlet at γ = 0, not the motion RK4 finds, not variational
     (*changed_flow("kick", lambda a, b: (a + b) / 2), dict.fromkeys(ids(28, 29, 48), "refuted")),
     (Mechanical, "rhs", frictionless, {"C03": "refuted", "C06": "refuted"}),
-    (Mechanical, "rhs", without_s, {"C03": "refuted", "C37": "refuted"}),
+    (Mechanical, "rhs", without_s, dict.fromkeys(ids(3, 27, 37), "refuted")),
     (RigidBody, "rhs", without_torque, dict.fromkeys(ids(15, 50, 56), "refuted")),
-    (RigidBody, "rhs", undamped, {"C57": "refuted"}),
+    (RigidBody, "rhs", undamped, dict.fromkeys(ids(17, 57), "refuted")),
     (RigidBody, "momentum", lambda scene, x: x.M, {"C11": "refuted"}),  # the body's, for the momentum map
     (geometry, "reference", halved_action, {"C38": "refuted"}),
     (METHODS, PRINTED, PALINDROME, {"C25": "holds"}),
@@ -279,8 +279,7 @@ CHANGES = [
 CHANGED = [(*change, claim, then) for *change, verdicts in CHANGES for claim, then in verdicts.items()]
 
 
-@pytest.mark.quick(claim=tuple({*ALL} - {*LONG}))
-@pytest.mark.quick(change=(without_s, undamped))
+@pytest.mark.quick(claim=tuple({*ALL} - {*LONG, "C50"}))
 @pytest.mark.parametrize(("place", "name", "change", "claim", "then"), CHANGED)
 def test_a_wrong_formula_changes_the_verdict(place, name, change, claim, then, monkeypatch, fresh):
     put = monkeypatch.setitem if isinstance(place, dict) else monkeypatch.setattr

@@ -1,6 +1,7 @@
 """Every chapter from its own tables alone; answers count rows by the lines that they print, and a row changes them."""
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pandas as pd
@@ -20,8 +21,11 @@ RESULTS = Path(__file__).parents[2] / "results"
 
 
 def document(name, tables):
-    chapter = discovered()[name]
-    return markdown.document(chapter.title, chapter.answers(tables), chapter.fill(tables))
+    return written(name, [*discovered()[name].answers(tables)], discovered()[name].fill(tables))
+
+
+def written(name, answers, parts):
+    return markdown.document(discovered()[name].title, answers, parts)
 
 
 def judged(scene, method, setting, claimed=True, drift=1e-15, **more):
@@ -74,6 +78,23 @@ SOME = {
 }
 
 
+@cache
+def some():
+    return frames(**SOME)
+
+
+@cache
+def answered(name):
+    """What a chapter answers where all tables have rows."""
+    return [*discovered()[name].answers(some())]
+
+
+@cache
+def filled(name):
+    """What it shows there."""
+    return [*discovered()[name].fill(some())]
+
+
 @pytest.mark.parametrize("name", discovered())
 def test_a_chapter_speaks_from_its_own_tables_alone_and_is_silent_without(name):
     chapter = discovered()[name]
@@ -90,14 +111,15 @@ def test_a_chapter_speaks_from_its_own_tables_alone_and_is_silent_without(name):
 
 @pytest.mark.parametrize("name", discovered())
 def test_a_chapter_speaks_where_all_tables_have_rows(name):
-    text = document(name, frames(**SOME))
+    text = written(name, answered(name), filled(name))
     assert re.search(r"^\|", text, re.M)
     assert not re.search(r"\bnan\b", text)
 
 
 def test_names_of_views_are_unique_and_a_figure_shown_twice_is_the_same():
-    everything = frames(**SOME)
-    found = [part for chapter in chapters(everything) for part in chapter.fill(everything)]
+    found = [
+        part for name, chapter in discovered().items() if chapter in chapters(some()) for part in filled(name)
+    ]
     views = [view.name for view in every(View, found)]
     assert len(views) == len(set(views)), sorted(v for v in views if views.count(v) > 1)
     drawn = {}
@@ -112,11 +134,10 @@ def test_every_table_is_read_by_a_chapter():
 # -- every count is a line of pandas over the tables ------------------------------------------------
 @pytest.mark.parametrize("name", discovered())
 def test_the_lines_that_a_document_prints_give_its_counts(name, monkeypatch):
-    tables = frames(**SOME)
-    answers = list(discovered()[name].answers(tables))
+    answers = answered(name)
     if not answers:
         pytest.skip("asks nothing that is counted")
-    monkeypatch.setattr(cb, "results", tables.__getitem__)
+    monkeypatch.setattr(cb, "results", some().__getitem__)
     first, *blocks = fold(answers).code.split("\n\n")
     known = {}
     exec(first, known)
@@ -135,9 +156,8 @@ def test_the_lines_that_a_document_prints_give_its_counts(name, monkeypatch):
 
 @pytest.mark.parametrize("name", discovered())
 def test_the_lines_under_a_table_run(name, monkeypatch):
-    tables = frames(**SOME)
-    monkeypatch.setattr(cb, "results", tables.__getitem__)
-    for lines in every(Fold, discovered()[name].fill(tables)):
+    monkeypatch.setattr(cb, "results", some().__getitem__)
+    for lines in every(Fold, filled(name)):
         exec(lines.code, {})
 
 

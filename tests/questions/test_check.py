@@ -48,9 +48,8 @@ def checked(results, capsys):
     return status, capsys.readouterr().out.splitlines()
 
 
-def test_what_was_just_written_agrees(results, capsys):
-    assert checked(results, capsys)[0] == 0
-    text = (results.parent / "README.md").read_text()
+def test_what_was_just_written_stands_in_the_readme(whole):
+    text = (whole.parent / "README.md").read_text()
     assert (text[:7], text[-6:], "outdated" in text) == ("before\n", "after\n", False)
     assert "- Do the methods have the order they claim?" in text
 
@@ -67,7 +66,6 @@ def test_documents_point_to_what_is_there_alone(results, capsys):
 def test_the_gate_sees_a_number_of_the_readme_that_the_tables_do_not_give(results):
     root = results.parent
     (root / "src").symlink_to(REPOSITORY / "src")
-    assert trees.check_report(root, results) == []
     text = (root / "README.md").read_text()
     assert "2 of 2" in text
     (root / "README.md").write_text(text.replace("2 of 2", "3 of 2"))
@@ -80,20 +78,18 @@ HARM = {
     "no table gives it": lambda path: path.write_text(""),
     "missing": lambda path: path.unlink(),
 }
-FILES = (
-    ("laws.md", "../README.md"),
-    ("old.md", "figures/old.svg"),
-    ("laws.md", "figures/orders.svg"),
-)
-CASES = [(name, says) for says, names in zip(HARM, FILES, strict=True) for name in names]
+FILES = (("laws.md", "../README.md"), ("old.md", "figures/old.svg"), ("cost.md", "figures/orders.svg"))
 
 
-@pytest.mark.parametrize(("name", "says"), CASES)
-def test_a_file_that_differs_is_named_and_nothing_is_written(name, says, results, capsys):
-    path = (results / name).resolve()
-    HARM[says](path)
-    assert checked(results, capsys) == (1, [f"{path}: {says}"])
-    assert path.exists() == (says != "missing")
+def test_each_file_that_differs_is_named_and_nothing_is_written(results, capsys):
+    harmed = [
+        ((results / name).resolve(), says) for says, names in zip(HARM, FILES, strict=True) for name in names
+    ]
+    for path, says in harmed:
+        HARM[says](path)
+    status, lines = checked(results, capsys)
+    assert (status, sorted(lines)) == (1, sorted(f"{path}: {says}" for path, says in harmed))
+    assert all(path.exists() == (says != "missing") for path, says in harmed)
 
 
 def test_points_that_are_moved_are_seen_and_drawn_anew(results, capsys):

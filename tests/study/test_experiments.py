@@ -322,7 +322,7 @@ def test_rows_of_a_cell_have_keys_of_their_own_and_follow_from_the_public_call(s
             assert row["energy_law"] == cb.LAWS["energy_law"](own)
 
 
-@pytest.mark.parametrize("method", FIXED, ids=lambda method: method.name)
+@pytest.mark.parametrize("method", few_slow(FIXED, cb.METHODS["contact-gauss16"]), ids=lambda m: m.name)
 def test_fixed_steps_pass_through_the_earlier_ends(method):
     """The error there, of runs of their own and of one that passes through; a processed method has more of it."""
     scene = cb.SCENES["central"]

@@ -12,7 +12,7 @@ from cases import Clock, reading
 #: of the budget, what a race may take
 LATE = 1.1
 #: seconds of the quick part
-SHORT = 10.0
+SHORT = 6.0
 #: where the Lennard-Jones and the Buckingham pair rest
 LJ_REST, BUCKINGHAM_REST = 2 ** (1 / 6), 1.0
 

@@ -15,7 +15,7 @@ from contactbench.scene import DrivenState
 from contactbench.truth.survey import Survey
 
 #: of all seeds those that are quick, one of each kind, and a jump reached by steps that sum up to a little more
-QUICK, ALL = (2, 12, 18, 20, 28, 73), 240
+QUICK, ALL = (2, 18, 20, 28, 54, 73), 240
 
 
 def bell(x):
@@ -154,11 +154,11 @@ def test_a_pulse_is_seen_at_the_scale_of_what_it_changes(case):
 
 
 def test_a_component_beside_a_huge_one_has_a_scale_of_its_own():
-    kick = force_of([(1.0, 13.3, 0.01)], exp)
+    kick = force_of([(1.0, 3.3, 0.01)], exp)
     potential = lambda q, t: (q[0] ** 2 + q[1] ** 2) / 2 - q[0] * kick(t)  # noqa: E731
-    scene = cb.Driven(name="two", potential=potential, gamma=0.1, q=(0.0, 1e12), p=(0.0, 0.0), t_end=20.0)
-    true = kicked(SPRING[1], 0.1, 0.0, 20.0, [(1.0, 13.3, 0.01)])
-    np.testing.assert_allclose(cb.reference(scene, [20.0], ()).y[0, [0, 2]], true, rtol=1e-9)
+    scene = cb.Driven(name="two", potential=potential, gamma=0.1, q=(0.0, 1e12), p=(0.0, 0.0), t_end=5.0)
+    true = kicked(SPRING[1], 0.1, 0.0, 5.0, [(1.0, 3.3, 0.01)])
+    np.testing.assert_allclose(cb.reference(scene, [5.0], ()).y[0, [0, 2]], true, rtol=1e-9)
 
 
 def test_a_division_that_heyoka_makes_a_product_is_seen_in_a_pulse_that_is_over():

@@ -13,6 +13,7 @@ from collections.abc import Collection, Iterable, Sequence
 from functools import cache
 from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -72,7 +73,7 @@ def read_file(table: Table, path: Path) -> pd.DataFrame:
         if (wrong := lost(values, typed[name])).any():
             value = repr(values[wrong].iloc[0])[:100]
             require(path, wrong, f", column {name!r}: {value} is no {WORDS[column.type]}; restore the file")
-    frame = set_types(pd.DataFrame(typed), table)
+    frame = pd.DataFrame(typed, index=frame.index)
     double = frame.duplicated(list(table.key))
     require(path, double, f": the key {table.key} of an earlier row; move it away or restore it")
     return frame
@@ -94,26 +95,32 @@ def set_types(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     for name, values in frame.items():
         column = table.columns[str(name)]
         typed = parse(values, column)
-        found[name] = typed.fillna(False).astype(bool) if column.type == "flag" else typed
-    return pd.DataFrame(found)
+        found[name] = typed.to_numpy(bool, na_value=False) if column.type == "flag" else typed
+    return pd.DataFrame(found, index=frame.index)
 
 
-def parse(values: pd.Series, column: Column) -> pd.Series:
-    if values.dtype == DTYPES[column.type] and column.type not in ("text", "number"):
-        return values
+def parse(values: pd.Series, column: Column) -> Any:
+    """Return the values as an array of the column's type, blank where they have none."""
+    given = values.dtype == DTYPES[column.type]
     if column.type == "text":
-        return values.astype(object).where(values.notna(), "").astype(str)
+        return (values if given else values.astype(object)).fillna("").astype(str).array
+    if given and column.type != "number":
+        return values.array
     if column.type in ("flag", "answer"):
-        return values.map(FLAGS).astype("boolean")
-    numbers = pd.to_numeric(values, errors="coerce").astype(float)
+        return pd.array([FLAGS.get(value) for value in values], dtype="boolean")
+    numbers = (values if given else pd.to_numeric(values, errors="coerce")).to_numpy(float, na_value=math.nan)
     if column.type == "whole":
-        return numbers.where((numbers == numbers.round()) & (numbers.abs() <= 2**53)).astype("Int64")
-    return numbers if column.infinite else numbers.mask(np.isinf(numbers))
+        fits = (numbers == np.round(numbers)) & (np.abs(numbers) <= 2**53)
+        return pd.array(np.where(fits, numbers, math.nan), dtype="Int64")
+    return numbers if column.infinite else np.where(np.isinf(numbers), math.nan, numbers)
 
 
-def lost(values: pd.Series, typed: pd.Series) -> pd.Series:
-    missing = typed.isna()
-    return missing & values.notna() & (values.astype(object) != "") if missing.any() else missing
+def lost(values: pd.Series, typed: Any) -> pd.Series:
+    """Return where a text of a file has no value of its column's type."""
+    missing = np.asarray(pd.isna(typed))
+    if missing.any():
+        missing &= (values.notna() & (values != "")).to_numpy(bool)
+    return pd.Series(missing, values.index)
 
 
 def check(table: Table, row: Row) -> None:
