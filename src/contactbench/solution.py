@@ -40,7 +40,7 @@ class Status(StrEnum):
     timeout
         A limit of time was reached.
     unsupported
-        The method cannot do the scene; the message says why.
+        The method does not apply to the scene; the message says why.
     """
 
     ok = "ok"
@@ -146,7 +146,7 @@ class Solution:
     scene, method, engine, carry
         What was solved, the names of the method and of the engine, and which of s and R were integrated.
     t, elapsed
-        Saved times, (k,), and the same since the start, which are others where a scene starts at a time of its own.
+        Saved times, (k,), and the same counted from the start; they differ where the scene does not start at 0.
     y, y0
         Packed states, (k, d), NaN after the end of a run that did not reach them, and the initial one, (d,).
     q, p, s, M, R
@@ -167,7 +167,7 @@ class Solution:
     patience
         The limit of time while laws are measured.
     between
-        Which states are interpolated, (k,); None of none, see `interpolated`.
+        Which states are interpolated, (k,); None if none is, see `interpolated`.
     """
 
     scene: Scene

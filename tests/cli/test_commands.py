@@ -179,8 +179,8 @@ def test_a_method_of_ones_own_is_described_by_what_it_declares(registries, capsy
     cb.fixed_step("my-midpoint", order=2, evaluations=2, about="my source")(midpoint)
     assert main(["list", "methods", "my-midpoint"]) == 0
     said = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
-    assert said["good"] == "for   order 2: large errors"
-    assert said["cost"] == "about 2 evaluations a step of oscillator"
+    assert said["good"] == "for   order 2: for large errors"
+    assert said["cost"] == "about 2 evaluations per step on oscillator"
     assert said["source"] == "my source"
 
 

@@ -61,7 +61,7 @@ def good_for(method: Method) -> str:
     order = method.order or SMALL
     size = "small" if order >= SMALL else "moderate" if order >= MODERATE else "large"
     found = {
-        f"{size} errors": not method.exact,
+        f"for {size} errors": not method.exact,
         "by tolerance": method.adaptive,
         "close encounters": method.follows,
         "stiff motion": method.stiff,
@@ -88,14 +88,19 @@ def of_method(method: Method) -> Iterator[tuple[str, object]]:
     kept, lacks = keeps(method), method.lacks(method.engines[0])
     fits = [scene for scene in cb.SCENES.values() if method.refuses(scene) is None]
     few = ", ".join(scene.name for scene in fits) if 0 < len(fits) <= FEW else ""
-    suits = good_for(method), f"keeps {kept}" if kept else "", few and f"runs on {few} alone", lacks
+    suits = good_for(method), f"keeps {kept}" if kept else "", few and f"runs only on {few}", lacks
     yield "good for", f"{order_of(method)}: {'; '.join(filter(None, suits))}"
     yield "steps", f"chosen by rtol, which bounds {method.tolerance}" if method.adaptive else method.stepping
     costs = [method.step_cost(fits[0], engine) for engine in method.engines if fits and engine in CALLBACKS]
     if any(costs):
-        yield "cost", f"about {costs[0]:g} evaluations a step of {fits[0].name}"
+        yield (
+            "cost",
+            f"about {costs[0]:g} evaluation{'s' if costs[0] != 1 else ''} per step on {fits[0].name}",
+        )
     by_design = "by construction, at every step size; J where the potential has the symmetry"
-    yield "keeps", f"{kept}, {by_design}" if kept else "the laws to its error"
+    if method.contact and method.iterates:
+        by_design += "; on a general H(q, p, s) the kernel of η alone"
+    yield "keeps", f"{kept}, {by_design}" if kept else "the laws up to its error"
     yield "engines", ", ".join(method.engines)
     yield "scenes", f"{len(fits)} of {len(cb.SCENES)}"
     yield "source", method.about

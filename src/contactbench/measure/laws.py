@@ -94,8 +94,8 @@ def errors_of(runs: Sequence[Solution]) -> np.ndarray:
 
 
 @law(
-    "max ‖y − y*‖ / max ‖y*‖, the start included: each vector in one unit by itself (q, p, M, R, a component with a "
-    "unit of its own), the largest",
+    "max ‖y − y*‖ / max ‖y*‖, the start included, y* the true state: the largest of q, p, M, R and every component "
+    "with a unit of its own, each taken by itself",
     "solution error",
 )
 def solution_error(solution: Solution) -> float:
@@ -116,8 +116,8 @@ def energy_law(solution: Solution) -> float:
 
 #: the meaning of ∫Γ' in the definitions of the laws
 RATE = (
-    "∫Γ' = γt, or the integral of γ(t); where Γ' depends on s the truth gives e^{−∫Γ'} = H*(t)/H(y₀); relative to at "
-    "least a thousandth of the terms that cancel"
+    "∫Γ' = γt, or the integral of γ(t); where Γ' depends on s, e^{−∫Γ'} = H*(t)/H(y₀) of the true motion; relative to "
+    "no less than a thousandth of the terms that cancel"
 )
 
 
@@ -266,7 +266,7 @@ def pairing_drift(solution: Solution) -> Deviation | float:
 
 
 @law(
-    "max ‖RᵀR − 1‖_F; R of degree two in a quaternion whose length is free",
+    "max ‖RᵀR − 1‖_F; R is quadratic in a quaternion that is not normalised",
     "attitude drift",
     needs=("R",),
     applies=lambda scene: "R" in scene.optional,
@@ -280,7 +280,7 @@ def attitude_drift(solution: Solution) -> float:
 
 
 @law(
-    "max of | |q|/R − 1 | and |q·p|/RP over the points, P the size of momenta that the start lets expect",
+    "max of | |q|/R − 1 | and |q·p|/RP over the points, P the size of the momenta, estimated at the start",
     "sphere drift",
     applies=lambda scene: scene.constrained,
     gate=Gate.structure,
@@ -292,7 +292,7 @@ def sphere_drift(solution: Solution) -> float:
 
 
 @law(
-    "saved steps on which H0 grows although γ > 0",
+    "number of saved steps on which H0 grows although γ > 0",
     "H0 grows",
     applies=lambda scene: not scene.may_gain_energy,
     gate=Gate.count,

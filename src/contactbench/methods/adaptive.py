@@ -83,7 +83,7 @@ def adaptive(
     name
         Of the method.
     order
-        Of the solution that it goes on with; None where it varies.
+        Order of the solution that the steps continue from; None where it varies.
     evaluations
         About how many evaluations of the right-hand side a step takes: `max_steps` bounds their number by it.
     about

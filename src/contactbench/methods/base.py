@@ -220,9 +220,9 @@ def prepare(
     Parameters
     ----------
     scene
-        Itself, or the name of a registered one.
+        A scene, or the name of a registered one.
     method
-        Itself, or the name of a registered one.
+        A method, or the name of a registered one.
     step
         Size of the steps of a fixed-step method.  The time to the last saved one, and between two breaks of a scene, is
         divided into the fewest equal steps not longer than `step`; the solution's `step` is the longest one.

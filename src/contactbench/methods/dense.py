@@ -381,7 +381,7 @@ def densely(method: Any, request: Request, run: Prepared) -> Prepared:
     if method.control == "step" and request.rtol is not None and not method.follows:
         if len(saved) <= PILOTED:
             return run
-        few = saved[np.linspace(0, len(saved) - 1, PILOTED).round().astype(int)]
+        few = saved[(np.arange(1, PILOTED + 1) / PILOTED * (len(saved) - 1)).round().astype(int)]
         return Piloted(
             method.name, request, method, method.prepare(replace(request, save_at=few, dense=False))
         )

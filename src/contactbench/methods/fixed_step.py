@@ -235,7 +235,7 @@ def fixed_step(
     name
         A key in tables and a word on the command line.
     order
-        Of convergence.
+        Order of convergence.
     about
         One line with the source.
     evaluations

@@ -196,9 +196,9 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
     Parameters
     ----------
     scene
-        Itself, or the name of a registered one.
+        A scene, or the name of a registered one.
     method
-        The name of a fixed-step one.
+        The name of a fixed-step method.
     carry
         Which of s and R are part of the state; by default all the scene has.
 

@@ -175,7 +175,7 @@ def leaves(x: object) -> list[Any]:
 
 
 def rebuild[X](x: X, values: Sequence[object]) -> X:
-    """Return x with other numbers in the places of its own."""
+    """Return x with its numbers replaced by others."""
     supply = iter(values)
 
     def again(x: Any) -> Any:

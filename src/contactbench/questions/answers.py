@@ -22,9 +22,9 @@ FUNCTIONS = {
 } | {"ranked": contest.ranked, "mean_regrets": regret.mean_regrets}
 #: other counts that stand beside an answer, in words
 BESIDE = {
-    "alone": ", alone on {}",
-    "credited": "; {} without fixed costs and with calls by address credited",
-    "idle": "; {} do not tell",
+    "alone": ", leading alone on {}",
+    "credited": "; {} after fixed costs, and the cost of calling the right-hand side by its address, are deducted",
+    "idle": "; {} undecided or not judged",
 }
 WORD = re.compile(r"\b[a-z_]+\b")
 
@@ -57,7 +57,7 @@ def share(frames: Frames, question: str, what: str, query: str, **beside: str) -
     )
 
 
-def fold(answers: Iterable[Answer], title: str = "How each count is made") -> Fold | None:
+def fold(answers: Iterable[Answer], title: str = "How each count is computed") -> Fold | None:
     """Return the lines that counted, with their imports."""
     found = [(answer, query) for answer in answers for query in answer.queries]
     if not found:
@@ -80,4 +80,4 @@ def fold(answers: Iterable[Answer], title: str = "How each count is made") -> Fo
 def made_by(queries: Mapping[str, str]) -> Fold | None:
     """Return the lines that a table is made by, each under its words."""
     made = [Answer(words, "", "", (query,)) for words, query in queries.items()]
-    return fold(made, "How the table is made")
+    return fold(made, "How the table is computed")

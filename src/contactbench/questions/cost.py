@@ -155,8 +155,8 @@ def tolerance_figure(frames: Frames) -> Figure | None:
     if not curves:
         return None
     asked = Axis("tolerance asked for (tighter to the right)", "log", inverted=True)
-    reached = Axis("error reached, the median of all scenes", "log")
-    same = Curve(ASKED, ASKED, "as asked", role="guide", markers=False)
+    reached = Axis("error reached, median over all scenes", "log")
+    same = Curve(ASKED, ASKED, "error = tolerance", role="guide", markers=False)
     panel = Panel("", asked, reached, (same, *only(curves, choose(curves, lowest))))
     return chart("tolerances", [panel])
 
@@ -213,9 +213,9 @@ def message(frames: Frames, scene: str) -> tuple[str, list[str]]:
     if not len(table):
         return f"{scene}: cost against error", []
     row = table.iloc[(len(table) - 1) // 2]
-    at, both, ratio = f"at {power(row['error'])}", [row["ours"], row["other"]], row["ratio"]
+    at, both, ratio = f"at an error of {power(row['error'])}", [row["ours"], row["other"]], row["ratio"]
     if 1 / row["margin"] <= ratio <= row["margin"]:
-        found = "take the same time within 25 %" if row["margin"] <= 1.25 else "are too near for the clock"
+        found = "take the same time within 25 %" if row["margin"] <= 1.25 else "are within the timing margin"
         return f"{scene}: {both[0]} and {both[1]} {found} {at}", both
     if ratio > 1:
         both, ratio = both[::-1], 1 / ratio

@@ -17,7 +17,7 @@ from contactbench.questions.judgement import SAVED
 from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import by_method, choose, highest, only
 from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.numbers import count, names, scientific
+from contactbench.report.numbers import count, exact_power, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 
 #: with which the others are compared under strong damping: a composition without steps against time
@@ -73,10 +73,10 @@ def stability_map(limits: pd.DataFrame) -> Figure | None:
     title, subjects = "First loss of stability", []
     if len(finite := last[np.isfinite(last)]):
         subjects = [str(finite.idxmax())]
-        first = f"{subjects[0]} is stable to {finite.max():.3g}/ω an evaluation"
-        title = f"At γ = {rows['gamma'].max():g} ω {first}, the median method to {last.median():.2g}/ω"
+        first = f"{subjects[0]} is stable up to steps of {finite.max():.3g}/ω per evaluation"
+        title = f"At γ = {rows['gamma'].max():g} ω {first}, the median method up to {last.median():.2g}/ω"
     drawn = only(curves, choose(curves, highest, subjects, by_order=True))
-    panel = Panel("", Axis("γ/ω", "log"), Axis("ω × first unstable step / evaluations", "log"), drawn)
+    panel = Panel("", Axis("γ/ω", "log"), Axis("ω × largest stable step / its evaluations", "log"), drawn)
     return chart("stability_map", [panel], title=title) if curves else None
 
 
@@ -85,13 +85,13 @@ def rates_view(limits: pd.DataFrame) -> View:
     """Return who has a damping rate right, of all that take no more evaluations than a number."""
     ok = limits[limits["status"] == "ok"]
     rows = [
-        (f"slow rate of creep, `{scene}`", count(most), best_cell(own[own["evaluations"] <= most]))
+        (f"slow rate of creep on `{scene}`", count(most), best_cell(own[own["evaluations"] <= most]))
         for scene, own in ok[ok["question"] == "creep"].groupby("scene", sort=False)
         for most in CREEP
     ]
     for (scene, span), own in ok[ok["question"] == "weak"].groupby(["scene", "t_end"]):
         most = WEAK * float(span)
-        what = f"rate of weak damping, `{scene}`, T = {span:.0e}"
+        what = f"rate of weak damping on `{scene}`, T = {exact_power(span)}"
         rows.append((what, count(most), best_cell(own[own["evaluations"] <= most])))
     return view("rates", frame_of(rows, ["rate", "evaluations at most", "most accurate"]), alike=ALIKE)
 
@@ -101,7 +101,7 @@ def best_cell(rows: pd.DataFrame) -> Cell:
     errors = rows.groupby("method", sort=False)["error"].min().astype(float)
     errors = errors[errors < 1].sort_values(kind="stable")
     if not len(errors):
-        return Cell("none is right to 100 %")
+        return Cell("all errors exceed 100 %")
     first = list(errors.index[(errors <= STRUCTURE) | ties(errors, errors.min(), ALIKE)])
     mark = Mark.tie if len(first) > 1 else Mark.best
     return Cell(f"{names(first, 3)} {scientific(errors.min())}", mark=mark)
@@ -151,7 +151,7 @@ def ticks_figure(limits: pd.DataFrame) -> Figure | None:
     if not curves:
         return None
     exact = rows.groupby("method", sort=False)["error"].max() <= STRUCTURE
-    panel = Panel("", Axis("γh", "log"), Axis("error of the damping rate", "log"), tuple(curves))
+    panel = Panel("", Axis("γh", "log"), Axis("relative error of the damping rate", "log"), tuple(curves))
     return chart("ticks", [panel], exact=names(list(exact.index[exact])))
 
 

@@ -33,12 +33,12 @@ def structural_rows(frames: Frames) -> pd.DataFrame:
 
 def kept(frames: Frames, law: str, question: str) -> Answer | None:
     query = KEPT.format(law)
-    return share(frames, question, "runs that tell", f"{query}.dropna()", idle=f"{query}.isna()")
+    return share(frames, question, "decided runs", f"{query}.dropna()", idle=f"{query}.isna()")
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
     for law in structural_laws():
-        if answer := kept(frames, law, f"{law_label(law)}: at round-off where claimed?"):
+        if answer := kept(frames, law, f"{law_label(law)}: at round-off wherever a method claims it?"):
             yield answer
 
 
@@ -99,7 +99,8 @@ def equal_cost_view(frames: Frames, scene: str) -> View | None:
             order = order_of(frames, scene, str(method))
             lines.append((method, spent, order, as_cell(found["error"], scientific), *drifts))
     labels = ["method", "evaluations", "order", "error", *map(law_label, laws)]
-    return View(f"equal_cost_{scene}", f"{scene}: at {count(cost)} evaluations", frame_of(lines, labels))
+    title, legend = f"{scene}: at {count(cost)} evaluations", PROSE["laws"]["equal"]
+    return View(f"equal_cost_{scene}", title, frame_of(lines, labels), legend)
 
 
 @chapter("laws", answers)
@@ -121,11 +122,11 @@ def structure(frame: pd.DataFrame) -> Figure | None:
     claims = rows[f"{LAW}_claimed"].eq(True)
     kept = rows[claims][f"{LAW}_kept"].dropna()
     families = [look(*map(str, pair)).family for pair in zip(rows["method"], rows["family"], strict=True)]
-    groups = np.where(rows["family"].eq(CONTACT) & ~claims, "contact, steps that follow", families)
+    groups = np.where(rows["family"].eq(CONTACT) & ~claims, "contact, steps that follow the motion", families)
     curves = []
     for name, own in rows.groupby(groups, sort=False):
         points = floats(own["error"]), above(own[LAW])
         curves.append(Curve(*points, str(name), str(own["method"].iloc[0]), line=False))
     x = Axis("error of the solution (more accurate to the right)", "log", inverted=True)
-    panel = Panel("", x, Axis("deviation of the contact form", "log"), tuple(curves), (ROUND_OFF,))
+    panel = Panel("", x, Axis("relative deviation of the contact form", "log"), tuple(curves), (ROUND_OFF,))
     return chart("structure", [panel], kept=int(kept.sum()), runs=len(kept), scene=SCENE)

@@ -54,7 +54,7 @@ ERRORS = (1e-3, 1e-6)
 #: laws of its tables, the law of the map last; J stands where a method claims it
 LAWS = ("energy_law", "momentum_law", "contact_drift")
 #: the laws that a reader asks about first
-PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
+PROMISED = {"momentum_law": "the momentum J", "contact_drift": "the contact form η"}
 #: kinds of cost that a reader asks about, in order; the first stands in the README of the project
 ASKED = ("compiled", "tolerance", "evaluations", "tolerance_evaluations")
 SLOWER = "contests(runs, times).assign(slower=lambda c: c.ratio > 1.25).groupby('scene').slower.all()"
@@ -64,7 +64,7 @@ SLOWER = "contests(runs, times).assign(slower=lambda c: c.ratio > 1.25).groupby(
 def slower(frames: Frames) -> Answer | None:
     found = evaluate(SLOWER, frames)
     scenes = [f"`{scene}`" for scene in found.index[found]]
-    asked = "Where is every contact method more than 25 % slower at every error, compiled?"
+    asked = "Where is every contact method more than 25 % slower than the fastest compiled solver, at every error?"
     text = f"{int(found.sum())} of {len(found)} scenes"
     return Answer(asked, names(scenes) or "nowhere", text, (SLOWER,)) if len(found) else None
 
@@ -306,9 +306,9 @@ def motion_figure(table: pd.DataFrame) -> Figure | None:
     if not len(rows):
         return None
     first, late = (rows[rows["panel"] == name] for name in ("energy", "orbit"))
-    energy = Panel("energy", Axis("time t"), Axis(r"$H_0$"), tuple(paths(first, True)))
+    energy = Panel("energy", Axis("time t"), Axis(r"energy $H_0$"), tuple(paths(first, True)))
     axes = Axis("$q_1$"), Axis("$q_2$")
-    orbit = Panel("the orbit at the end", *axes, tuple(paths(late, False)), equal=True)
+    orbit = Panel("orbit near the end", *axes, tuple(paths(late, False)), equal=True)
     counts = rows[rows["kind"] == "method"].groupby("curve", sort=False)["z"].max()
     return chart("motion", [energy, orbit], evaluations=int(counts.max()), methods=names(list(counts.index)))
 
@@ -347,7 +347,7 @@ def parts(frames: Frames) -> list[Part | None]:
     questions: dict[str, list[str]] = {}
     for one in chapters(frames):
         questions.setdefault(one.file, []).append(one.question)
-    questions["glossary.md"] = ["What is each method, scene and column?"]
+    questions["glossary.md"] = ["What does each method, scene and column mean?"]
     rows = [
         (f"[{file}]({file})", " ".join(asked)) for file, asked in questions.items() if file != f"{NAME}.md"
     ]
@@ -365,5 +365,5 @@ def machine(runs: Sequence[Mapping[str, object]]) -> Text:
         for run in runs
     )
     return Text(
-        f"Measured on {'; '.join(places)} ([environment.json](environment.json)). All quantities are dimensionless."
+        f"Measured on {'; '.join(places)} ([environment.json](environment.json)). All else is dimensionless."
     )

@@ -41,7 +41,7 @@ RIGHT = (
 
 
 def answers(frames: Frames) -> Iterator[Answer]:
-    what = f"pairs of method and scene, within {AGREES:g} or the spread"
+    what = f"pairs of method and scene, within {AGREES:g} or the spread of the extrapolation"
     if answer := share(frames, PROSE["orders"]["question"], what, RIGHT):
         yield answer
 

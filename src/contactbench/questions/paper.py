@@ -50,7 +50,7 @@ def flat(rows: pd.DataFrame, panel: str, title: str, x: Axis, y: Axis, equal: bo
 def orders(rows: pd.DataFrame) -> Panel:
     x, y = Axis("step size h", "log"), Axis(r"max $|H_0 - H_0^\ast|$ over [0, T]", "log")
     fitted = sorted({f"{order:.2f}" for order in rows[rows["panel"] == "convergence"]["z"]})
-    return flat(rows, "convergence", f"orders {', '.join(fitted)}", x, y)
+    return flat(rows, "convergence", f"energy error: orders {', '.join(fitted)}", x, y)
 
 
 def by_axis(panel: Panel) -> Panel:
@@ -69,7 +69,7 @@ def angles(rows: pd.DataFrame) -> Panel:
         cosine = np.clip(M[:, int(str(name)[-1]) - 1] / size, -1, 1)
         found.append(Curve(floats(size / size[0]), floats(np.degrees(np.arccos(cosine))), str(name)))
     x = Axis("‖M‖ / ‖M(0)‖ = exp(−γt)", inverted=True)
-    y = Axis("angle of M with its first axis, degrees")
+    y = Axis("angle between M and the axis it starts near, degrees")
     return Panel("", x, y, tuple(found))
 
 
@@ -101,7 +101,7 @@ def growth(rows: pd.DataFrame) -> Iterator[Panel]:
             replace(curve, line=curve.role == "criterion", markers=curve.role != "criterion")
             for curve in curves(by_kind, panel)
         ]
-        yield Panel(f"rotation about {panel}", Axis(x), Axis(y), tuple(found))
+        yield Panel(f"rotation about {axis}, {cut} D", Axis(x), Axis(y), tuple(found))
 
 
 # -- the figures -----------------------------------------------------------------------------------
@@ -116,7 +116,7 @@ PLANS: dict[str, Callable[[pd.DataFrame], Iterable[Panel]]] = {
     "paper_5": lambda rows: [sphere(rows)],
     "paper_7": lambda rows: [
         flat(rows, "energy", "energy at h = 0.01", Axis("t"), Axis("$H_0$", "log")),
-        flat(rows, "ratio", "beside exp(−γt)", Axis("t"), Axis("$H_0 / (H_0(0) e^{-γt}) - 1$")),
+        flat(rows, "ratio", "relative to exp(−γt)", Axis("t"), Axis("$H_0 / (H_0(0) e^{-γt}) - 1$")),
         orders(rows),
     ],
     "paper_8": lambda rows: [

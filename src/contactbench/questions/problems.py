@@ -103,7 +103,7 @@ def answers(frames: Frames) -> Iterator[Answer]:
             first, *more = (near, alone) if cost == "time_s" else (f"{table}.ratio < 1",)
             part, whole = count(frames, first)
             says.append(f"{power(error)}: {percent(part, whole)}")
-            beside = "".join(f", alone on {count(frames, query)[0]}" for query in more)
+            beside = "".join(f", leading alone on {count(frames, query)[0]}" for query in more)
             counts.append(f"{part} of {whole}{beside}")
             queries += [first, *more]
         yield Answer(QUESTIONS[cost], ", ".join(says), "; ".join(counts), tuple(queries))

@@ -48,11 +48,9 @@ def answers(frames: Frames) -> Iterator[Answer]:
         ratio = found / found.iloc[0]
         others = [m for m in found.index[ratio > within] if known.get(m) != CONTACT]
         beside = names([f"{method} {times(ratio[method])}" for method in others], BESIDE)
-        where = (
-            f"after T = {power(end)}, γ = {power(gamma)}, within {100 * ALLOWED:g} % (median of the starts)"
-        )
-        text = "; others than contact methods: ".join(filter(None, [show(found.iloc[0]) + unit, beside]))
-        question = f"Which {asked} to have the energy left in a chaotic ring {where}?"
+        where = f"to {100 * ALLOWED:g} % after T = {power(end)}, γ = {power(gamma)} (median over the starts)"
+        text = "; best non-contact methods: ".join(filter(None, [show(found.iloc[0]) + unit, beside]))
+        question = f"Which method {asked} to get the energy left in a chaotic ring right {where}?"
         yield Answer(question, names(list(found.index[ratio <= within]), 3), text, (query,))
 
 
@@ -138,7 +136,7 @@ def figure(frames: Frames, rows: pd.DataFrame) -> Figure | None:
     grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in drawn])
     panels.append(
         Panel(
-            "one setting, with 1 % at first",
+            f"setting with 1 % at T = {power(spans[0])}",
             Axis("T", "log"),
             y,
             only(by_method(grown, "t_end", "energy_error"), drawn),

@@ -87,7 +87,7 @@ def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
 
 
 def spread(heights: Sequence[float], gap: float) -> np.ndarray:
-    """Return rising heights at least `gap` apart and below one, moved as little as is simple."""
+    """Return rising heights at least `gap` apart and below one, moved as little as a simple rule allows."""
     below = gap * np.arange(len(heights))
     rising = np.maximum.accumulate(np.array(heights) - below) + below
     return np.asarray(np.minimum(rising, 1 - below[::-1]))

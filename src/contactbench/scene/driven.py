@@ -87,11 +87,11 @@ class Driven(Mechanical):
         Increasing times at which force or damping changes abruptly or a pulse sits, such as (13.3,); of a pulse its
         middle and both ends.  No step of any method straddles one: each starts afresh there.  Functions are given no
         time nearer than a few roundings to a break, nor beyond one that a step begins or ends at: it does not matter
-        what they return at a jump.  To substeps that lead out of a step time so stands still at a break: over a jump of
-        a force that depends on time besides, a processor (contact-rkn8) is of lower order.
+        what they return at a jump.  For substeps that lead out of a step, time stands still at a break: over a jump
+        of a force that depends on time besides, a processor (contact-rkn8) is of lower order.
     span
         ``(t, h, xp, **parameters) -> (G, φ)`` where it is known in closed form: G = ∫_t^{t+h} γ and
-        φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.  By default both come
+        φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time for which a damped momentum effectively drifts.  By default both come
         from Gauss's collocation method of order 16 on every step, eight values of γ: right to round-off while γh and
         the phase of a sinusoidal γ stay below 1 over a step, to 10⁻¹¹ below 2 (measured in the tests).  A γ with
         complex singularities nearer to the real axis than about two steps asks for smaller ones.  The steps are

@@ -30,7 +30,7 @@ class HeavyTop(RigidBody):
 
     M' = M × Ω + w u × χ − γ M, R' = R Ω̂, s' = ½ M·Ω − w u·χ − γ s, u = Rᵀe₃ the vertical in the body.
     H = ½ M·I⁻¹M + w e₃·Rχ + γ s.  Rotations about the vertical are a symmetry: e₃·RM decays as e^{−γt}.  With two equal
-    moments and χ along the third axis it is Lagrange's top, whose M·χ decays so, too.
+    moments and χ along the third axis it is Lagrange's top, whose M·χ decays likewise.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class HeavyTop(RigidBody):
     inertia
         Three principal moments about the fixed point > 0.
     weight
-        Torque w = mgl, the torque that the weight has at most.
+        The largest torque of the weight, w = mgl.
     axis
         Vector χ, from the fixed point to the centre of mass: three numbers in the body, of length one where w = mgl.
     potential

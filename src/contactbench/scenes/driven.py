@@ -160,7 +160,7 @@ LANE_EMDEN_5 = Driven(
 DUFFING = Driven(
     name="duffing",
     about="a damped double well under a sinusoidal force: chaotic; up to the end time errors grow about fortyfold, "
-    "long after it only laws and averages of a run mean anything",
+    "long after it only laws and averages of a run are meaningful",
     potential=double_well,
     gradient=double_well_gradient,
     parameters={"force": 0.4, "drive": 1.0},

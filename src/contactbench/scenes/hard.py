@@ -66,9 +66,9 @@ def wall_hessian(q: Vector, steepness: Arithmetic) -> tuple[Vector, ...]:
 
 STIFF_SPRING = Mechanical(
     name="stiff_spring",
-    about="two oscillations, one a hundred times faster and as energetic as the other, coupled: explicit "
-    "methods follow the fast one whether or not it matters, implicit ones must resolve it too, because it "
-    "does not die out.",
+    about="two coupled oscillations of equal energy, one a hundred times faster than the other: explicit methods "
+    "must follow the fast one whether or not it matters, and implicit methods must resolve it too, because it does "
+    "not die out.",
     potential=two_scales,
     gradient=two_scales_gradient,
     hessian=two_scales_hessian,
@@ -84,7 +84,7 @@ STIFF_SPRING = Mechanical(
 KEPLER_DRAG = Mechanical(
     name="kepler_drag",
     about="an orbit of eccentricity 0.9 about a centre of attraction, with drag: at every return the time "
-    "scale shrinks by eighty. A fixed step must be as small as the pericentre needs, all the way round.",
+    "scale shrinks by a factor of eighty. A fixed step must be as small as the pericentre requires, all the way round.",
     potential=kepler,
     gradient=kepler_gradient,
     hessian=kepler_hessian,
@@ -99,7 +99,7 @@ KEPLER_DRAG = Mechanical(
 
 KEPLER = KEPLER_DRAG.with_(
     name="kepler",
-    about="an orbit of eccentricity 0.3 with drag, not hard: J decays as e^{-γt}, and V < 0 all along",
+    about="an orbit of eccentricity 0.3 with drag, not hard: J decays as e^{-γt}, and V < 0 throughout",
     q=(0.7, 0.0),
     p=(0.0, 1.362770287738494),
     t_end=200.0,
@@ -109,8 +109,8 @@ KEPLER = KEPLER_DRAG.with_(
 STEEP_WALL = Mechanical(
     name="steep_wall",
     about="a free flight into a wall, V = e^{50(q − 1)}: at the start the force is 10⁻²⁰, on the wall the time scale "
-    "is 0.1. A solver that chooses its step by what it sees where it is steps into the wall, is thrown back with "
-    "whatever energy it found there, and may call it `ok`.",
+    "is 0.1. A solver that chooses its step from the local force steps far into the wall, is thrown back with a "
+    "wrong energy, and may still end `ok`.",
     potential=wall,
     gradient=wall_gradient,
     hessian=wall_hessian,
@@ -127,9 +127,9 @@ HARD = tuple(
     for scene in (
         OSCILLATOR.with_(
             name="overdamped",
-            about="γ = 50: after a moment the motion creeps back at the slow rate 0.02. A method that treats "
-            "force and friction one after the other gets that rate wrong, by a factor of about (γh/2)coth(γh/2), and "
-            "an explicit one is unstable unless γh is of order one although nothing fast happens.",
+            about="γ = 50: after a short transient the motion creeps back at the slow rate 0.02. A method that "
+            "applies force and friction one after the other gets this rate wrong, by a factor of about "
+            "(γh/2)coth(γh/2); an explicit one is unstable unless γh is of order one, although nothing fast happens.",
             gamma=50.0,
             t_end=100.0,
             stiff=True,
@@ -137,8 +137,9 @@ HARD = tuple(
         ),
         PARTICLE.with_(
             name="creeping",
-            about="the particle at γ = 50: after a moment it creeps back along a curve, slower by thousands than the "
-            "damping. Explicit methods follow the damping, and compositions of order two fall to order one.",
+            about="the particle at γ = 50: after a short transient it creeps back along a curve, thousands of times "
+            "more slowly than the damping acts. Explicit methods follow the damping, and compositions of order two "
+            "fall to order one.",
             gamma=50.0,
             t_end=200.0,
             stiff=True,
@@ -156,9 +157,9 @@ HARD = tuple(
         RIGID_BODY.with_(
             name="tumbling",
             about="a body spinning about its middle axis, off by 10⁻⁸: it flips over and back, time and again. Every "
-            "flip magnifies by 10⁸ what a step rounds off, so that no method that takes steps in double precision has "
-            "many digits of the attitude. The closed form takes none and has them all; the decay laws can hold in "
-            "any case.",
+            "flip magnifies rounding errors by 10⁸, so that no method that takes steps in double precision has many "
+            "digits of the attitude. The closed form takes no steps and has all digits; the decay laws can hold in any "
+            "case.",
             gamma=1e-3,
             M=(1e-8, 1.0, 1e-8),
             t_end=200.0,
@@ -175,8 +176,8 @@ HARD = tuple(
         ),
         RIGID_BODY_ANISOTROPIC.with_(
             name="singular_damping_2",
-            about="damping with the middle axis in its kernel, unstable without damping and stable with so much of it: "
-            "the other rotations die out and a steady rotation about it remains, not rest.",
+            about="damping whose kernel is the middle axis. Rotation about this axis is unstable without damping and "
+            "stable with this much: the other rotations die out, and the body ends in a steady rotation, not at rest.",
             damping=(0.5, 0.0, 0.5),
             t_end=100.0,
             pace=(0.2,),
@@ -194,7 +195,7 @@ HARD = tuple(
         PARTICLE.with_(
             name="escape",
             about="the particle beyond the saddle and heading out: it reaches infinity in finite time, before the end "
-            "time asked for. The right answer is `diverged`, with that time; a number would be wrong whatever it is.",
+            "time asked for. The right answer is `diverged`, with that time; any finite state would be wrong.",
             gamma=1e-3,
             q=(8.0, -6.0),
             p=(3.0, -1.0),
@@ -206,7 +207,7 @@ HARD = tuple(
         STEEP_WALL,
         OSCILLATOR.with_(
             name="antidamping",
-            about="γ = −0.1: energy is fed in and the motion grows by e^{5}. Nothing may assume that things decay.",
+            about="γ = −0.1: energy is fed in and the motion grows by e^{5}. No method may assume decay.",
             gamma=-0.1,
             t_end=100.0,
             pace=(0.2,),
@@ -214,7 +215,7 @@ HARD = tuple(
         OSCILLATOR.with_(
             name="large_step",
             about="the oscillator at steps around the stability limit, ωh = 2 for a splitting without the merged "
-            "flow; the limits themselves are in their own table.",
+            "flow; the limits themselves are in `limits.csv`.",
             gamma=1.0,
             t_end=210.0,
             pace=(2.1, 1.4, 0.525, 0.13125),  # both sides of the limit

@@ -204,7 +204,7 @@ RIGID_BODY = RigidBody(
 
 RIGID_BODY_ANISOTROPIC = RigidBody(
     name="rigid_body_anisotropic",
-    about="free top with anisotropic damping: no contact Hamiltonian γs gives it, no conformal factor",
+    about="free top with anisotropic damping, which no term γs of a contact Hamiltonian gives: no conformal factor",
     inertia=(1.0, 2.0, 3.0),
     damping=(0.05, 0.1, 0.3),
     M=(0.2, 1.5, 0.3),

@@ -68,26 +68,26 @@ def compare(
 
     Each method is tried from its coarsest setting to the one that reaches the smallest error, on the first
     of its engines that can run the scene; the settings that reach the errors are then timed in turns, as bare
-    calls, each eight times or more, fewer on a machine too busy for that.  Times are compared within a kind of
+    calls, each at least eight times, or fewer if the machine is too busy for that.  Times are compared within a kind of
     engine: compiled, or calling back into Python.
-    Ctrl-C ends it with what there is.
+    Ctrl-C ends the race with the rows so far.
 
     Parameters
     ----------
     scene :
         A scene or the name of one.  Where it `slows_after` some time, fixed steps grow geometrically.
     methods :
-        Names; or "all", the most likely to lead first.  By default the ones that lead on problems like this one: on a
-        fifth of the random problems of its kind and about its damping (of a kind without any, of the named scenes)
-        they cost at most a quarter more than the least, in time or evaluations; beside them the contestants of the
-        README and what plug-ins bring.  Where no tables are installed all race.
+        Names; or "all", the most likely to lead first.  By default the methods that lead on problems like this one: on
+        a fifth of the random problems of its kind and about its damping (of the named scenes, for a kind without any)
+        they cost at most a quarter more than the least, in time or evaluations; and with them the contestants of the
+        README and the methods of plug-ins.  Where no tables are installed, all methods race.
     errors :
-        Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs and, of y*, the start: of q, p, M, R
-        and each component with a unit of its own the largest.  `scale=` of the scene says what else they are parts of,
-        `attitude=False` of a body that its R does not count.
+        Errors asked for: ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs (y* also at the start), the largest of
+        those of q, p, M, R and each component with a unit of its own.  `scale=` of the scene sets other denominators;
+        with `attitude=False` the R of a body does not count.
     budget :
         Seconds for everything, by default 15, and 50 where `methods` are given; the reference may take five
-        whatever it is.
+        seconds whatever the budget.
     progress :
         Whether to show a bar on stderr, in a terminal and in a notebook.
     reference :
@@ -103,9 +103,9 @@ def compare(
         error_reached, time_s (the least round), evaluations (of the right-hand side, or what equals one), ratio (to
         the least time of its kind at that error), margin (the factor by which the less of the two
         must be ahead to lead alone),
-        at_least (seconds that it takes anyway where it was cut off or not timed), verdict (win; tie
-        of all within a quarter of the least; undecided where the margin is wider, or a rival was cut off that might be
-        sooner done; loss), laws_kept,
+        at_least (a lower bound of its seconds where it was cut off or not timed), verdict (win; tie
+        of all within a quarter of the least; undecided where the margin is wider, or a rival that might be
+        faster was cut off; loss), laws_kept,
         laws_undecided (their round-off may hide a drift), a column for each law, status, reason (why a method got
         no further, was not timed, or is undecided).
         ``attrs``: "recommendation" (what to take, a sentence for each error),

@@ -125,7 +125,7 @@ def reference(
     Parameters
     ----------
     scene
-        Itself, or the name of a registered one.
+        A scene, or the name of a registered one.
     times
         Times from the scene's t on (from 0 on where nothing depends on the time), in any order, (k,), or one number.
         A time within 4 units in the last place of a frozen grid time means that grid time.
