@@ -13,7 +13,7 @@ from contactbench.questions.answers import evaluate
 from contactbench.questions.contest import ALLOWED, CONTACT, families, ring_costs, ring_runs, with_family
 from contactbench.report.chapters import Answer, Frames, Part, chapter, chart, view
 from contactbench.report.curves import by_method, choose, only
-from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import duration, names, power, scientific, times
 from contactbench.report.views import Mark, View, as_cell, frame_of, matrix
 
@@ -131,8 +131,7 @@ def figure(frames: Frames, rows: pd.DataFrame) -> Figure | None:
         part = timed[timed["t_end"] == end]
         curves = by_method(part.assign(ms=1e3 * part["run_s"]), "ms", "energy_error")
         drawn = drawn or choose(curves, reaching, [str(own), str(other)])
-        floor = Span(1e-6, float(part["floor"].max()), "chaos")
-        panels.append(Panel(f"T = {power(end)}", Axis("time, ms", "log"), y, only(curves, drawn), (floor,)))
+        panels.append(Panel(f"T = {power(end)}", Axis("time, ms", "log"), y, only(curves, drawn)))
     grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in drawn])
     panels.append(
         Panel(
