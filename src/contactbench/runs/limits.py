@@ -121,7 +121,8 @@ TICKS, DRAGS = (30, 60, 120), (0.1, 0.3, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0)
 
 def ticking(profile: Profile) -> list[Cell]:
     """Return the one-step methods that evaluate one force a step, as a game engine does."""
-    own = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step and not m.iterates]
+    every = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step]
+    own = [m for m in every if not (m.iterates or m.expands)]
     found = [(m.name,) for m in own if m.refuses(FALLING) is None and m.per_step(FALLING) == 1]
     return found[:1] if profile.brief else found
 
