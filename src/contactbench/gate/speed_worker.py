@@ -14,6 +14,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from inspect import signature
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,7 +54,9 @@ def call(cell: Mapping[str, Any]) -> Callable[[], object]:
     times = [getattr(scene, "begins", 0.0) + time for time in times]
     setting = {cell["control"]: value} if cell["control"] in ("step", "rtol") else {}
     carry = tuple(field for field in ("R",) if field in scene.optional)
-    run = cb.prepare(scene, method, engine=engine, save_at=times, carry=carry, **setting)
+    # steps end at saved times, which is all that older revisions know
+    ended = {"dense": False} if "dense" in signature(cb.prepare).parameters else {}
+    run = cb.prepare(scene, method, engine=engine, save_at=times, carry=carry, **setting, **ended)
     if cell["call"] == "bare":
         packed = run.start
         return lambda: run.bare(packed)

@@ -129,7 +129,10 @@ class Law:
         return Measured(value + (uncertainty or 0.0) if unknown else value, uncertainty, clamped)
 
     def along(self, solution: Solution) -> Deviation | float:
-        """Return the deviation at every saved time if the law is a maximum over them; raises as the call does."""
+        """Return the deviation at every saved time if the law is a maximum over them; raises as the call does.
+
+        A structural law is judged at ends of steps, where other times were saved too.
+        """
         if not self.applies(solution.scene):
             raise BadInput(f"law {self.name!r} is not defined for scene {solution.scene.name!r}")
         missing = [f for f in self.needs_on(solution.scene) if f not in solution.carry]
@@ -138,7 +141,7 @@ class Law:
         if not solution.ok:
             return math.nan
         try:
-            return self.measure(solution)
+            return self.measure(solution.at_steps if self.structural else solution)
         except CannotRecord as error:
             raise BadInput(f"law {self.name!r}: {error}") from error
         except Exception as error:

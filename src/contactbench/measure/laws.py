@@ -353,8 +353,7 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
             bar.set_postfix_str(item.label)
             if set(item.needs_on(solution.scene)) <= set(solution.carry):
                 with np.errstate(all="ignore"):  # states may be huge
-                    judged = solution.at_steps if item.structural else solution
-                    rows[item.name] = measured_row(item, judged)
+                    rows[item.name] = measured_row(item, solution)
     finally:  # results that ran out of time are computed again by a later call
         solution.patience = None
         if patience.over:
@@ -382,7 +381,7 @@ def row(
         wanted = item.name == "solution_error" or not leave_out(item.name)
         if wanted and not (without and item.differentiates):
             with suppress(Undefined):
-                found[item.name] = item.measured(judged if item.structural else solution)
+                found[item.name] = item.measured(solution)
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}
     known = scene.is_contact and not without and judged.differential.taken
     magnified = (growth(in_units(judged)) if known else 0.0) or condition_number(scene) or 1.0

@@ -313,7 +313,8 @@ def conditional_stability(gammas: Sequence[float] = (0.0, 0.1, 1.0), weak: float
 def numerical(scene: Scene, method: str, step: float, count: int, **options: Any) -> Solution:
     """Return a run, without s and in Python unless told otherwise, saved at `count` equal intervals and the start."""
     t = np.linspace(0, scene.t_end, count + 1)
-    return solve(scene, method, step=step, save_at=t, **{"carry": (), "engine": "python"} | options)
+    given = {"carry": (), "engine": "python", "dense": False} | options
+    return solve(scene, method, step=step, save_at=t, **given)
 
 
 @claim("C29")
@@ -539,7 +540,7 @@ def near_conservation(gamma: float = 0.1, weak: float = 1e-5, steps: int = 1_000
 def pairing(method: str | Method, **setting: float) -> tuple[float, float]:
     """Return pairing_drift of a run of the chaotic scene, its steps held fixed, and the bound of its round-off."""
     scene = SCENES["duffing"]
-    run = solve(scene, method, save_at=scene.t_end * np.arange(1, 6) / 5, **setting)
+    run = solve(scene, method, save_at=scene.t_end * np.arange(1, 6) / 5, dense=False, **setting)
     drift = pulled_deviation(run, pairs(fixed_steps(run), len(scene.q)))
     return float(drift.size.max()), map_round_off(run)  # type: ignore[union-attr]
 

@@ -155,7 +155,7 @@ def creep_rows(method: Method) -> Iterator[Row]:
         most = int(MOST_CALLS // each)
     ends = [scene.t_end / 2, scene.t_end]
     for value in {"step": steps, "rtol": CREEP_RTOLS, EXACT: (0.0,)}[method.control]:
-        given: Row = {"save_at": Elapsed(ends), "carry": (), "max_steps": most}
+        given: Row = {"save_at": Elapsed(ends), "carry": (), "max_steps": most, "dense": False}
         solution = cb.solve(scene, method, **given, **keywords(method.control, value))
         row = rate_row(solution) | {"setting": value, "true": true}
         if solution.ok:
@@ -192,7 +192,7 @@ def weak_row(method: Method, span: float) -> Row:
         return rate_row(cb.solve(scene, method, **refused(method))) | {"setting": span}
     value = setting_at_cost(scene, method)
     times, setting = span * np.arange(1, SAMPLES + 1) / SAMPLES, keywords(method.control, value)
-    solution = cb.solve(scene, method, save_at=Elapsed(times), carry=(), **setting)
+    solution = cb.solve(scene, method, save_at=Elapsed(times), carry=(), dense=False, **setting)
     row = rate_row(solution) | {"setting": span}
     if not solution.ok:
         return row

@@ -136,7 +136,7 @@ def energy_left(q: np.ndarray, p: np.ndarray) -> np.ndarray:
 # -- runs ------------------------------------------------------------------------------------------
 def prepared(method: str, gamma: float, span: float, end: float, saves: int, **setting: float) -> Prepared:
     given: Row = {"save_at": Elapsed(end * np.arange(1, saves + 1) / saves), "carry": (), **setting}
-    return cb.prepare(ring(gamma, span), method, max_steps=MOST_STEPS, **given)
+    return cb.prepare(ring(gamma, span), method, max_steps=MOST_STEPS, dense=False, **given)
 
 
 def runs(method: str, gamma: float, span: float, **setting: float) -> tuple[list[Solution], np.ndarray]:
