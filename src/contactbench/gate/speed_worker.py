@@ -55,7 +55,7 @@ def call(cell: Mapping[str, Any]) -> Callable[[], object]:
     setting = {cell["control"]: value} if cell["control"] in ("step", "rtol") else {}
     carry = tuple(field for field in ("R",) if field in scene.optional)
     # steps end at saved times, which is all that older revisions know
-    ended = {"dense": False} if "dense" in signature(cb.prepare).parameters else {}
+    ended: dict[str, Any] = {"dense": False} if "dense" in signature(cb.prepare).parameters else {}
     run = cb.prepare(scene, method, engine=engine, save_at=times, carry=carry, **setting, **ended)
     if cell["call"] == "bare":
         packed = run.start
