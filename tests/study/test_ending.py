@@ -29,7 +29,7 @@ def committed(tmp_path):
 def test_a_run_ends_with_the_answers_of_its_tables(committed):
     text = ending(committed)
     assert text.startswith("Of ")
-    assert "\nDoes a method keep J wherever it claims to?\n    always" in text
+    assert "\nDoes a method keep the momentum J wherever it claims to?\n    always" in text
     assert "clocks aside: nothing moved." in text
 
 

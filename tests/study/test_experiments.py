@@ -180,7 +180,7 @@ def test_every_method_is_run_somewhere_and_the_mission_with_all_its_contestants(
     standard, full = (set(cells(profile)) for profile in (STANDARD, FULL))
     assert full == {(scene, method) for scene in cb.SCENES for method in cb.METHODS}
     method, here = cb.METHODS[name], {scene for scene, m in standard if m == name}
-    mission = {scene.name for scene in cb.SCENES.values() if scene.mission}
+    mission = {scene.name for scene in cb.SCENES.values() if scene.mission and not method.solves(scene)}
     stiff = {scene.name for scene in cb.SCENES.values() if scene.stiff}
     assert here >= (mission if method.mission or not grid.is_dear(method) else stiff)
     assert not method.like or method.like in cb.METHODS
