@@ -97,7 +97,8 @@ def of_method(method: Method) -> Iterator[tuple[str, object]]:
             "cost",
             f"about {costs[0]:g} evaluation{'s' if costs[0] != 1 else ''} per step on {fits[0].name}",
         )
-    by_design = "by construction, at every step size; J where the potential has the symmetry"
+    by_design = "by construction, at every step size"
+    by_design += "" if method.expands else "; J where the potential has the symmetry"
     if method.contact and method.iterates:
         by_design += "; on a general H(q, p, s) the kernel of η alone"
     yield "keeps", f"{kept}, {by_design}" if kept else "the laws up to its error"

@@ -187,6 +187,11 @@ def knows_factor(solution: Solution) -> bool:
     return is_of_contact_flows(solution) and known
 
 
+def is_of_symmetric_flows(solution: Solution) -> bool:
+    """Return whether the flows also have the symmetry of the scene, which an expansion about a point may lack."""
+    return knows_factor(solution) and not getattr(getattr(solution.run, "method_", None), "expands", False)
+
+
 def is_contact_map(solution: Solution) -> bool:
     """Return whether the method claims contact maps with the known factor of the exact flow."""
     return knows_factor(solution) and METHODS[solution.method].contact
@@ -203,7 +208,7 @@ def is_composed(solution: Solution) -> bool:
     needs=("R",),
     applies=lambda scene: scene.is_contact and scene.has_momentum_law,
     gate=Gate.structure,
-    claimed=knows_factor,
+    claimed=is_of_symmetric_flows,
 )
 def momentum_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()

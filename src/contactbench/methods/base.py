@@ -245,11 +245,13 @@ def prepare(
         for others.
     dense
         Whether states at saved times between ends of steps are interpolated; the solution's `interpolated` says which.
-        The estimate of their error is at most twice the error of a step, or a tenth of the tolerance; where steps are
-        too long for that, parts of steps are taken and counted.  If False, steps end at every saved time: each
-        interval between saved times is divided into the fewest equal steps, and a method starts anew there; so does
-        contact-log8.  Interpolation takes some milliseconds, so False is faster where forces are cheap and compiled.
-        A fixed step is chosen from `rtol` at five of the saved times.
+        The difference of two polynomials estimates their error; it is at most twice the error of a step, or a tenth of
+        the tolerance, and near ends and breaks the error itself may be several times as large.  Where steps are too
+        long for that, parts of steps are taken and counted.  If False, steps end at every saved time: each interval
+        between saved times is divided into the fewest equal steps, and a method starts anew there.  So does
+        contact-log8, and a run that does not end well.  Interpolation takes some ten milliseconds for a thousand
+        times, so False is faster where forces are cheap and compiled.  A fixed step is chosen from `rtol` at five of
+        the saved times.
     carry
         Which of s and R to integrate; by default all the scene has.
     engine
@@ -260,7 +262,7 @@ def prepare(
     about
         Of a method that solves the linear part of the force exactly (contact-linear2): the point about which the
         potential is expanded, a number for each q; by default the minimum of the potential downhill from the start,
-        or nothing is expanded where there is none.
+        or nothing is expanded where there is none.  About any other point long steps lose their order.
 
     Returns
     -------

@@ -52,6 +52,8 @@ from contactbench.scene.flow import damping
 ELIMINATED = 24
 #: most stages, whose coefficients need digits in proportion
 MOST_STAGES = 32
+#: most stages whose polynomial starts the next step: that of more amplifies rounding to the size of the motion
+EXTRAPOLATED = 24
 #: what counts as the size of numbers at rest: this part of the size of the whole state, and not nothing
 REST, TINY = 4e-5, 1e-290
 
@@ -307,7 +309,8 @@ def collocation(stages: int) -> Step:
 
         slopes, converged, spent = implicit(lambda k: updated(equations, k), solve, slopes, xp)
         after, over = equations.end(slopes)
-        ahead = (combined(row, slopes) for row in gauss.onward)
+        extrapolated = (combined(row, slopes) for row in gauss.onward)
+        ahead = extrapolated if stages <= EXTRAPOLATED else slopes[-1:] * stages
         onward = tuple(tuple(a * c for a, c in zip(over, row, strict=True)) for row in ahead)
         return found(after, converged, xp), spent, onward
 

@@ -28,12 +28,10 @@ from contactbench.scene import AnyState
 from contactbench.scene.base import Numeric
 from contactbench.solution import Counts, Status
 
-#: most nodes of a polynomial; those of the polynomials that estimate its error are fewer by FEWER and twice FEWER
+#: most nodes of a polynomial; the one that estimates its error has FEWER nodes less
 NODES, FEWER = 8, 2
 #: rounds in which intervals are halved; after the last one every state that is not accurate has a step of its own
 ROUNDS = 6
-#: a number that is not divided by
-TINY = 1e-300
 #: the error of interpolation that is allowed, over the error of a step
 ALLOWED = 2.0
 #: the largest relative error of interpolation that is allowed in any case
@@ -146,7 +144,7 @@ class Polynomials:
         which = np.clip(intervals - most // 2 + 1, first, end - most)[:, None] + np.arange(most)
         order = np.argsort(np.abs(which - intervals[:, None] - 0.5), axis=1, kind="stable")
         which, r = np.take_along_axis(which, order, axis=1), self.data.shape[1]
-        counts = [most - k * FEWER for k in (2, 1, 0) if most > k * FEWER + 1]
+        counts = [most - FEWER, most] if most > FEWER + 1 else [most]
         # times since the begin of each interval have all their digits
         begins, nodes, data = self.t[intervals], self.t[which], self.data[which]
         t, nodes = t - begins[each], nodes - begins[:, None]
@@ -284,10 +282,8 @@ class Dense(Prepared):
         for most in np.unique(size[each]).tolist():
             own, rows = np.flatnonzero(size == most), np.flatnonzero(size[each] == most)
             *fewer, y[rows] = found.at(t[rows], np.searchsorted(own, each[rows]), intervals[own], most)
-            if len(fewer) == 2:
-                gap = np.abs(y[rows] - fewer[1])[:, self.moving]
-                before = np.abs(fewer[1] - fewer[0])[:, self.moving]
-                error[rows] = gap * np.minimum(1.0, gap / np.maximum(before, TINY))
+            if fewer:
+                error[rows] = np.abs(y[rows] - fewer[0])[:, self.moving]
         return self.request.scene.settled(y, self.request.carry), np.nan_to_num(error, nan=math.inf)
 
     def halve(self, y0: np.ndarray, found: Polynomials, intervals: np.ndarray) -> int:
