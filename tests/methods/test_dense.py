@@ -125,3 +125,13 @@ def test_few_saved_times_have_steps_of_their_own() -> None:
     assert run.y == pytest.approx(
         cb.solve("particle", "contact-rkn6", step=0.1, save_at=[0.7, 20.0]).y, abs=1e-6
     )
+
+
+@pytest.mark.parametrize(("scene", "rtol"), [("particle", 1e-6), ("forced_oscillator", 1e-4)])
+def test_every_component_between_steps_meets_the_tolerance(scene: str, rtol: float) -> None:
+    """The action too, whose second derivative is not known where the potential depends on the time."""
+    times = np.linspace(0.0, 20.0, 1001)
+    many = cb.solve(scene, "rkn12-10", rtol=rtol, save_at=times)
+    true = cb.solve(scene, "rk8-7", rtol=1e-12, save_at=times, dense=False)
+    assert many.interpolated.sum() > 900
+    assert np.abs(many.y - true.y).max() < rtol

@@ -214,3 +214,11 @@ def test_what_it_has_no_formula_for_is_refused(name):
     ahead = cb.SCENES["oscillator"].with_(gamma=2.0, t_end=701.0)  # e^{γt} would overflow
     for scene in ("rigid_body", "quadratic_damping", "forced_oscillator", ahead):
         assert cb.solve(scene, name, step=0.1).status is cb.Status.unsupported
+
+
+@pytest.mark.slow
+def test_the_start_of_a_step_of_many_stages_is_not_extrapolated():
+    """The polynomial of the last step would amplify its rounding to the size of the motion."""
+    run = cb.solve("double_pendulum", cb.gauss(32), step=0.1, save_at=[0.3], engine="python")
+    assert run.ok
+    assert cb.LAWS["solution_error"](run) < 1e-14

@@ -243,3 +243,20 @@ def test_it_refuses_what_has_no_such_part():
     assert "needs" in LINEAR2.refuses(cb.SCENES["rigid_body"])
     assert "needs" in LINEAR2.refuses(cb.SCENES["quadratic_damping"])
     assert LINEAR2.refuses(cb.SCENES["kepler"]) is None
+
+
+def test_an_expansion_beside_the_centre_of_symmetry_claims_no_momentum():
+    scene = cb.Mechanical(
+        name="hat",
+        potential=lambda q: (q[0] ** 2 + q[1] ** 2 - 1) ** 2 / 4,
+        gamma=0.1,
+        q=(1.2, 0.1),
+        p=(0.1, 0.5),
+        t_end=5.0,
+        rotation_invariant=True,
+    )
+    claimed = cb.LAWS["momentum_law"].claimed
+    runs = [cb.solve(scene, name, step=0.1) for name in ("contact-linear2-plain", "contact-strang")]
+    assert [claimed(run) for run in runs] == [False, True]
+    assert cb.LAWS["momentum_law"](runs[1]) < 1e-13
+    assert cb.LAWS["momentum_law"](runs[0]) > 1e-4
