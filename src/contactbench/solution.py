@@ -331,7 +331,6 @@ class Solution:
         if judged is None or not self.ok:
             return self
         again: Solution = judged.solved(self.y0, judged.integrate)
-        again.patience = self.patience
         return again
 
     @property

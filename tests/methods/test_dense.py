@@ -135,3 +135,34 @@ def test_every_component_between_steps_meets_the_tolerance(scene: str, rtol: flo
     true = cb.solve(scene, "rk8-7", rtol=1e-12, save_at=times, dense=False)
     assert many.interpolated.sum() > 900
     assert np.abs(many.y - true.y).max() < rtol
+
+
+@pytest.mark.parametrize(("method", "setting"), [("rk8-7", {"rtol": 1e-6}), ("rk8", {"step": 0.5})])
+def test_other_data_give_the_run_of_a_scene_with_them(method: str, setting: dict[str, float]) -> None:
+    """Its default atol follows their scale."""
+    times = np.linspace(0.0, 20.0, 301)
+    scene = cb.SCENES["oscillator"]
+    run = cb.prepare(scene, method, save_at=times, **setting)(q=(3e5,))
+    same = cb.solve(scene.with_(q=(3e5,)), method, save_at=times, **setting)
+    assert run.interpolated.any()
+    assert run.counts == same.counts
+    assert np.array_equal(run.y, same.y)
+
+
+@pytest.mark.parametrize("count", [201, 1001])
+def test_a_step_that_pilots_choose_is_not_shortened_by_saved_times(count: int) -> None:
+    times = np.linspace(0.0, 20.0, count)
+    run = cb.solve("particle", "contact-rkn6", rtol=1e-6, save_at=times)
+    end = cb.solve("particle", "contact-rkn6", rtol=1e-6, save_at=[20.0])
+    assert run.ok
+    assert run.interpolated.sum() > 0.8 * count
+    assert cb.LAWS["solution_error"](run) < 1e-6
+    assert run.step_chosen > 0.1
+    assert run.counts.evaluations < 3 * end.counts.evaluations
+
+
+def test_laws_that_ran_out_of_time_are_measured_again() -> None:
+    run = cb.solve("particle", "rk8-7", rtol=1e-8, save_at=np.linspace(0.0, 20.0, 101))
+    assert run.interpolated.any()
+    assert np.isnan(run.laws(seconds=1e-9).loc["contact_drift", "deviation"])
+    assert run.laws().loc["contact_drift", "deviation"] < 1e-5

@@ -260,3 +260,11 @@ def test_an_expansion_beside_the_centre_of_symmetry_claims_no_momentum():
     assert [claimed(run) for run in runs] == [False, True]
     assert cb.LAWS["momentum_law"](runs[1]) < 1e-13
     assert cb.LAWS["momentum_law"](runs[0]) > 1e-4
+
+
+def test_a_start_at_the_minimum_of_a_potential_is_not_solved_by_its_linear_part():
+    pendulum = cb.Mechanical(
+        name="swing", potential=lambda q: -cb.math.cos(q[0]), q=(0.0,), p=(1.0,), t_end=9.0
+    )
+    method = cb.METHODS["contact-linear2"]
+    assert [method.solves(scene) for scene in (pendulum, cb.SCENES["oscillator"])] == [False, True]

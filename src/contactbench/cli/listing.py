@@ -76,7 +76,7 @@ def keeps(method: Method) -> str:
     """Return the laws that a method keeps at every step size."""
     from contactbench.methods.base import FAMILIES
 
-    found = {"η": method.contact, "J": method.family == FAMILIES[0]}
+    found = {"η": method.contact, "J": method.family == FAMILIES[0] and not method.expands}
     return " and ".join(words for words, true in found.items() if true)
 
 

@@ -189,7 +189,7 @@ def knows_factor(solution: Solution) -> bool:
 
 def is_of_symmetric_flows(solution: Solution) -> bool:
     """Return whether the flows also have the symmetry of the scene, which an expansion about a point may lack."""
-    return knows_factor(solution) and not getattr(getattr(solution.run, "method_", None), "expands", False)
+    return knows_factor(solution) and not METHODS[solution.method].expands
 
 
 def is_contact_map(solution: Solution) -> bool:
@@ -352,7 +352,8 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
     verify_along(solution.scene)
     rows = {}
     bar = tqdm(laws_of(solution.scene), "laws", unit="law", delay=1.0, leave=False, disable=None)
-    solution.patience = patience = Patience(until, bar.set_postfix_str)
+    judged = solution.at_steps
+    solution.patience = judged.patience = patience = Patience(until, bar.set_postfix_str)
     try:
         for item in bar:
             bar.set_postfix_str(item.label)
@@ -360,9 +361,9 @@ def laws(solution: Solution, seconds: float = 60.0) -> pd.DataFrame:
                 with np.errstate(all="ignore"):  # states may be huge
                     rows[item.name] = measured_row(item, solution)
     finally:  # results that ran out of time are computed again by a later call
-        solution.patience = None
+        solution.patience = judged.patience = None
         if patience.over:
-            vars(solution.at_steps).pop("differential", None)
+            vars(judged).pop("differential", None)
         if isinstance(solution.truth, OutOfTime):
             solution.truth = None
     return pd.DataFrame.from_dict(

@@ -54,8 +54,8 @@ def oscillator(gamma: float, omega: float = 1.0) -> Mechanical:
 
 def fixed_step_methods() -> list[FixedStep]:
     """Return the methods that oscillators tell something about: they are not exact there, and have a step map."""
-    equal = [m for m in METHODS.values() if m.control == "step" and m.one_step and not m.expands]
-    return [m for m in equal if m.refuses(SCENES["oscillator"]) is None]
+    scene, equal = SCENES["oscillator"], [m for m in METHODS.values() if m.control == "step" and m.one_step]
+    return [m for m in equal if m.refuses(scene) is None and not m.solves(scene)]
 
 
 def is_processed(method: Method) -> TypeGuard[ContactMethod]:

@@ -673,7 +673,7 @@ class RungeKuttaPair(Adaptive):
 
     def source(self, request: Request) -> Source | None:
         try:
-            return OwnSteps(self.prepare(replace(request, save_at=request.save_at[-1:], dense=False)))
+            return OwnSteps(self.prepare(replace(request, save_at=request.save_at[-1:])))
         except CannotRecord:
             return None
 

@@ -44,7 +44,7 @@ from contactbench.numbers.control import Repeat, choose, repeat
 from contactbench.numbers.dual import leaves
 from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, Vector
 from contactbench.numbers.quadrature import Rule, rule
-from contactbench.scene import Scene
+from contactbench.scene import Scene, added
 from contactbench.scene.base import OwnState
 from contactbench.scene.flow import damping
 
@@ -106,10 +106,6 @@ def combined(weights: Sequence[Arithmetic], rows: Sequence[Sequence[Arithmetic]]
         sum((w * k for w, k in zip(weights[1:], others, strict=True)), weights[0] * first)
         for first, *others in zip(*rows, strict=True)
     )
-
-
-def added(x: Sequence[Arithmetic], move: Sequence[Arithmetic]) -> tuple[Arithmetic, ...]:
-    return tuple(a + b for a, b in zip(x, move, strict=True))
 
 
 def per_size(

@@ -13,7 +13,7 @@ from contactbench.methods.prepared import Prepared, Request
 from contactbench.numbers.protocol import Namespace
 from contactbench.scene import Mechanical, Scene
 from contactbench.splitting.composition import Composition, advance
-from contactbench.splitting.linear import Expansion, Split, expand
+from contactbench.splitting.linear import Expansion, Split, expand, is_quadratic
 from contactbench.splitting.tables import LINEAR
 
 
@@ -39,7 +39,7 @@ class ContactLinear(ContactMethod):
         return unfit(self, scene, fits, "H = T(p) + V(q) + γ s and a potential that can be differentiated")
 
     def solves(self, scene: Scene) -> bool:
-        return self.refuses(scene) is None and expand(scene).rest == 0
+        return self.refuses(scene) is None and is_quadratic(cast(Mechanical, scene))
 
     def on(self, scene: Scene, about: Sequence[float] | None = None) -> ContactLinear:
         """Return the method with the expansion of a scene; without a processor if no mode needs it."""

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ import numpy as np
 from contactbench.methods.dates import dates
 from contactbench.methods.hermite import newton
 from contactbench.methods.prepared import METHODS, NO_NUMBER, Outcome, Prepared, Request
-from contactbench.methods.scaled import compiled_scales
+from contactbench.methods.scaled import RunByTolerance
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import AnyState
@@ -162,25 +161,24 @@ class Polynomials:
 
 
 @dataclass
-class Dense(Prepared):
-    """Save states between the steps of a method."""
+class Interpolated(RunByTolerance):
+    """Save states between steps, by tolerance or not.
 
-    method_: Any
-    source: Source
+    plain : the run whose steps end at the saved times, for structure and for what does not end well.
+    """
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.compile_s, self.steps_taken = self.source.run.compile_s, self.source.run.steps_taken
-        self.moving = np.delete(np.arange(len(self.start)), [] if self._clock is None else self._clock)
+    plain: Prepared
+
+    def remade(self, request: Request) -> Prepared:
+        return densely(self.method_, request, self.method_.prepare(request))
 
     def __reduce__(self) -> tuple[object, ...]:
         return dense_again, (self.method, self.request)
 
-    @cached_property
-    def plain(self) -> Prepared:
-        """The run whose steps end at the saved times, for what does not end well."""
-        run: Prepared = self.method_.prepare(replace(self.request, dense=False))
-        return run
+    @property
+    def judged(self) -> Prepared:
+        """Return the run that is judged for structure: all of its saved states are ends of steps."""
+        return self.plain
 
     @property
     def composed(self) -> bool:
@@ -189,20 +187,28 @@ class Dense(Prepared):
     def modified_hamiltonian(self, x: AnyState) -> Numeric:
         return self.judged.modified_hamiltonian(x)
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        return np.asarray(self._dated(y0, self.integrate(y0).y)[-1])
 
-    @cached_property
-    def scaled(self) -> Callable[[np.ndarray], np.ndarray] | None:
-        return compiled_scales(self.request) if self.request.engine == "llvm" else None
+@dataclass
+class Dense(Interpolated):
+    """Save states between the steps of a method."""
 
-    def scales(self, y0: np.ndarray) -> np.ndarray:
-        return super().scales(y0) if self.scaled is None else self.scaled(y0)
+    source: Source
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.compile_s, self.steps_taken = self.source.run.compile_s, self.source.run.steps_taken
+        self.moving = np.delete(np.arange(len(self.start)), [] if self._clock is None else self._clock)
 
     @property
     def judged(self) -> Prepared:
-        """Return the run that is judged for structure: all of its saved states are ends of steps."""
         return self.source.judged or self.plain
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return np.asarray(self._dated(y0, self.integrate(y0).y)[-1])
+
+    def scales(self, y0: np.ndarray) -> np.ndarray:
+        compiled = self.scaled if self.request.engine == "llvm" else None
+        return super().scales(y0) if compiled is None else compiled(y0)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         self.require_size(y0)
@@ -331,42 +337,27 @@ def dense_again(method: str, request: Request) -> Prepared:
 
 
 @dataclass
-class Piloted(Prepared):
+class Piloted(Interpolated):
     """Choose a step by pilots that save few of the states, and take it with dense output."""
 
-    method_: Any
     pilots: Prepared
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.compile_s, self.run_of = self.pilots.compile_s, lru_cache(KEPT)(self.run_with)
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return dense_again, (self.method, self.request)
-
-    @cached_property
-    def judged(self) -> Prepared:
-        """The run whose steps end at the saved times."""
-        run: Prepared = self.method_.prepare(replace(self.request, dense=False))
-        return run
-
-    @property
-    def composed(self) -> bool:
-        return self.judged.composed
-
     def run_with(self, step: float) -> Prepared:
-        request = replace(self.request, step=step, rtol=None, atol=None)
-        return densely(self.method_, request, self.method_.prepare(request))
+        return self.remade(replace(self.request, step=step, rtol=None, atol=None))
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         self.require_size(y0)
         found = self.pilots.integrate(y0)
         if found.status is not Status.ok or found.steps is None:
-            return self.judged.integrate(y0)
+            return self.plain.integrate(y0)
         run = self.run_of(found.steps[1])
         out = run.integrate(y0)
         if out.status is not Status.ok:
-            return self.judged.integrate(y0)
+            return self.plain.integrate(y0)
         spent = (found.counts.evaluations or 0) + (out.counts.evaluations or 0)
         return replace(out, counts=out.counts._replace(evaluations=spent), steps=run.steps_taken)
 
@@ -378,8 +369,6 @@ def densely(method: Any, request: Request, run: Prepared) -> Prepared:
         if len(saved) <= PILOTED:
             return run
         few = saved[(np.arange(1, PILOTED + 1) / PILOTED * (len(saved) - 1)).round().astype(int)]
-        return Piloted(
-            method.name, request, method, method.prepare(replace(request, save_at=few, dense=False))
-        )
+        return Piloted(method.name, request, method, run, method.prepare(replace(request, save_at=few)))
     source = method.source(request) if len(saved) > 1 else None
-    return run if source is None else Dense(method.name, request, method, source)
+    return run if source is None else Dense(method.name, request, method, run, source)

@@ -242,7 +242,7 @@ class EqualSteps(Parts):
             return None
         piece = [np.full(len(grid), number) for number, grid in enumerate(grids)]
         nodes = np.concatenate([grids[0], *(grid[1:] for grid in grids[1:])])
-        run: Any = method.prepare(replace(request, save_at=nodes, dense=False))
+        run: Any = method.prepare(replace(request, save_at=nodes))
         source = EqualSteps(run, np.concatenate(piece), float(np.max(np.diff(marks) / n)))
         source.t = np.concatenate(grids)
         return source

@@ -32,9 +32,13 @@ class RunByTolerance(Prepared):
         if self.scaled is None or self.scaled(y0).tobytes() != self.own_scales:
             given = r.to_scale(self.method_.takes_atol, **r.scene.checked(data))
             if not np.array_equal(given.scales, r.scales):
-                other: Prepared = self.method_.prepare(given)
-                return other(**data)
+                return self.remade(given)(**data)
         return self.at_once(y0) if self.at_once else self.solved(y0, self.integrate)
+
+    def remade(self, request: Request) -> Prepared:
+        """Return a run of the same kind for another request."""
+        made: Prepared = self.method_.prepare(request)
+        return made
 
     @cached_property
     def scaled(self) -> Callable[[np.ndarray], np.ndarray] | None:

@@ -142,11 +142,11 @@ def climb(scene: Scene, method: Method, engine: str, control: str, profile: Prof
     every, enough = ladder(scene, method, control, dearest)
     least, idle, value = math.inf, 0, math.inf
     for count, value in enumerate(enough[:FEW] if profile.brief else enough):
-        row = guarded(scene, ended, (scene.name, method.name, engine, control, value))
-        least_profile = {"profile": NAMES[0] if count < FEW else NAMES[1]}
-        yield row | least_profile
+        question = scene.name, method.name, engine, control, value
+        row, own = guarded(scene, ended, question), {"profile": NAMES[0] if count < FEW else NAMES[1]}
+        yield row | own
         if is_saved(scene, method, control, row):
-            yield guarded(scene, many, (scene.name, method.name, engine, control, value)) | least_profile
+            yield guarded(scene, many, question) | own
         error = row.get("error", math.inf)
         if row["status"] in ("budget", "unsupported") or (row.get("evaluations") or 0) > dearest:
             break

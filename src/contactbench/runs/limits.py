@@ -78,7 +78,7 @@ def rate_cells(profile: Profile) -> list[Cell]:
         first = next(iter(cb.METHODS))
         return [("creep", first, creep), ("weak", first, SPANS[0])]
     full = profile.reaches("full")
-    able = (m for m in cb.METHODS.values() if not m.expands)  # those have every rate of an oscillator exactly
+    able = (m for m in cb.METHODS.values() if not m.solves(cb.SCENES["overdamped"]))
     soon = {m.name: full or m.engines[0] not in PACKAGES for m in able}
     found = [
         ("creep", name, creep)
@@ -121,9 +121,9 @@ TICKS, DRAGS = (30, 60, 120), (0.1, 0.3, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0)
 
 def ticking(profile: Profile) -> list[Cell]:
     """Return the one-step methods that evaluate one force a step, as a game engine does."""
-    every = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step]
-    own = [m for m in every if not (m.iterates or m.expands)]
-    found = [(m.name,) for m in own if m.refuses(FALLING) is None and m.per_step(FALLING) == 1]
+    own = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step and not m.iterates]
+    fit = [m for m in own if m.refuses(FALLING) is None and not m.solves(FALLING)]
+    found = [(m.name,) for m in fit if m.per_step(FALLING) == 1]
     return found[:1] if profile.brief else found
 
 

@@ -91,9 +91,9 @@ def cells(profile: Profile) -> list[Cell]:
 
     def runs(scene: Scene, method: Method) -> bool:
         brought = not {scene.name, method.name} <= OWN
-        if method.solves(scene) or (
-            profile.brief and not (brought or scene is scenes[0] or method is methods[0])
-        ):
+        if method.solves(scene):
+            return False
+        if profile.brief and not (brought or scene is scenes[0] or method is methods[0]):
             return False
         dear = method.expands or (method.iterates and is_extended(scene, method))
         return not dear or scene.mission or profile.reaches("full")

@@ -288,11 +288,8 @@ class Search:
         *earlier, end = times(scene, ENDS).tolist()
 
         def prepared(end: float, saved: int = 1) -> Prepared:
-            setting, saves = (
-                setting_to(end, scene, self.control, value),
-                end * np.arange(1, saved + 1) / saved,
-            )
-            return prepare(scene, self.method, save_at=Elapsed(saves), **setting, **options)
+            setting, saves = setting_to(end, scene, self.control, value), np.arange(1, saved + 1) / saved
+            return prepare(scene, self.method, save_at=Elapsed(end * saves), **setting, **options)
 
         def solved(run: Prepared) -> Solution:
             if perf_counter() > self.question.deadline:

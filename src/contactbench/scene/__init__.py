@@ -10,6 +10,7 @@ from contactbench.scene.algebra import (
     DrivenState,
     State,
     Vector,
+    added,
     cross,
     dot,
     norm,

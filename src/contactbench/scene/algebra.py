@@ -97,6 +97,10 @@ def scaled(c: Arithmetic | Vector, v: Sequence[Arithmetic]) -> Vector:
     return tuple(c * b for b in v)
 
 
+def added(a: Sequence[Arithmetic], b: Sequence[Arithmetic]) -> Vector:
+    return tuple(x + y for x, y in zip(a, b, strict=True))
+
+
 def times(c: Arithmetic | Vector, factor: Arithmetic) -> Arithmetic | Vector:
     """Return c · factor, for a tuple entry by entry."""
     return tuple(a * factor for a in c) if isinstance(c, tuple) else c * factor
