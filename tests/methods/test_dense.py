@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.methods.hermite import newton
+from contactbench.methods.hermite import FEWER, NODES, Components, interpolate
 
 METHODS = {
     "contact-rkn4": {"step": 0.25},
@@ -35,17 +35,42 @@ def error(run: cb.Solution) -> float:
 
 
 @pytest.mark.parametrize("r", [2, 3])
-def test_a_polynomial_is_its_own_interpolant(r: int) -> None:
-    """With its derivative, in unordered nodes; with fewer terms it is that through the first nodes."""
-    power = np.polynomial.Polynomial(np.arange(1.0, 4 * r + 1))
-    nodes = np.array([[0.5, 0.1, 1.0, -0.3]])
-    data = np.stack([power.deriv(k)(nodes) if k else power(nodes) for k in range(r)], axis=2)[..., None]
-    t = np.array([0.2, 0.7, -0.1])
-    (less, _), (value, slope) = newton(nodes, data).at(t, np.zeros(3, dtype=int), [3 * r, 4 * r])
-    assert value[:, 0] == pytest.approx(power(t), rel=1e-11)
-    assert slope[:, 0] == pytest.approx(power.deriv()(t), rel=1e-10)
-    ((alone, _),) = newton(nodes[:, :3], data[:, :3]).at(t, np.zeros(3, dtype=int), [3 * r])
-    assert less == pytest.approx(alone, rel=1e-12)
+@pytest.mark.parametrize("n", [5, 8, 20])
+def test_a_polynomial_is_its_own_interpolant(n: int, r: int) -> None:
+    """Its slope is that of another component, and polynomials of a lower degree have no error."""
+    power = np.polynomial.Polynomial(np.random.default_rng(n).uniform(-1, 1, r * (min(n, NODES) - FEWER)))
+    t = np.linspace(-1.0, 1.0, n)
+    data = np.stack([(power.deriv(k) if k else power)(t) for k in range(r)], axis=1)[:, :, None]
+    data = np.pad(data, [(0, 0), (0, 3 - r), (0, 1)], constant_values=np.nan)
+    components = Components(np.array([r, 0.0]), np.zeros(2), np.array([0.0, 0.5]))
+    saved = np.sort(np.random.default_rng(r).uniform(-0.99, 0.99, 30))
+    where, y, error = interpolate(t, np.zeros(n), data, components, saved)
+    assert ((t[where] <= saved) & (saved < t[where + 1])).all()
+    assert y[:, 0] == pytest.approx(power(saved), abs=1e-12)
+    assert y[:, 1] == pytest.approx(power.deriv()(saved) / 2, abs=1e-11)
+    assert error.max() < 1e-11
+
+
+def test_an_error_is_that_of_fewer_nodes() -> None:
+    t = np.arange(9.0)
+    data = np.stack([np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)], axis=1)[:, :, None]
+    components, saved = Components(np.array([3.0]), np.zeros(1), np.zeros(1)), np.array([3.3, 3.7])
+    (_, y, error), (_, less, _) = (
+        interpolate(t[part], np.zeros(n), data[part], components, saved)
+        for n, part in ((8, slice(0, 8)), (6, slice(1, 7)))
+    )
+    assert error == pytest.approx(np.abs(y - less), rel=1e-6)
+    assert 1e-12 < error.max() < 1e-5
+
+
+def test_no_polynomial_has_nodes_of_two_pieces() -> None:
+    t, piece = np.array([0.0, 1, 2, 3, 3, 4, 5, 6]), np.repeat([0.0, 1.0], 4)
+    value = np.where(piece == 0, t**2, 7.0)
+    data = np.stack([value, np.where(piece == 0, 2 * t, 0.0), np.where(piece == 0, 2.0, 0.0)], axis=1)
+    saved = np.array([0.5, 2.9, 3.1, 5.5])
+    components = Components(np.array([3.0]), np.zeros(1), np.zeros(1))
+    _, y, _ = interpolate(t, piece, data[:, :, None], components, saved)
+    assert y[:, 0] == pytest.approx([0.25, 2.9**2, 7.0, 7.0], rel=1e-13)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -12,13 +12,13 @@ import math
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from contactbench.methods.dates import dates
-from contactbench.methods.hermite import newton
+from contactbench.methods.hermite import Components, interpolate
 from contactbench.methods.prepared import METHODS, NO_NUMBER, Outcome, Prepared, Request
 from contactbench.methods.scaled import RunByTolerance
 from contactbench.numbers.dual import Dual, slope
@@ -27,8 +27,6 @@ from contactbench.scene import AnyState
 from contactbench.scene.base import Numeric
 from contactbench.solution import Counts, Status
 
-#: most nodes of a polynomial; the one that estimates its error has FEWER nodes less
-NODES, FEWER = 8, 2
 #: rounds in which intervals are halved; after the last one every state that is not accurate has a step of its own
 ROUNDS = 6
 #: the error of interpolation that is allowed, over the error of a step
@@ -102,27 +100,29 @@ class Polynomials:
         #: whether the momentum follows from the position; right-hand sides computed at nodes
         self.follows, self.made = False, 0
         self.data = self.data_at(nodes)
-        #: components whose second derivative is not known
-        self.short = np.isnan(self.data[:, -1]).all(axis=0)
 
     def data_at(self, nodes: Nodes) -> np.ndarray:
-        """Return value, slope and, where it can be computed, second derivative of each component, (n, r, d)."""
-        scene, y = self.scene, nodes.y.copy()
+        """Return value, slope and second derivative of each component, nan where it is not known, (n, 3, d)."""
+        scene, y = self.scene, nodes.y
         if self.bounds is not None:
+            y = y.copy()
             low, high = self.bounds[nodes.piece].T
             y[:, scene.clock] = self.y0[scene.clock] + np.clip(nodes.t, low, high)
+        data = np.full((len(y), 3, y.shape[1]), math.nan)
+        data[:, 0] = nodes.y
         x = scene.unpack(list(y.T), self.carry)
         f = scene.rhs(x) if nodes.slopes is None else scene.unpack(list(nodes.slopes.T), self.carry)
+        fill(data[:, 1], scene.pack(f))
         known = scene.bend(x, f)
-        data = [nodes.y, columns(scene.pack(f), len(y))]
         self.follows = known is not None
+        self.made += len(y) * (nodes.slopes is None)
         with suppress(CannotRecord, TypeError, *NO_NUMBER):
             if known is None:
-                along = scene.unpack(list(map(Dual, y.T, data[1].T)), self.carry)
+                along = scene.unpack(list(map(Dual, y.T, data[:, 1].T)), self.carry)
                 known = list(map(slope, scene.pack(scene.rhs(along))))
-            data.append(columns(known, len(y)))
-        self.made += len(y) * ((nodes.slopes is None) + (len(data) == 3 and not self.follows))
-        return np.stack(data, axis=1)
+                self.made += len(y)
+            fill(data[:, 2], known)
+        return data
 
     def add(self, nodes: Nodes) -> None:
         t, piece = np.append(self.t, nodes.t), np.append(self.piece, nodes.piece)
@@ -134,30 +134,20 @@ class Polynomials:
     def nodes(self) -> Nodes:
         return Nodes(self.t, self.data[:, 0], self.piece)
 
-    def at(self, t: np.ndarray, each: np.ndarray, intervals: np.ndarray, most: int) -> list[np.ndarray]:
-        """Return the states at times by polynomials through ever more nodes, at most `most`.
+    @cached_property
+    def components(self) -> Components:
+        d = self.data.shape[2]
+        data, leaders, rates = np.where(np.isnan(self.data[:, 2]).all(axis=0), 2.0, 3.0), *np.zeros((2, d))
+        if self.follows:
+            n = len(self.scene.q)  # type: ignore[attr-defined]
+            data[n : 2 * n], leaders[n : 2 * n] = 0, np.arange(n)
+            rates[n : 2 * n] = 1 / np.array(self.scene.velocity((1.0,) * n))  # type: ignore[attr-defined]
+        return Components(data, leaders, rates)
 
-        intervals : the nodes that begin them, in one piece with as many nodes at least.  each : that of every time.
-        """
-        first, end = (np.searchsorted(self.piece, self.piece[intervals], side) for side in ("left", "right"))
-        which = np.clip(intervals - most // 2 + 1, first, end - most)[:, None] + np.arange(most)
-        order = np.argsort(np.abs(which - intervals[:, None] - 0.5), axis=1, kind="stable")
-        which, r = np.take_along_axis(which, order, axis=1), self.data.shape[1]
-        counts = [most - FEWER, most] if most > FEWER + 1 else [most]
-        # times since the begin of each interval have all their digits
-        begins, nodes, data = self.t[intervals], self.t[which], self.data[which]
-        t, nodes = t - begins[each], nodes - begins[:, None]
-        made = newton(nodes, np.where(self.short, 0.0, data)).at(t, each, [r * count for count in counts])
-        found, n = [], len(getattr(self.scene, "q", ()))
-        for value, rising in made:
-            if self.follows:
-                value[:, n : 2 * n] = rising[:, :n] / np.array(self.scene.velocity((1.0,) * n))  # type: ignore[attr-defined]
-            found.append(value)
-        if self.follows and (rest := np.flatnonzero(self.short[2 * n :]) + 2 * n).size:
-            less = newton(nodes, data[:, :, :2, rest]).at(t, each, [2 * count for count in counts])
-            for value, (own, _) in zip(found, less, strict=True):
-                value[:, rest] = own
-        return found
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the interval, the state and estimates of its errors at each of increasing times."""
+        where, y, error = interpolate(self.t, self.piece, self.data, self.components, times)
+        return where, self.scene.settled(y, self.carry), error
 
 
 @dataclass
@@ -237,10 +227,11 @@ class Dense(Interpolated):
         rounding = ROUND_OFF * scales
         found, allowed = Polynomials(self.request, nodes, y0), source.allowed(scales)
         for last in [*[False] * ROUNDS, True]:
-            inside = place(found.t, t[left])
-            intervals, first, each, number = np.unique(inside, True, True, True)
-            states, error = self.interpolated(found, t[left], each, intervals)
-            worst = np.maximum.reduceat(error, first)
+            inside, states, error = found.at(t[left])
+            first = np.flatnonzero(np.append(True, inside[1:] > inside[:-1]))
+            intervals, number = inside[first], np.append(first[1:], len(inside)) - first
+            worst = np.maximum.reduceat(error[:, self.moving], first)
+            worst[np.isnan(worst)] = math.inf
             if allowed is None and (worst > rounding).any():
                 k = np.argmax((worst / scales).max(axis=1))
                 middle, part, more = self.measured(y0, found, intervals[k], scales)
@@ -250,6 +241,7 @@ class Dense(Interpolated):
                     left = self.known(found.nodes, left, y, between)
                     continue
             good = (worst <= (rounding if allowed is None else allowed)).all(axis=1)
+            each = np.repeat(np.arange(len(first)), number)
             y[left[good[each]]] = states[good[each]]
             alone = ~good & ((number == 1) | last)
             spent += self.single(y0, found.nodes, left[alone[each]], y, between)
@@ -262,10 +254,13 @@ class Dense(Interpolated):
 
     def known(self, nodes: Nodes, rows: np.ndarray, y: np.ndarray, between: np.ndarray) -> np.ndarray:
         """Save the states that are nodes; return the numbers of the others."""
-        times, first = np.unique(nodes.t, return_index=True)
-        near = on_grid(self.later[rows], times)
+        begins = np.append(
+            True, nodes.t[1:] > nodes.t[:-1]
+        )  # a break is the end of one piece and the start of another
+        near = on_grid(self.later[rows], nodes.t[begins])
         same = near >= 0
-        y[rows[same]], between[rows[same]] = nodes.y[first[near[same]]], False
+        if same.any():
+            y[rows[same]], between[rows[same]] = nodes.y[begins][near[same]], False
         return rows[~same]
 
     def single(
@@ -278,19 +273,6 @@ class Dense(Interpolated):
             spent += more
         between[rows] = False
         return spent
-
-    def interpolated(
-        self, found: Polynomials, t: np.ndarray, each: np.ndarray, intervals: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return states at times in some intervals and estimates of their errors, for the components but the time."""
-        y, error = np.empty((len(t), found.data.shape[2])), np.full((len(t), len(self.moving)), math.inf)
-        size = np.minimum(np.bincount(found.piece)[found.piece[intervals]], NODES)
-        for most in np.unique(size[each]).tolist():
-            own, rows = np.flatnonzero(size == most), np.flatnonzero(size[each] == most)
-            *fewer, y[rows] = found.at(t[rows], np.searchsorted(own, each[rows]), intervals[own], most)
-            if fewer:
-                error[rows] = np.abs(y[rows] - fewer[0])[:, self.moving]
-        return self.request.scene.settled(y, self.request.carry), np.nan_to_num(error, nan=math.inf)
 
     def halve(self, y0: np.ndarray, found: Polynomials, intervals: np.ndarray) -> int:
         """Add nodes in the middle of some intervals, and return the evaluations."""
@@ -328,8 +310,9 @@ def place(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.searchsorted(nodes, t, side="right") - 1
 
 
-def columns(numbers: Any, n: int) -> np.ndarray:
-    return np.stack([np.broadcast_to(np.asarray(c, dtype=float), n) for c in numbers], axis=1)
+def fill(rows: np.ndarray, numbers: Any) -> None:
+    for c, column in enumerate(numbers):
+        rows[:, c] = column
 
 
 def dense_again(method: str, request: Request) -> Prepared:

@@ -7,45 +7,144 @@ Bulirsch, Introduction to Numerical Analysis, §2.1.5).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from contactbench.trace.kernel import Kernel
 
-class Newton(NamedTuple):
-    """Polynomials in Newton's form: nodes (k, n) with repetitions, and coefficients (k, n, d)."""
-
-    nodes: np.ndarray
-    coefficients: np.ndarray
-
-    def at(
-        self, t: np.ndarray, which: np.ndarray, lengths: Sequence[int]
-    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield values and slopes (l, d) at times t of the polynomials `which`, with their first `lengths` terms."""
-        product, rising = np.ones((len(t), 1)), np.zeros((len(t), 1))
-        value, slope = (np.zeros((len(t), self.coefficients.shape[2])) for _ in range(2))
-        for k in range(self.nodes.shape[1]):
-            own = self.coefficients[which, k]
-            value += product * own
-            slope += rising * own
-            past = (t - self.nodes[which, k])[:, None]
-            rising, product = rising * past + product, product * past
-            if k + 1 in lengths:
-                yield value.copy(), slope.copy()
+#: most nodes of a polynomial; the one that estimates its error has FEWER nodes less
+NODES, FEWER = 8, 2
+#: value, slope and second derivative at a node; most data of a polynomial
+DATA, MOST = 3, 24
+INFINITE = math.inf
 
 
-def newton(t: np.ndarray, data: np.ndarray) -> Newton:
-    """Return the polynomials through values and derivatives, data (k, m, r, d) at nodes t (k, m)."""
-    _, m, r, _ = data.shape
-    nodes, level = np.repeat(t, r, axis=1), np.repeat(data[:, :, 0], r, axis=1)
-    coefficients = [level[:, 0]]
-    for k in range(1, m * r):
-        own = np.arange(m * r - k)
-        own = own[own % r + k < r]  # differences of equal nodes
-        gaps = nodes[:, k:] - nodes[:, :-k]
-        gaps[:, own] = 1.0
-        level = (level[:, 1:] - level[:, :-1]) / gaps[:, :, None]
-        level[:, own] = data[:, own // r, k] / math.factorial(k) if len(own) else level[:, own]
-        coefficients.append(level[:, 0])
-    return Newton(nodes, np.stack(coefficients, axis=1))
+class Components(NamedTuple):
+    """How the components of a state are interpolated, (d,) each.
+
+    data : data at a node, 2 or 3; 0 for a component that is `rates` times the slope of the component `leaders`.
+    """
+
+    data: np.ndarray
+    leaders: np.ndarray
+    rates: np.ndarray
+
+
+def interpolate(
+    t: np.ndarray, piece: np.ndarray, data: np.ndarray, components: Components, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the number of the node before each time, the states (l, d) there, and estimates of their errors (l, d).
+
+    t, piece, data : nodes (n,), the numbers of their pieces, which no polynomial leaves, and value, slope and second
+    derivative (n, 3, d).  times : increasing, (l,).
+    """
+    d = data.shape[2]
+    out = np.empty((len(times), 1 + 2 * d))
+    pieces = np.concatenate([[-1.0], piece, [-1.0]])
+    work = np.empty(NODES + 4 * MOST + 2 * MOST * MOST + MOST * d + 2 * d)
+    _interpolate(t, pieces, data.reshape(-1), *components, times, work, out.reshape(-1))
+    return out[:, 0].astype(int), out[:, 1 : d + 1], out[:, d + 1 :]
+
+
+@Kernel
+def _interpolate(t, piece, data, orders, leaders, rates, saved, work, out):  # type: ignore[no-untyped-def]
+    """Fill rows of `out`: the node before, the state, its error."""
+    n = len(t)
+    d = len(orders)
+    # places in `work`: per number of data, the data's nodes and where they are in `data`, and 1/differences of nodes
+    nodes = NODES
+    owner = nodes + 2 * MOST
+    gaps = owner + 2 * MOST
+    table = gaps + 2 * MOST * MOST
+    slopes = table + MOST * d
+    k = 0
+    at = -1
+    count = 0
+    shorter = 0
+    begin = 0.0
+    for i in range(len(saved)):
+        x = saved[i]
+        while k + 2 < n and t[k + 1] <= x:
+            k += 1
+        if k != at:
+            at = k
+            begin = t[k]
+            # the nearest nodes of the piece
+            count = 0
+            left = k
+            right = k + 1
+            for _j in range(NODES):
+                before = piece[left + 1] == piece[k + 1]
+                after = piece[right + 1] == piece[k + 1]
+                nearer = k - left <= right - k - 1
+                if before and (nearer or not after):
+                    work[count] = left
+                    left -= 1
+                    count += 1
+                elif after:
+                    work[count] = right
+                    right += 1
+                    count += 1
+            shorter = count - FEWER if count > FEWER + 1 else 0
+            for kind in range(2):
+                r = kind + 2
+                for j in range(count):
+                    for each in range(r):
+                        place = kind * MOST + j * r + each
+                        node = int(work[j])
+                        work[nodes + place] = t[node] - begin
+                        work[owner + place] = node * DATA * d
+                for below in range(count * r - 1):
+                    level = below + 1
+                    for j in range(count * r - level):
+                        place = kind * MOST + j + level
+                        gap = work[nodes + place] - work[nodes + place - level]
+                        work[gaps + (kind * MOST + level) * MOST + j + level] = 1.0 / gap
+            for c in range(d):
+                r = int(orders[c])
+                kind = MOST * (r - 2)
+                first = table + MOST * c
+                for j in range(count * r):
+                    work[first + j] = data[int(work[owner + kind + j]) + c]
+                for below in range(count * r - 1):
+                    level = below + 1
+                    given = level if level < r else 0
+                    for j in range(count * r - level):
+                        e = count * r - 1 - j
+                        known = data[int(work[owner + kind + e]) + given * d + c] / level
+                        equal = work[nodes + kind + e] == work[nodes + kind + e - level]
+                        gap = work[gaps + (kind + level) * MOST + e]
+                        other = (work[first + e] - work[first + e - 1]) * gap
+                        work[first + e] = known if equal else other
+        row = i * (2 * d + 1)
+        out[row] = k
+        for c in range(d):
+            r = int(orders[c])
+            kind = nodes + MOST * (r - 2)
+            first = table + MOST * c
+            value = 0.0
+            slope = 0.0
+            less = 0.0
+            lower = 0.0
+            product = 1.0
+            rising = 0.0
+            for j in range(count * r):
+                less = value if j == shorter * r else less
+                lower = slope if j == shorter * r else lower
+                own = work[first + j]
+                value += product * own
+                slope += rising * own
+                past = x - begin - work[kind + j]
+                rising = rising * past + product
+                product *= past
+            out[row + 1 + c] = value
+            out[row + 1 + d + c] = abs(value - less) if shorter > 0 else INFINITE
+            work[slopes + c] = slope
+            work[slopes + d + c] = lower
+        for c in range(d):
+            if orders[c] == 0.0:
+                slope = work[slopes + int(leaders[c])] * rates[c]
+                lower = work[slopes + d + int(leaders[c])] * rates[c]
+                out[row + 1 + c] = slope
+                out[row + 1 + d + c] = abs(slope - lower) if shorter > 0 else INFINITE
