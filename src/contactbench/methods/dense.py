@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.methods.dates import dates
-from contactbench.methods.hermite import Components, interpolate
+from contactbench.methods.hermite import NODES, Components, interpolate
 from contactbench.methods.prepared import METHODS, NO_NUMBER, Outcome, Prepared, Request
 from contactbench.methods.scaled import RunByTolerance
 from contactbench.numbers.dual import Dual, slope
@@ -230,33 +230,34 @@ class Dense(Interpolated):
             inside, states, error = found.at(t[left])
             first = np.flatnonzero(np.append(True, inside[1:] > inside[:-1]))
             intervals, number = inside[first], np.append(first[1:], len(inside)) - first
+            each = np.repeat(np.arange(len(first)), number)
             worst = np.maximum.reduceat(error[:, self.moving], first)
             worst[np.isnan(worst)] = math.inf
+            middle, better = None, False
             if allowed is None and (worst > rounding).any():
-                k = np.argmax((worst / scales).max(axis=1))
-                middle, part, more = self.measured(y0, found, intervals[k], scales)
+                k = intervals[np.argmax((worst / scales).max(axis=1))]
+                middle, part, more = self.measured(y0, found, k, scales)
                 allowed, spent = np.maximum(part * scales, rounding), spent + more
-                if (worst[k] > allowed).any():
-                    found.add(middle)
-                    left = self.known(found.nodes, left, y, between)
-                    continue
+                better = np.abs(intervals - k) < NODES  # polynomials that the middle belongs to
             good = (worst <= (rounding if allowed is None else allowed)).all(axis=1)
-            each = np.repeat(np.arange(len(first)), number)
             y[left[good[each]]] = states[good[each]]
-            alone = ~good & ((number == 1) | last)
+            alone = ~(good | better) & ((number == 1) | last)
             spent += self.single(y0, found.nodes, left[alone[each]], y, between)
-            halved = ~(good | alone)
-            if not halved.any():
+            halved = ~(good | better | alone)
+            left = left[~(good | alone)[each]]
+            if not left.size:
                 break
             spent += self.halve(y0, found, intervals[halved])
-            left = self.known(found.nodes, left[halved[each]], y, between)
+            if middle is not None:
+                found.add(middle)
+            left = self.known(found.nodes, left, y, between)
+            if not left.size:
+                break
         return y, between, spent + found.made * (2 if source.kind == "rotation" else 1)
 
     def known(self, nodes: Nodes, rows: np.ndarray, y: np.ndarray, between: np.ndarray) -> np.ndarray:
         """Save the states that are nodes; return the numbers of the others."""
-        begins = np.append(
-            True, nodes.t[1:] > nodes.t[:-1]
-        )  # a break is the end of one piece and the start of another
+        begins = np.append(True, nodes.t[1:] > nodes.t[:-1])  # of two nodes at a break the first
         near = on_grid(self.later[rows], nodes.t[begins])
         same = near >= 0
         if same.any():
@@ -282,7 +283,8 @@ class Dense(Interpolated):
             y, more = self.source.step(y0, nodes.y[k], nodes.t[k], time)
             made.append(y)
             spent += more
-        found.add(Nodes(middle, np.array(made), nodes.piece[intervals]))
+        if made:
+            found.add(Nodes(middle, np.array(made), nodes.piece[intervals]))
         return spent
 
     def measured(
