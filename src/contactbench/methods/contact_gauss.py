@@ -41,7 +41,7 @@ from contactbench.methods.implicit import (
     solved,
 )
 from contactbench.numbers.control import Repeat, choose, repeat
-from contactbench.numbers.dual import leaves
+from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, Vector
 from contactbench.numbers.quadrature import Rule, rule
 from contactbench.scene import Scene, added
@@ -54,6 +54,8 @@ ELIMINATED = 24
 MOST_STAGES = 32
 #: most stages whose polynomial starts the next step: that of more amplifies rounding to the size of the motion
 EXTRAPOLATED = 24
+#: steps that differ by this part are equal
+SAME = 1e-6
 #: what counts as the size of numbers at rest: this part of the size of the whole state, and not nothing
 REST, TINY = 4e-5, 1e-290
 
@@ -336,12 +338,23 @@ class ContactGauss(FixedStep):
     def advance(
         self, scene: Scene, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
     ) -> OwnState:
-        return self.advance_counted(scene, x, h, n, xp, repeat)[0]
+        return self.advance_beside(scene, x, h, n, xp, repeat)[0]
 
-    def advance_counted(
-        self, scene: Scene, x: OwnState, h: Arithmetic, n: Count, xp: Namespace, repeat: Repeat = repeat
-    ) -> tuple[OwnState, Arithmetic]:
-        """Return the state after n steps and the evaluations they took."""
+    def beside(self, scene: Scene, carry: Sequence[str]) -> int:
+        """Return how many numbers are kept: evaluations, the last step, and the slopes that the next begins with."""
+        return 2 + len(leaves(self.first(scene, scene.initial(tuple(carry)), math)))
+
+    def advance_beside(
+        self,
+        scene: Scene,
+        x: OwnState,
+        h: Arithmetic,
+        n: Count,
+        xp: Namespace,
+        repeat: Repeat = repeat,
+        beside: Sequence[Arithmetic] = (),
+    ) -> tuple[OwnState, Sequence[Arithmetic]]:
+        """Return the state after n steps and the numbers beside it; none are given where a run begins."""
 
         def another(carried: tuple[OwnState, Arithmetic, Any]) -> tuple[OwnState, Arithmetic, Any]:
             x, spent, slopes = carried
@@ -349,9 +362,13 @@ class ContactGauss(FixedStep):
             # a nan state costs no evaluations
             return x, spent + choose(more > 0, more, 0.0, xp), slopes
 
-        start = x, 1.0 + 0 * h, self.first(scene, x, xp)
-        x, spent, _ = repeat.steps(n, another, start, h)
-        return x, spent
+        slopes = self.first(scene, x, xp)
+        spent, last, *kept = beside or (0.0 * h, 0.0, *leaves(slopes))
+        going = abs(last - h) <= SAME * h  # a polynomial of other steps is no start
+        chosen = (choose(going, old, new, xp) for old, new in zip(kept, leaves(slopes), strict=True))
+        start = x, spent + 1.0, rebuild(slopes, list(chosen)) if beside else slopes
+        x, spent, slopes = repeat.steps(n, another, start, h)
+        return x, (spent, h, *leaves(slopes))
 
     def composed(self, scene: Scene) -> bool:
         return scene.is_contact

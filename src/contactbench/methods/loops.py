@@ -88,7 +88,8 @@ class StepLoop[Ready](ABC):
 
     def __init__(self, method: Steps, request: Request) -> None:
         self.method, self.scene, self.carry = method, request.scene, request.carry
-        self.counted = method.iterates
+        #: how many numbers a run keeps beside the state
+        self.beside = method.beside(self.scene, self.carry) if method.iterates else 0  # type: ignore[attr-defined]
 
     @abstractmethod
     def ready(self, h: np.ndarray, n: np.ndarray, since: np.ndarray | None = None) -> Ready:
@@ -147,11 +148,11 @@ def interruptible(work: Callable[[], object], stop: Callable[[], None], long: bo
 
 # -- the loop over steps, recorded from a method on a scene ------------------------------------------
 def program_of(
-    method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
+    method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, beside: int = 0
 ) -> Program:
     """Return the recorded loop of a method on a scene; raises `CannotRecord` if one of them branches on values.
 
-    tangent : the state is followed by a tangent vector.  counted : it is followed by the number of evaluations.
+    tangent : the state is followed by a tangent vector.  beside : how many numbers of the run follow it.
     """
     d = len(scene.labels(carry))
 
@@ -166,16 +167,15 @@ def program_of(
     ) -> list[Arithmetic]:
         if tangent:
             y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)  # type: ignore[arg-type]
-        x, spent = advanced(
-            method, scene.with_numbers(numbers), scene.unpack(y[:d], carry), h, n, xp, clock, repeat, counted
-        )
+        twin, given = scene.with_numbers(numbers), y[d:] if beside else ()
+        x, after = advanced(method, twin, scene.unpack(y[:d], carry), h, n, xp, clock, repeat, given)
         end = scene.pack(x)
-        if counted:
-            return [*end, y[d] + spent]
+        if beside:
+            return [*end, *after]
         return [*map(value, end), *map(slope, end)] if tangent else end
 
     watch = None if tangent else watch_of(scene, carry)
-    size = d * (1 + tangent) + counted
+    size = d * (1 + tangent) + beside
     clock = scene.clock if scene.keeps_dates else None
     return record(interval, len(scene.numbers()), size, scene.motion, DIVERGENCE, watch, clock)
 
@@ -205,22 +205,21 @@ def advanced(
     xp: Namespace,
     clock: Sequence[Arithmetic],
     repeat: Repeat = plain,
-    counted: bool = False,
+    beside: Sequence[Arithmetic] = (),
     bounded: bool = True,
-) -> tuple[OwnState, Arithmetic]:
-    """Return the state after n steps, and their evaluations if `counted`; clock : an origin and a row of `dates`.
+) -> tuple[OwnState, Sequence[Arithmetic]]:
+    """Return the state after n steps, and the numbers beside it; clock : an origin and a row of `dates`.
 
     bounded : whether times stay on one side of the breaks.
     """
     origin, *since = clock or (0.0,)
     if since:
         scene, x = dates.begin(scene, x, xp, origin, since, bounded)
-    spent: Arithmetic = 0.0
-    if counted:
-        x, spent = method.advance_counted(scene, x, h, n, xp, repeat)  # type: ignore[attr-defined]
+    if beside:
+        x, beside = method.advance_beside(scene, x, h, n, xp, repeat, beside)  # type: ignore[attr-defined]
     else:
         x = method.advance(scene, x, h, n, xp, repeat)
-    return dates.end(x, origin, since[0]) if since else x, spent
+    return dates.end(x, origin, since[0]) if since else x, beside
 
 
 @cache
@@ -364,16 +363,16 @@ _loops: Cache[Loop] = Cache(1024)
 
 
 def loop_of(
-    method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
+    method: Steps, scene: Scene, carry: tuple[str, ...], tangent: bool = False, beside: int = 0
 ) -> Loop:
     """Return the recorded loop of a method on a scene, cached by their identity; raises `CannotRecord`."""
 
     def make() -> Loop:
         elapsed = stopwatch()
-        program = program_of(method, scene, carry, tangent, counted)
+        program = program_of(method, scene, carry, tangent, beside)
         return Loop(program, elapsed())
 
-    return _loops.get(key(identity(method, scene, carry), tangent, counted), make)
+    return _loops.get(key(identity(method, scene, carry), tangent, beside), make)
 
 
 # -- by LLVM -----------------------------------------------------------------------------------------
@@ -385,7 +384,7 @@ class Recorded(StepLoop[Rows]):
     def __init__(self, method: Steps, request: Request) -> None:
         super().__init__(method, request)
         self.numbers = np.array(self.scene.numbers())
-        self.loop = loop_of(method, self.scene, self.carry, counted=self.counted)
+        self.loop = loop_of(method, self.scene, self.carry, beside=self.beside)
         self.loop.run  # noqa: B018, compiled now
         if request.step is None:  # every call chooses the step: `setup` runs often
             self.loop.setup  # noqa: B018
@@ -401,17 +400,17 @@ class Recorded(StepLoop[Rows]):
 
     def take(self, y0: np.ndarray, ready: Rows) -> tuple[np.ndarray, int | None]:
         h, n, since, rows = ready
-        start = np.append(y0, 0.0) if self.counted else y0
+        start = np.append(y0, np.zeros(self.beside)) if self.beside else y0
         if rows is None:
             y = self.loop.states(self.scene, start, h, n, since)
         else:
             y = np.empty((len(n), len(start)))
             self.loop.execute(start, rows, y.reshape(-1), total(n))
-        return spent(y) if self.counted else (y, None)
+        return spent(y, self.beside)
 
     def last(self, ready: Rows) -> Callable[[np.ndarray], np.ndarray]:
         _, n, _, rows = ready
-        if rows is None or self.counted:
+        if rows is None or self.beside:
             return super().last(ready)
         d = self.loop.program.size
         return self.loop.on(d, rows, (len(n) * d, len(n) * d + d))
@@ -424,7 +423,7 @@ class Recorded(StepLoop[Rows]):
 
     def watched(self, ready: Rows, steps: int, starts: bool) -> Watched | None:
         _, n, _, rows = ready
-        if rows is None or self.counted or not self.loop.program.watched or self.loop.is_long(steps):
+        if rows is None or self.beside or not self.loop.program.watched or self.loop.is_long(steps):
             return None
         d, saves = self.loop.program.size, len(n) + starts
         run = self.loop.on(d, rows, (0 if starts else d, len(n) * d + d), flagged=True)
@@ -436,10 +435,13 @@ class Recorded(StepLoop[Rows]):
         return watched
 
 
-def spent(y: np.ndarray) -> tuple[np.ndarray, int | None]:
-    """Split the states from the evaluations, which are the last number of each state."""
-    made = y[-1, -1]
-    return y[:, :-1], int(made) if math.isfinite(made) else None
+def spent(y: np.ndarray, beside: int) -> tuple[np.ndarray, int | None]:
+    """Split states from the numbers beside them, of which the first are the evaluations so far."""
+    if not beside:
+        return y, None
+    d = y.shape[1] - beside
+    made = y[-1, d]
+    return y[:, :d], int(made) if math.isfinite(made) else None
 
 
 # -- by Python ---------------------------------------------------------------------------------------
@@ -454,7 +456,7 @@ class Plain(StepLoop[Spans]):
             return
         elapsed = stopwatch()
         with suppress(CannotRecord):
-            program = program_of(method, self.scene, self.carry, counted=self.counted)
+            program = program_of(method, self.scene, self.carry, beside=self.beside)
             self.setup, self.run = execute(program.setup), execute(program.run)
             self.program, self.seconds = program, elapsed()
 
@@ -471,10 +473,10 @@ class Plain(StepLoop[Spans]):
                 y = np.array(self.run_program(self.program, y0.tolist(), ready))
         if y is None:
             y = self.as_written(y0, ready)
-        return spent(y) if self.counted else (y, None)
+        return spent(y, self.beside)
 
     def as_written(self, y0: np.ndarray, spans: Spans) -> np.ndarray:
-        y = np.full((len(spans), len(y0) + self.counted), math.nan)
+        y = np.full((len(spans), len(y0) + self.beside), math.nan)
         with suppress(*NO_NUMBER), np.errstate(all="ignore"):
             for k, after in enumerate(self.states(y0, spans)):
                 y[k] = after
@@ -483,7 +485,7 @@ class Plain(StepLoop[Spans]):
     def run_program(self, program: Program, y: list[float], spans: Spans) -> list[list[float]]:
         numbers, data, shape = self.scene.numbers(), program.data.tolist(), program.shape.tolist()
         rows, w, last = [], [[0.0] * program.width], None
-        y = [*y, 0.0] if self.counted else y
+        y = [*y, *[0.0] * self.beside]
         start = y
         for *span, times in spans:
             if span != last:
@@ -496,13 +498,12 @@ class Plain(StepLoop[Spans]):
         return rows
 
     def states(self, y0: np.ndarray, spans: Spans) -> Iterator[Sequence[float]]:
-        scene, made = self.scene, 0.0  # type: Scene, Any
+        scene, beside = self.scene, [0.0] * self.beside  # type: Any, Any
         x, origin = scene.unpack(scene.entries(y0), self.carry), scene.split_clock(y0)[0]
         for h, n, times in spans:
             clock = (origin, *times) if times else ()
-            x, more = advanced(self.method, scene, x, h, n, math, clock, counted=self.counted)
-            made += more
-            yield [*scene.pack(x), *([made] if self.counted else [])]
+            x, beside = advanced(self.method, scene, x, h, n, math, clock, beside=beside)
+            yield [*scene.pack(x), *beside]
 
 
 #: engine → the loop that takes the steps
