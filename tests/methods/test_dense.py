@@ -191,3 +191,31 @@ def test_laws_that_ran_out_of_time_are_measured_again() -> None:
     assert run.interpolated.any()
     assert np.isnan(run.laws(seconds=1e-9).loc["contact_drift", "deviation"])
     assert run.laws().loc["contact_drift", "deviation"] < 1e-5
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        "contact-rkn6",
+        "contact-gauss4",
+        "rk8-7",
+        "quinlan-tremaine8",
+        "scipy-dop853",
+        "cyrk-dop853",
+        "cvode-adams",
+        "heyoka-taylor",
+        "diffrax-dopri8",
+    ],
+)
+@pytest.mark.parametrize("scene", ["particle", "forced_oscillator"])
+def test_a_timed_call_returns_all_saved_states(scene: str, method: str) -> None:
+    if cb.METHODS[method].refuses(cb.SCENES[scene]):
+        return
+    setting = METHODS.get(method, {"step": 0.5} if cb.METHODS[method].control == "step" else {"rtol": 1e-7})
+    times = np.linspace(0.5, 20.0, 160)
+    run = cb.prepare(scene, method, save_at=times, **setting)
+    saved = run.bare_call()()
+    assert saved.shape == (len(times), len(run.start))
+    assert saved[:, :2] == pytest.approx(run().y[:, :2], abs=1e-3)
+    alone = cb.prepare(scene, method, save_at=times[-1:], **setting)
+    assert alone.bare_call()().shape == run.start.shape

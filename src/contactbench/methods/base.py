@@ -66,7 +66,7 @@ class Method(ABC):
      4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.  With a
         `source` it takes its own steps, and interpolates between them.
      5. ``bare(y0)`` is the fastest call of the solver itself, and is timed.  It returns the last state of the run to
-        round-off.
+        round-off.  Where more states are saved, ``bare_states(y0)`` is timed, which returns them all.
      6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between breaks, or saved times,
         and no longer than `step` (for a method that `follows` the motion they are equal in its own variable), and the
         error falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and `atol`, and `tolerance` says what

@@ -542,6 +542,9 @@ class ToleranceRun(RunByTolerance):
     def bare(self, y0: np.ndarray) -> np.ndarray:
         return self.dated(y0, self.states(y0).reshape(len(self.spans), -1)[-1, : len(y0)])
 
+    def bare_states(self, y0: np.ndarray) -> np.ndarray:
+        return self.states(y0).reshape(len(self.spans), -1)[self.saved, : len(y0)]
+
     def dated(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the last state with the time of the end, which is no sum of steps."""
         if self._clock is not None:

@@ -119,6 +119,9 @@ class FixedStepRun(Prepared):
         y, made = self.loop.take(y0, self.ready)
         return y, self.totals._replace(evaluations=made) if self.method_.iterates else self.totals
 
+    def bare_states(self, y0: np.ndarray) -> np.ndarray:
+        return self.take(y0)[0][self.saved]
+
     def into(self, start: np.ndarray, after: np.ndarray) -> Callable[[], int] | None:
         """Return the run on fixed memory, see `StepLoop.into`; None if it needs more than the loop."""
         return self.loop.into(self.ready, self.needed, start, after) if self.simple else None

@@ -116,6 +116,10 @@ class PeerRun(RunByTolerance):
         self.call = self.method_.call(self.method_, self.request)
         self.compile_s, self.bare = self.call.seconds, self.call.last  # type: ignore[method-assign]
 
+    def bare_states(self, y0: np.ndarray) -> np.ndarray:
+        y = self.call(y0).y
+        return super().bare_states(y0) if y is None else y
+
     def integrate(self, y0: np.ndarray) -> Outcome:
         y, counts, status, message, stopped = self.call(y0)
         reached = np.empty((0, len(y0))) if y is None else self.from_start(y0, y)

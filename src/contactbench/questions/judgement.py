@@ -13,8 +13,8 @@ from contactbench.tables.schema import Column, Rule
 
 #: runs with laws are saved at so many times
 SAVED = 25
-#: saved times of the contest for a curve
-CURVE = 1000
+#: saved times of the contest for a curve, and the errors between which its runs are timed
+CURVE, CURVE_ERRORS = 1000, (1e-8, 1e-5)
 #: numbers of evaluations at which methods are compared
 COSTS = tuple(part * 10.0**k for k in range(1, 7) for part in (1, 2, 5))
 #: in logarithms a smaller deviation counts as this one

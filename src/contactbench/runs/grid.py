@@ -13,7 +13,7 @@ import contactbench as cb
 from contactbench.measure.isolation import Died, TimedOut, Worker
 from contactbench.methods.base import ENGINES, Method
 from contactbench.plugins import OWN
-from contactbench.questions.judgement import CURVE
+from contactbench.questions.judgement import CURVE, CURVE_ERRORS
 from contactbench.runs.experiment import Cell, Profile, Recorded, Row, Timing, experiment, timed
 from contactbench.runs.rows import Question, SolverError, along, bare, ended, key, many
 from contactbench.runs.settings import DEAREST, SAVES, control_of, ladder, rungs_of_equal_cost
@@ -200,8 +200,13 @@ def run(cell: Cell, profile: Profile) -> Recorded:
 
 @timed(run)
 def times(row: Row) -> Timing | None:
-    if row["saved"] != 1 or row["status"] != "ok" or row.get("error") is None:
+    saved, error, (least, most) = row["saved"], row.get("error"), CURVE_ERRORS
+    if (
+        row["status"] != "ok"
+        or error is None
+        or not (saved == 1 or (saved == CURVE and least < error <= most))
+    ):
         return None
     names = ("scene", "method", "engine", "control", "setting")
     question = tuple(row[name] for name in names)
-    return Timing(dict(zip(names, question, strict=True)) | {"saved": 1}, bare, (question,), row["error"])
+    return Timing(dict(zip(names, question, strict=True)) | {"saved": saved}, bare, (question, saved), error)

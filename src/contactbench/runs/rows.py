@@ -157,10 +157,10 @@ def many(question: Question) -> Row:
     return row
 
 
-def bare(question: Question) -> tuple[Row, Call]:
-    """Return the times of preparation and of the first call of a run to the end, and the call to time."""
+def bare(question: Question, saved: int) -> tuple[Row, Call]:
+    """Return the times of preparation and of the first call of a run with so many saved times, and the call to time."""
     scene = cb.SCENES[question[0]]
-    run = prepared(question, [scene.t_end], carry_of(scene))
+    run = prepared(question, times(scene, saved).tolist(), carry_of(scene))
     start = perf_counter()
     run()
     first = perf_counter() - start

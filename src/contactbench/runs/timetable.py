@@ -80,8 +80,9 @@ class Entry:
 
     @property
     def beside(self) -> tuple[object, ...]:
-        """Return the group of a row: only calls of the same scene and kind of engine compete."""
-        return self.timing.key["scene"], ENGINES.get(self.timing.key["engine"])
+        """Return the group of a row: only calls of the same scene, saved times and kind of engine compete."""
+        key = self.timing.key
+        return key["scene"], key["saved"], ENGINES.get(key["engine"])
 
     def finish(self, visits: Sequence[Visit], again: Sequence[Visit]) -> None:
         columns = time_columns(visits) | (ratio_column("process", least, visits, again) if again else {})

@@ -94,7 +94,8 @@ def compare(
         ``reference(t) -> (k, d)``, the true states at k times where you know them: a row of q, then p (of a body of M,
         then the quaternion R) for each.  It is taken to be right to 15 digits.  By default it is computed.
     saved :
-        Number of equidistant saved times of a run that is counted and timed, by default the end alone.
+        Number of equidistant saved times of a run that is counted and timed, by default the end alone.  Evaluations
+        are those of dense output; the time is that of the faster of dense output and ``dense=False``.
 
     Returns
     -------
