@@ -52,7 +52,7 @@ class Scripted:
 
 
 def entry(name, order, recorded, *times, error=1e-3, again=None, lasts=0.001, **key):
-    known = {"scene": "s", "method": name, "engine": "llvm", "control": "step"} | key
+    known = {"scene": "s", "method": name, "engine": "llvm", "control": "step", "saved": 1} | key
     record = lambda row: recorded.update({name: (row, len(order))})  # noqa: E731
     return Entry(
         Timing(known, None, (), error), {}, Scripted(name, order, *times, lasts=lasts), again, [record]
@@ -85,6 +85,7 @@ CONTENDERS = {
     "one that is less accurate and slower": (1e-2, 3.0, {}, False),
     "one with callbacks": (1e-3, 50.0, {"engine": "python"}, True),
     "one on another scene": (1e-3, 50.0, {"scene": "other"}, True),
+    "one saved at other times": (1e-3, 50.0, {"saved": 1000}, True),
     "by tolerance": (1e-3, 3.0, {"control": "rtol"}, True),
     "by tolerance, and slower": (1e-3, 9.0, {"control": "rtol"}, False),
 }
@@ -124,7 +125,7 @@ QUESTION = ("particle", "contact-strang", "llvm", "step", 0.1)
 
 def test_cells_that_time_the_same_call_share_its_visits():
     rows, table = [], Timetable(set(), visits=2)
-    key = {"scene": "particle", "method": "contact-strang", "engine": "llvm", "control": "step"}
+    key = {"scene": "particle", "method": "contact-strang", "engine": "llvm", "control": "step", "saved": 1}
     with table:
         for _ in range(2):
             table.add(Timing(key, bare, (QUESTION,), 1e-3), rows.append)

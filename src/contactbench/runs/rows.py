@@ -157,7 +157,7 @@ def many(question: Question) -> Row:
     return row
 
 
-def bare(question: Question, saved: int) -> tuple[Row, Call]:
+def bare(question: Question, saved: int = 1) -> tuple[Row, Call]:
     """Return the times of preparation and of the first call of a run with so many saved times, and the call to time."""
     scene = cb.SCENES[question[0]]
     run = prepared(question, times(scene, saved).tolist(), carry_of(scene))
