@@ -219,3 +219,19 @@ def test_a_timed_call_returns_all_saved_states(scene: str, method: str) -> None:
     assert saved[:, :2] == pytest.approx(run().y[:, :2], abs=1e-3)
     alone = cb.prepare(scene, method, save_at=times[-1:], **setting)
     assert alone.bare_call()().shape == run.start.shape
+
+
+@pytest.mark.parametrize(
+    ("scene", "method", "ratio"),
+    [
+        ("particle", "contact-rkn8", 2.3),
+        ("forced_oscillator", "contact-rkn8", 5.0),
+        ("particle", "contact-linear2", 2.0),
+        ("particle", "contact-gauss8", 1.2),
+    ],
+)
+def test_a_saved_state_is_the_end_of_an_uninterrupted_run(scene: str, method: str, ratio: float) -> None:
+    """Neither a processor nor the iteration begins anew there."""
+    end, many = (cb.solve(scene, method, step=0.25, save_at=t) for t in ([20.0], np.append(TIMES, 20.0)))
+    assert many.y[-1] == pytest.approx(end.y[-1], rel=1e-13, abs=1e-14)
+    assert many.counts.evaluations < ratio * end.counts.evaluations

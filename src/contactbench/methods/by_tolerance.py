@@ -53,7 +53,7 @@ from contactbench.methods.runge_kutta import (
     undamped_twin,
 )
 from contactbench.methods.scaled import RunByTolerance
-from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
+from contactbench.numbers.control import Repeat, repeat, repeat_while, when
 from contactbench.numbers.dual import leaves, rebuild, value
 from contactbench.numbers.protocol import (
     Abilities,
@@ -100,15 +100,6 @@ Carried = tuple[Any, ...]
 #: variables of the loop over equal steps: state and slope before and after a step, sizes after it, time left before
 #: and after it, attempts, the square of the error, whether another step follows
 EqualSteps = tuple[Any, ...]
-
-
-def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: ChoosingNamespace, *given: object) -> X:
-    """Return body(x, *given) where the condition holds, else x.
-
-    Recorded loops move invariant expressions out; expressions in the arguments of the body stay inside.
-    """
-    once = choose(condition, 1.0, 0.0, xp), x, given
-    return repeat_while(lambda c: c[0] > 0, lambda c: (0.0, body(*c[1:2], *c[2]), c[2]), once, xp)[1]
 
 
 @dataclass(frozen=True)

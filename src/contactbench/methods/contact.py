@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep, Piece
-from contactbench.numbers.control import Repeat, repeat
+from contactbench.methods.loops import SAME
+from contactbench.numbers.control import Repeat, choose, repeat, when
+from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Arithmetic, Count, Namespace
 from contactbench.scene import AnyState, Scene
 from contactbench.scene.base import OwnState
@@ -24,8 +26,8 @@ from contactbench.splitting.composition import (
 from contactbench.splitting.modified import modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS
 
-#: evaluations of a first and of a further step, by method, kind of scene, and whether R is carried
-_costs: dict[tuple[ContactMethod, str, bool], tuple[int, int]] = {}
+#: `Plan.costs` by method, kind of scene, and whether R is carried
+_costs: dict[tuple[ContactMethod, str, bool], tuple[int, int, int]] = {}
 
 
 @dataclass(frozen=True)
@@ -75,20 +77,76 @@ class ContactMethod(FixedStep):
         value: Arithmetic = modified_hamiltonian(scene, own, x, h)
         return value
 
-    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+    def costs(self, scene: Scene, carry: Sequence[str] | None = None) -> tuple[int, int, int]:
         key = self, scene.kind, "R" in (scene.optional if carry is None else carry)
         if key not in _costs:
             kind = self.kind_on(scene)
             kinds = (kind, *(["attitude"] if kind == "rotation" and key[-1] else []))
             parts = self.parts(scene)
-            steps = plan(self.composition, parts)
-            once, twice = (steps.count(parts.flows, kinds, k) for k in (1, 2))
-            _costs[key] = once, twice - once
-        first, each = _costs[key]
-        return first + (n - 1) * each
+            _costs[key] = plan(self.composition, parts).costs(parts.flows, kinds)
+        return _costs[key]
+
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        opening, each, closing = self.costs(scene, carry)
+        return opening + n * each + closing
+
+    def keeping(self, scene: Scene) -> ContactMethod:
+        # the state of the kernel is past a break where the motion is at it
+        if not self.composition.processor or (
+            scene.clock is not None and (scene.layout or not scene.keeps_dates)
+        ):
+            return self
+        return Keeping(**{each.name: getattr(self, each.name) for each in fields(ContactMethod)}, method=self)
 
     def kind_on(self, scene: Scene) -> str:
         return "gradient" if "kick" in scene.flows else "rotation"
+
+
+@dataclass(frozen=True)
+class Keeping(ContactMethod):
+    """A processed composition that keeps the state of its kernel over saved times, where only the way back is paid."""
+
+    method: ContactMethod = field(kw_only=True)
+    iterates = True  # evaluations are counted as it runs
+
+    def parts(self, scene: Scene, xp: Namespace | None = None) -> Any:
+        return self.method.parts(scene, xp)
+
+    def cost_of_saving(self, scene: Scene, carry: Sequence[str]) -> int:
+        return self.costs(scene, carry)[2]
+
+    def beside(self, scene: Scene, carry: Sequence[str]) -> int:
+        """Return how many numbers are kept: evaluations, the last step, and the state of the kernel."""
+        return 2 + len(scene.labels(tuple(carry)))
+
+    def advance_beside(
+        self,
+        scene: Scene,
+        x: Any,
+        h: Arithmetic,
+        n: Count,
+        xp: Namespace,
+        repeat: Repeat,
+        beside: Sequence[Arithmetic],
+    ) -> tuple[OwnState, Sequence[Arithmetic]]:
+        """Return the state after n steps and the numbers beside it."""
+        parts = self.parts(scene, xp)
+        steps = plan(self.composition, parts)
+        opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
+        run = runner((*opening, *inner, *closing, *joint), parts, h, xp, repeat)
+        spent, last, *kept = beside
+        begins = abs(last - h) > SAME * h
+        z = rebuild(x, kept)
+        if joint:
+            z = when(abs(last - h) <= SAME * h, lambda z: run(joint, z), z, xp)
+        z = when(begins, lambda z, x: run(opening, x), z, xp, x)
+        z = repeat.steps(n - 1, lambda z: run((*inner, *joint), z), z, h)
+        z = run(inner, z)
+        kept = (
+            z if scene.clock is None else z._replace(t=z.t - n * h)
+        )  # times count from the begin of an interval
+        first, each, back = self.costs(scene, x._fields)
+        return run(closing, z), (spent + choose(begins, first, 0.0, xp) + n * each + back, h, *leaves(kept))
 
 
 def contact_method(composition: Composition) -> ContactMethod:

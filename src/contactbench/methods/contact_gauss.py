@@ -40,6 +40,7 @@ from contactbench.methods.implicit import (
     otherwise,
     solved,
 )
+from contactbench.methods.loops import SAME
 from contactbench.numbers.control import Repeat, choose, repeat
 from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Arithmetic, Condition, Count, Namespace, Vector
@@ -54,8 +55,6 @@ ELIMINATED = 24
 MOST_STAGES = 32
 #: most stages whose polynomial starts the next step: that of more amplifies rounding to the size of the motion
 EXTRAPOLATED = 24
-#: steps that differ by this part are equal
-SAME = 1e-6
 #: what counts as the size of numbers at rest: this part of the size of the whole state, and not nothing
 REST, TINY = 4e-5, 1e-290
 

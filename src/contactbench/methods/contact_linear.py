@@ -9,6 +9,7 @@ from typing import Any, cast
 
 from contactbench.methods.base import METHODS, unfit
 from contactbench.methods.contact import ContactMethod
+from contactbench.methods.dense import Source
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.numbers.protocol import Namespace
 from contactbench.scene import Mechanical, Scene
@@ -64,6 +65,11 @@ class ContactLinear(ContactMethod):
         if self.expansion is None:
             return self.on(request.scene, request.about).prepare(request)
         return super().prepare(request)
+
+    def source(self, request: Request) -> Source | None:
+        if self.expansion is None:
+            return self.on(request.scene, request.about).source(request)
+        return super().source(request)
 
 
 @lru_cache(1024)

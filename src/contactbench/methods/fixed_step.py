@@ -112,6 +112,14 @@ class FixedStep(Method):
         """Return the evaluations in n uninterrupted steps; carry : as in `solve`."""
         return n * self.evaluations
 
+    def keeping(self, scene: Scene) -> FixedStep:
+        """Return the method for runs with many saved states, which cost it less."""
+        return self
+
+    def cost_of_saving(self, scene: Scene, carry: Sequence[str]) -> int:
+        """Return the evaluations of a saved state: a run begins anew there."""
+        return self.counts(scene, 1, carry) - self.per_step(scene, carry) if self.one_step else 0
+
     def per_step(self, scene: Scene, carry: Sequence[str] | None = None) -> int:
         return self.counts(scene, 2, carry) - self.counts(scene, 1, carry)
 

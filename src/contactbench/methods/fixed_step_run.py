@@ -219,9 +219,10 @@ LEAST = 24
 class EqualSteps(Parts):
     """Equal steps between breaks, with nodes at every k-th of them."""
 
-    def __init__(self, run: FixedStepRun, piece: np.ndarray, longest: float) -> None:
-        super().__init__(run.method_, run.request, longest)
-        self.run = self.judged = run
+    def __init__(self, run: FixedStepRun, method: FixedStep, piece: np.ndarray, longest: float) -> None:
+        super().__init__(method, run.request, longest)
+        self.run = run
+        self.judged = run if run.method_ is method else None  # its derivative begins anew at every saved time
         self.piece = piece
         self.t = np.append(0.0, run.ends)
 
@@ -234,8 +235,8 @@ class EqualSteps(Parts):
         n = steps_in(np.diff(marks), marks[1:], request.step or math.nan)
         if total(n) > request.max_steps:
             return None
-        each = method.per_step(scene, request.carry)
-        more = method.counts(scene, 1, request.carry) - each + 1 if method.one_step else 0
+        each, keeping = method.per_step(scene, request.carry), method.keeping(scene)
+        more = keeping.cost_of_saving(scene, request.carry) + method.one_step
         grids, whole = [], []
         for begin, end, count in zip(marks, marks[1:], n.tolist(), strict=False):
             k = max(1, min(math.ceil(more / (SHARE * each)), count // LEAST))
@@ -245,8 +246,8 @@ class EqualSteps(Parts):
             return None
         piece = [np.full(len(grid), number) for number, grid in enumerate(grids)]
         nodes = np.concatenate([grids[0], *(grid[1:] for grid in grids[1:])])
-        run: Any = method.prepare(replace(request, save_at=nodes))
-        source = EqualSteps(run, np.concatenate(piece), float(np.max(np.diff(marks) / n)))
+        run: Any = keeping.prepare(replace(request, save_at=nodes))
+        source = EqualSteps(run, method, np.concatenate(piece), float(np.max(np.diff(marks) / n)))
         source.t = np.concatenate(grids)
         return source
 

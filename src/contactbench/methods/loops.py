@@ -33,6 +33,8 @@ AHEAD = 2**22
 FEW = 2**13
 #: steps times statements of about a hundredth of a second; seconds between two checks for signals
 LONG, LOOK = 3e7, 0.1
+#: steps that differ by this part are equal, and numbers beside the state belong to the next
+SAME = 1e-6
 #: number of divisions into steps whose rows a loop caches
 KEPT = 32
 

@@ -153,6 +153,15 @@ def repeat_while[X](condition: Callable[[X], Condition], body: Callable[[X], X],
     return x
 
 
+def when[X](condition: Condition, body: Callable[..., Any], x: X, xp: Namespace, *given: object) -> X:
+    """Return body(x, *given) where the condition holds, else x; nothing is computed in vain.
+
+    Recorded loops move invariant expressions out; expressions in the arguments of the body stay inside.
+    """
+    once: Any = choose(condition, 1.0, 0.0, xp), x, given
+    return repeat_while(lambda c: c[0] > 0, lambda c: (0.0, body(*c[1:2], *c[2]), c[2]), once, xp)[1]  # type: ignore[no-any-return]
+
+
 def unwind[X](body: Callable[[X, Any], X], x: X, outs: Any, xp: Namespace) -> X:
     """Return x after ``x = body(x, out)`` for the outs of `scan`, the last first."""
     if abilities(xp).traced:

@@ -142,11 +142,13 @@ class Plan:
     closing: tuple[Stage, ...]
     joint: tuple[Stage, ...]
 
-    def count(self, flows: Mapping[str, Flow], kinds: Collection[str], n: int) -> int:
-        def cost(stages: tuple[Stage, ...]) -> int:
-            return sum(flows[name].costs.get(kind, 0) for name, _ in stages for kind in kinds)
-
-        return cost(self.opening) + n * cost(self.inner) + (n - 1) * cost(self.joint) + cost(self.closing)
+    def costs(self, flows: Mapping[str, Flow], kinds: Collection[str]) -> tuple[int, int, int]:
+        """Return the evaluations of the begin of a run, of a further step, and of the way to a saved state."""
+        opening, inner, closing, joint = (
+            sum(flows[name].costs.get(kind, 0) for name, _ in stages for kind in kinds)
+            for stages in (self.opening, self.inner, self.closing, self.joint)
+        )
+        return opening - joint, inner + joint, closing
 
 
 def plan(composition: Composition, scene: Scene) -> Plan:
