@@ -224,7 +224,7 @@ def test_a_timed_call_returns_all_saved_states(scene: str, method: str) -> None:
 @pytest.mark.parametrize(
     ("scene", "method", "ratio"),
     [
-        ("particle", "contact-rkn8", 2.3),
+        ("particle", "contact-rkn8", 2.7),
         ("forced_oscillator", "contact-rkn8", 5.0),
         ("particle", "contact-linear2", 2.0),
         ("particle", "contact-gauss8", 1.2),
