@@ -20,7 +20,7 @@ from contactbench.report.chapters import discovered
 from contactbench.report.markdown import escaped
 from contactbench.tables import provenance
 from contactbench.tables.schema import PROFILES, TABLES, Rule, Table, floor
-from contactbench.tables.store import read, set_types
+from contactbench.tables.store import OldTable, read, set_types
 
 #: packages that solve nothing; two runs with other versions of them still count as one machine
 IDLE_PACKAGES = ("contactbench", "pandas", "matplotlib", "pytest-benchmark")
@@ -88,10 +88,6 @@ ADAPTIVE_SHARE = 0.1
 ITERATION_SHARE = 0.05
 #: a measured claim below this share of its bound counts as round-off
 OF_BOUND = 1e-3
-#: largest factor between the times of one method and the times of its whole table
-TIME_FACTOR = 2.0
-#: fewest rows of a method, and fewest pairs of a table, whose times are judged
-LEAST_ROWS, LEAST_PAIRS = 3, 8
 
 
 def distance(name: str, rule: Rule, rows: pd.DataFrame, alike: bool) -> np.ndarray:
@@ -177,24 +173,6 @@ def worst(found: pd.DataFrame) -> pd.DataFrame:
     return found.drop(columns="distance").sort_index()
 
 
-def compare_times(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> pd.DataFrame:
-    """Return the methods whose times moved relative to the median of their table."""
-    found: list[Row] = []
-    for name in [name for name, rule in table.rules.items() if rule is Rule.time]:
-        both = before.merge(after, on=list(table.key), suffixes=("", " after"))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            moved = np.log(both[f"{name} after"] / both[name]).replace([np.inf, -np.inf], np.nan).dropna()
-        if len(moved) < LEAST_PAIRS:
-            continue
-        where = [both.loc[moved.index, key] for key in ("method", "engine")]
-        ratios = (moved - moved.median()).groupby(where).agg(["median", "size"])
-        moved = (ratios["median"].abs() > math.log(TIME_FACTOR)) & (ratios["size"] >= LEAST_ROWS)
-        for (method, engine), (ratio, count) in ratios[moved].iterrows():
-            row = {"table": table.name, "method": method, "engine": engine, "measure": name, "before": "×1"}
-            found.append(row | {"after": f"×{math.exp(ratio):.2f}", "result": "moved", "rows": int(count)})
-    return rows_of(*found)
-
-
 def locate(table: Table, rows: pd.DataFrame) -> pd.DataFrame:
     found = pd.DataFrame(BLANK | {"table": table.name}, index=range(len(rows)))
     own = [name for name in ("scene", "method", "engine") if name in table.columns]
@@ -273,21 +251,17 @@ def machine(run: Mapping[str, Any]) -> str:
     return repr((run["isa"], run.get("cpu"), run.get("python"), packages))
 
 
-def is_older(path: Path) -> bool:
-    """Return whether a table has an unknown name, a version column or lacks a key column."""
-    with path.open(encoding="utf-8") as file:
-        columns = {*file.readline().strip().split(",")}
-    table = TABLES.get(path.stem)
-    return table is None or "schema" in columns or not {*table.key} <= columns
-
-
-def read_older(folder: Path) -> tuple[Frames, Findings]:
-    """Return the tables of an older revision and a note that counts the tables of an older layout."""
+def readable(folder: Path) -> tuple[Frames, list[str]]:
+    """Return the tables of a folder, and the names of the tables that it has in another layout."""
     discovered()  # questions may declare tables of their own
-    older = {path.stem for path in folder.glob("*.csv") if is_older(path)}
-    frames = {name: empty(name) if name in older else load(name, folder) for name in TABLES}
-    notes = [f"{len(older)} tables of the base are of an older layout: not compared"] if older else []
-    return frames, Findings(notes=tuple(notes))
+    frames, others = {}, []
+    for name in TABLES:
+        try:
+            frames[name] = load(name, folder)
+        except OldTable:
+            frames[name] = empty(name)
+            others.append(name)
+    return frames, others
 
 
 def load(name: str, folder: Path) -> pd.DataFrame:
@@ -300,9 +274,8 @@ def empty(name: str) -> pd.DataFrame:
 
 
 def compare_folders(baseline: Path, fresh: Path) -> Findings:
-    before, older = read_older(baseline)
-    now = {name: load(name, fresh) for name in TABLES}
-    found = older + compare_runs(before, now, Runs.of(baseline, fresh), "base → fresh")
+    (before, _), now = readable(baseline), {name: load(name, fresh) for name in TABLES}
+    found = compare_runs(before, now, Runs.of(baseline, fresh), "base → fresh")
     if not found.notes:
         raise BadInput(f"{baseline}: no row that a run of this profile makes")
     return found

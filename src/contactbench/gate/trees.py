@@ -27,12 +27,10 @@ from contactbench.gate.compare import (
     between,
     compare,
     compare_runs,
-    compare_times,
-    empty,
     keys,
     load,
     locate,
-    read_older,
+    readable,
     rows_of,
     worst,
 )
@@ -40,7 +38,6 @@ from contactbench.plugins import brought
 from contactbench.tables import provenance
 from contactbench.tables.declared import TIMES
 from contactbench.tables.schema import TABLES, Table
-from contactbench.tables.store import OldTable
 
 PARTS = ("accuracy", "speed")
 #: lines of commit messages that announce changed tables (or "all") and removed tests
@@ -48,8 +45,6 @@ TABLES_CHANGED = re.compile(r"^Tables-changed:(.*)$", re.MULTILINE | re.IGNORECA
 TESTS_REMOVED = re.compile(r"^Tests-removed:(.*)$", re.MULTILINE | re.IGNORECASE)
 TEST_FUNCTION = re.compile(r"^ *(?:async )?def (test_\w+)", re.MULTILINE)
 ALL = "all"
-#: a revision whose tables.toml lacks this line has tables of an older layout, and its gate cannot judge ours
-LAYOUT, SINCE = Path("src/contactbench/tables/tables.toml"), "[tables.runs]"
 
 
 def by_base(folder: Path, base: str | None, line: Sequence[str], stdout: TextIO) -> int | None:
@@ -62,8 +57,6 @@ def by_base(folder: Path, base: str | None, line: Sequence[str], stdout: TextIO)
         if not (tree / "src/contactbench/gate").is_dir():
             why = f"the base {base[:12]} has no gate that could judge; give a later --base"
             raise BadInput(f"inconclusive: {why}")
-        if not ((tree / LAYOUT).exists() and SINCE in (tree / LAYOUT).read_text(encoding="utf-8")):
-            return None
         command = [sys.executable, "-P", "-m", "contactbench", *line, "--base", base]
         variables = revisions.environment(tree) | {revisions.JUDGED: "1"}
         with subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True) as run:
@@ -102,15 +95,14 @@ def gate(
         old = revisions.inside(tree, root, results)
         if not any(old.glob("*.csv")):
             raise BadInput(f"--base {base[:12]}: no tables in {where}/ at that revision")
-        before, found = read_older(old)
-        older = bool(found.notes)
+        (before, others), found = readable(old), Findings()
         if "accuracy" in parts:
             if fresh is None:
                 fresh = Path(scratch)
                 found += run_benchmark(root, fresh)
             messages = revisions.git(root, "log", "--format=%B", f"{base}..HEAD")
             named = changed_tables(messages, changed, {path.stem for path in old.glob("*.csv")})
-            found += compare_tables(root, results, before, fresh, {*TABLES} if older else named)
+            found += compare_tables(root, results, before, fresh, named | {*others})
             rows = check_tests(tree, root, messages)
             if revisions.ours(root) and any((side / "README.md").exists() for side in (old, results)):
                 rows += check_report(root, results)
@@ -153,15 +145,14 @@ def row(measure: str, before: str, after: str, result: str, **where: object) -> 
 
 def compare_tables(root: Path, results: Path, before: Frames, fresh: Path, changed: set[str]) -> Findings:
     """Compare the tables of the tree with the base, and a fresh run with the tree."""
-    (head, rows), (now, more) = (readable(side, changed) for side in (results, fresh))
-    rows += more + check_records(root, {results: head, fresh: now}, fresh)
+    (head, others), (now, more) = map(readable, (results, fresh))
+    unlisted = [name for name in (*others, *more) if name not in changed]
+    rows = [row("layout", "ours", "another", "not listed", table=name) for name in unlisted]
+    rows += check_records(root, {results: head, fresh: now}, fresh)
     runs, found = Runs.of(results, fresh), Findings()
     for name, table in TABLES.items():
         one, tree, made, listed = before[name], head[name], now[name], name in changed
         moved = [compare(table, one, tree)]
-        if runs.alike:
-            moved.append(compare_times(table, one, tree))
-            found += between("tree → fresh", compare_times(table, tree, made))
         if len(one) or not listed:  # every row of a new, announced table is new
             moved.append(unmade(table, runs, one, tree, made))
         found += between("base → tree", *moved, listed=listed)
@@ -178,18 +169,6 @@ def unmade(
     new = new.drop(index=runs.expected(table, new, fresh).index)
     found = locate(table, new).assign(measure="row", before="none", after="present", distance=0.0)
     return worst(found.assign(result="new, made by no fresh run"))
-
-
-def readable(folder: Path, changed: set[str]) -> tuple[Frames, list[Row]]:
-    """Return the tables of a folder, and a red row for each whose layout changed unannounced."""
-    frames, rows = {}, []
-    for name in TABLES:
-        try:
-            frames[name] = load(name, folder)
-        except OldTable:
-            frames[name] = empty(name)
-            rows += [row("layout", "ours", "another", "not listed", table=name)] * (name not in changed)
-    return frames, rows
 
 
 def check_rows(table: Table, before: pd.DataFrame, head: pd.DataFrame, fresh: pd.DataFrame) -> list[Row]:
