@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from fractions import Fraction
 from functools import cache
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from cases import few_slow
 from contactbench.methods import METHODS
 from contactbench.methods.contact import contact_method
-from contactbench.paper import CLAIMS, Correction, Verdict, algebra, geometry, integrator, rigid_body, verdict
+from contactbench.paper import CLAIMS, Correction, Verdict, geometry, integrator, rigid_body, verdict
 from contactbench.paper.curves import FIGURES, rows
 from contactbench.paper.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
 from contactbench.paper.ledger import BOUNDS, Claim, Measurement
@@ -27,7 +26,7 @@ def ids(*numbers):
     return [f"C{n:02d}" for n in numbers]
 
 
-MORE = ["X01", "X02", "X03"]  #: beyond the paper
+MORE = ["X01", "X02"]  #: beyond the paper
 ALL = [*ids(*range(1, 61)), *MORE]
 #: rows that take long
 LONG = [name for name, item in CLAIMS.items() if item.dear]
@@ -101,7 +100,6 @@ OTHERS = [
     *((name, {"gamma": 0.3}) for name in ids(58, 60)),
     ("X01", {"gamma": 0.3, "weak": 3e-5, "steps": 400_000}),
     ("X02", {"rough": 1e-5, "fine": 1e-9}),
-    ("X03", {"seed": 7, "gamma": 1.0}),
 ]
 
 
@@ -317,15 +315,6 @@ def test_a_method_unstable_where_the_splitting_is_not_refutes_stability(monkeypa
 def test_an_integrator_of_another_order_fills_no_gap(monkeypatch):
     monkeypatch.setattr(integrator, "PUBLISHED", {"herglotz1": 2019})
     assert CLAIMS["C51"].row(scene="central")["verdict"] == "holds"
-
-
-def test_without_the_brackets_part_in_s_damping_would_save_conditions_too(monkeypatch):
-    exact = algebra.jacobi
-    still = lambda f, n: {m: c for m, c in f.items() if not m[2 * n]}  # noqa: E731
-    monkeypatch.setattr(algebra, "jacobi", lambda f, g, n: exact(still(f, n), still(g, n), n))
-    assert algebra.dimensions(3, Fraction(1, 3), seed=1) == algebra.WITHOUT[3]
-    monkeypatch.undo()
-    assert algebra.dimensions(3, Fraction(1, 3), seed=1) == algebra.WITH
 
 
 # -- the figures ----------------------------------------------------------
