@@ -8,6 +8,7 @@ from functools import cache
 from typing import ClassVar, cast
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from contactbench.checks import function, require_number
 from contactbench.errors import BadInput
@@ -42,15 +43,10 @@ NODES, ITERATIONS, PANELS = 16, 6, 2
 @cache
 def rule() -> tuple[list[float], list[float], list[list[float]]]:
     """Return Gauss's nodes and weights on [0, 1], and the weights of the integrals from 0 to each node."""
-    x, w = np.polynomial.legendre.leggauss(NODES)
-    degrees = np.arange(NODES)
-    values = np.polynomial.legendre.legvander(x, NODES)
-    # ∫_{−1}^x P_n = (P_{n+1} − P_{n−1})/(2n + 1), and x + 1 of P_0
-    below = np.column_stack([-np.ones(NODES), values[:, : NODES - 1]])
-    integrals = (values[:, 1:] - below) / (2 * degrees + 1)
-    # of the polynomial, by its values at the nodes
-    coefficients = (degrees + 0.5)[:, None] * values[:, :NODES].T * w
-    return ((1 + x) / 2).tolist(), (w / 2).tolist(), (integrals @ coefficients / 2).tolist()
+    x, w = legendre.leggauss(NODES)
+    integrals = legendre.legval(x, legendre.legint(np.eye(NODES), lbnd=-1)).T
+    upto = integrals @ np.linalg.inv(legendre.legvander(x, NODES - 1)) / 2
+    return ((1 + x) / 2).tolist(), (w / 2).tolist(), upto.tolist()
 
 
 def decayed(
