@@ -7,7 +7,7 @@ components of a packed state, m tangent directions.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from contactbench import early, peers
+from contactbench import peers
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, fixed_step, prepare, solve

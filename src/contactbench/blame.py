@@ -13,7 +13,6 @@ from pathlib import Path
 from types import FunctionType
 
 from contactbench.errors import BadInput, one_line
-from contactbench.limits import VARIABLE, Overrun, allowed, within
 
 #: most characters of a foreign message that are repeated
 REPEATED = 120
@@ -89,10 +88,7 @@ def plain_function(error: BaseException) -> str | None:
 
 def user_error(what: str, error: BaseException) -> UserError:
     """Return the error as one line with its origin, place and message."""
-    if isinstance(error, Overrun):
-        says = f"ended after {allowed():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
-    else:
-        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}{lengths(error)}"
+    says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}{lengths(error)}"
     made = UserError(f"{what}{place(error)}: {says}")
     made.__cause__ = error
     return made
@@ -128,10 +124,9 @@ def blame(what: str, error: BaseException) -> BaseException:
 
 @contextmanager
 def their_code(what: str) -> Iterator[None]:
-    """Raise a `UserError` that names `what` for an error, an exit or an endless loop inside."""
+    """Raise a `UserError` that names `what` for an error or an exit inside."""
     try:
-        with within(allowed()):
-            yield
+        yield
     except (BadInput, KeyboardInterrupt, GeneratorExit):
         raise
     except BaseException as error:

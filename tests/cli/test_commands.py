@@ -343,19 +343,6 @@ def test_what_reads_a_pipe_may_leave():
         assert (process.stderr.read(), process.wait()) == ("", 141)
 
 
-def test_a_limit_of_time_that_is_none_is_one_line():
-    done = run(*MODULE, "list", "laws", CONTACTBENCH_PLUGIN_TIMEOUT="abc")
-    message = "contactbench: CONTACTBENCH_PLUGIN_TIMEOUT = abc: must be seconds ≥ 0\n"
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", message)
-
-
-def test_an_interrupt_while_it_is_imported_is_one_line(tmp_path):
-    """Raised by the first module that contactbench imports after its own first."""
-    (tmp_path / "numpy.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\n")
-    done = run(*MODULE, "list", PYTHONPATH=os.pathsep.join([str(tmp_path), *sys.path]))
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "contactbench: interrupted\n")
-
-
 def test_a_thread_of_a_plug_in_does_not_keep_the_process(tmp_path):
     step = "import contactbench as cb\ncb.SCENES.add(cb.SCENES['particle'].with_(name='mine'))\n"
     thread = "import threading\nthreading.Thread(target=threading.Event().wait).start()\n"

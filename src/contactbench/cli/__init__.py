@@ -14,14 +14,9 @@ from contextlib import suppress
 from importlib import metadata
 from typing import NoReturn
 
-from contactbench import early
 from contactbench.cli import listing, runs, tables
 from contactbench.cli.parsing import HELP, PLUGIN, Parser, add_options
 from contactbench.errors import BadInput, UnknownName, one_line
-from contactbench.limits import VARIABLE, limit
-
-#: default time limit of a plug-in
-SECONDS = "60"
 
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "list": listing.listing,
@@ -32,7 +27,6 @@ COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "report": tables.report,
     "bench": tables.bench,
     "gate": tables.gate,
-    "references": tables.references,
 }
 
 
@@ -109,14 +103,8 @@ def command(argv: list[str] | None) -> int:
     arguments.more = more  # methods that follow an option
     arguments.stdout = stdout = sys.stdout
     try:
-        early.end()
         if getattr(arguments, "json", False):  # stdout carries only the JSON, not a plug-in's output
             sys.stdout = sys.stderr
-        if plugins.plugin_timeout is not None:
-            os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too
-        elif argv is None:  # a process of its own
-            os.environ.setdefault(VARIABLE, SECONDS)
-        limit()
         if plugins.plugin:
             from contactbench.plugins import load_file
 

@@ -142,11 +142,6 @@ def compare(arguments: argparse.Namespace) -> int:
     import contactbench as cb
     from contactbench.study import race
 
-    if errors := [word for word in arguments.method + arguments.more if is_number(word)]:
-        given = f"--error {' '.join([arguments.error, *errors])}"
-        raise BadInput(
-            f"{given}: separate errors by commas, as in --error {','.join([arguments.error, *errors])}"
-        )
     scene = scene_of(arguments)
     methods = arguments.method + arguments.more or ("all" if arguments.all else None)
     budget = None if arguments.budget is None else duration(arguments.budget)
@@ -168,13 +163,6 @@ def compare(arguments: argparse.Namespace) -> int:
         ]
         print(race.text(frame, arguments.all, " ".join([arguments.scene, *options])))
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
-
-
-def is_number(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
 
 
 def numbers(text: str) -> list[float]:

@@ -1,4 +1,4 @@
-"""The commands ``contactbench claim | report | bench | gate | references``."""
+"""The commands ``contactbench claim | report | bench | gate``."""
 
 from __future__ import annotations
 
@@ -114,16 +114,3 @@ def judge(arguments: argparse.Namespace) -> int:
         found = trees.gate(*folders, arguments.base, parts, arguments.tables_changed)
     print(found.as_json() if arguments.json else found.as_markdown(), file=arguments.stdout)
     return found.status
-
-
-def references(_: argparse.Namespace) -> int:
-    from contactbench.truth import frozen_folder, manifest
-
-    folder = frozen_folder()
-    if folder is None:
-        raise BadInput("no stored references in this installation; they are computed live")
-    for name, entry in manifest(folder).items():
-        second = entry["second_engine"]["agreeing_digits"]
-        digits = f"{entry['digits']} digits stored, {second} confirmed by a second engine"
-        print(f"{name:24} {digits}, sha256 {entry['sha256'][:16]}…")
-    return 0
