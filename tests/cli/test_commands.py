@@ -262,17 +262,6 @@ def test_a_report_that_cannot_be_written_is_refused_first(tmp_path, monkeypatch,
         one_line("report", "--results", tmp_path, "--readme", path)
 
 
-def test_steps_are_prescribed_by_a_rule_or_a_file(tmp_path, capsys):
-    file = tmp_path / "steps.txt"
-    file.write_text("0.25 0.75\n1.0\n")
-    for steps, count in (("geometric:8:0.5", 8), (file, 3), ("0.1", 20)):
-        line = ["solve", "particle", "rk4", "--t-end", "2", "--json", "--step", str(steps)]
-        assert main(line) == 0
-        assert json.loads(capsys.readouterr().out)["counts"]["steps"] == count
-    assert main([*line[:-1], "geometric:8"]) == 2
-    assert "must be a number, geometric:COUNT:A, or a file" in capsys.readouterr().err
-
-
 # -- The command line as a process of its own ------------------------------------------------------
 MODULE = [sys.executable, "-m", "contactbench"]
 

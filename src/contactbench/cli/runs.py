@@ -16,7 +16,6 @@ from contactbench.errors import BadInput, unknown_name
 from contactbench.files import replacing
 
 if TYPE_CHECKING:
-    import numpy as np
     import pandas as pd
     from matplotlib.figure import Figure
 
@@ -63,8 +62,6 @@ def solve(arguments: argparse.Namespace) -> int:
         scene = scene.with_(t_end=arguments.t_end)
     options = {name: getattr(arguments, name) for name in ("step", "rtol", "engine", "max_steps")}
     options = {name: value for name, value in options.items() if value is not None}
-    if "step" in options:
-        options["step"] = steps(options["step"], scene.t_end)
     if arguments.carry is not None:
         options["carry"] = tuple(filter(None, arguments.carry.split(",")))
     if not (arguments.laws or arguments.plot or arguments.out):  # only the end matters
@@ -96,25 +93,6 @@ def solve(arguments: argparse.Namespace) -> int:
             value = f"{'≤ ' if law.upper_bound else ''}{law.deviation:.1e}"
             print_item(f"{law.Index:26} {value}  ", law.note or law.definition, 29 + len(value))
     return 0 if solution.ok else 1
-
-
-def steps(text: str, t_end: float) -> float | list[float] | np.ndarray:
-    """Return a step size, or prescribed steps from ``geometric:COUNT:A`` or a file of numbers."""
-    from contactbench.methods.prescribed import geometric_steps
-
-    kind, *values = text.split(":")
-    try:
-        if Path(text).is_file():
-            return list(map(float, Path(text).read_text().split()))
-        if kind != "geometric":
-            return float(text)
-        count, a = values
-        return geometric_steps(t_end, int(count), float(a))
-    except BadInput:
-        raise
-    except (OSError, ValueError):
-        allowed = "must be a number, geometric:COUNT:A, or a file of numbers"
-        raise BadInput(f"--step {text}: {allowed}") from None
 
 
 def summary(solution: Solution) -> dict[str, object]:
