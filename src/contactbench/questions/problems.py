@@ -19,16 +19,6 @@ from contactbench.report.views import Cell, Mark, View, frame_of
 #: costs in words, and the questions about them
 LABELS = {"evaluations": "evaluations", "time_s": "compiled time"}
 QUESTIONS: dict[str, str] = PROSE["problems"]["questions"]
-#: the error at which strata are shown
-STRATIFIED = 1e-6
-#: strata: a column, and where it is cut
-CUTS = {
-    "damping": (1e-3, 1e-1),
-    "span": (30.0, 300.0),
-    "size": (1.0, 2.0),
-    "force": (50.0, 100.0),
-    "spread": (1.2, 2.0),
-}
 #: how runs end, in order; the largest error of one that is right
 ENDS, RIGHT = ("right", "wrong", "diverged", "failed", "budget"), 1e-3
 
@@ -169,32 +159,6 @@ def methods_view(frames: Frames) -> View:
     return view("random_methods", frame_of(lines, labels))
 
 
-def strata(problems: pd.DataFrame) -> dict[str, pd.Series]:
-    """Return labels, and which rows are of each."""
-    found = {}
-    for name, (low, high) in CUTS.items():
-        values = problems["cost" if name == "force" else name].astype(float)
-        found[f"{name} ≤ {low:g}"] = values <= low
-        found[f"{name} {low:g} … {high:g}"] = (values > low) & (values <= high)
-        found[f"{name} > {high:g}"] = values > high
-    return found | {str(family): problems["structure"] == family for family in problems["structure"].unique()}
-
-
-def strata_view(frames: Frames) -> View:
-    seed, labels, parts = seeds(frames)[0], [("", "problems")], []
-    for cost in COSTS:
-        own, lines = of(frames, seed, cost, STRATIFIED), {}
-        for label, inside in strata(own).items():
-            part = own[inside]
-            counted = part["best"].value_counts()
-            name = f"{counted.index[0]} {counted.iloc[0]}" if len(counted) else DASH
-            lines[label] = [len(part), share(part["near"]), name]
-        parts.append(pd.DataFrame.from_dict(lines, orient="index"))
-        labels += [(LABELS[cost], what) for what in ("problems", "contact near the least", "most often best")]
-    joined = pd.concat(parts, axis=1).reset_index()
-    return view("random_strata", frame_of(joined.itertuples(index=False), labels))
-
-
 # -- strong damping --------------------------------------------------------------------------------
 #: the kind of hard problems whose motions creep under strong damping, a contest as those that are not hard
 CREEP = "creep"
@@ -240,4 +204,4 @@ def hard_view(frames: Frames) -> View:
 @chapter("problems", answers)
 def parts(frames: Frames) -> Iterable[Part | None]:
     if len(usual(frames)):
-        yield from (one(frames) for one in (contests_view, methods_view, strata_view, creep_view, hard_view))
+        yield from (one(frames) for one in (contests_view, methods_view, creep_view, hard_view))
