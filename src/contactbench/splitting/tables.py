@@ -1,165 +1,41 @@
-"""Define the compositions by their coefficients.
-
-Published tables have 15 to 26 digits.  The ones here are the solutions of the order conditions next to
-them, to 50 digits (Newton's method in the free algebra of the two parts, modulo [B, [B, [B, A]]] for
-the Nyström ones); none differs from print by more than a few units in the last digit.
-
-A table of a two-part composition has the coefficients of both parts in turn, a pair per line, up to the middle pair,
-which consistency determines (`palindrome`).
-"""
+"""Read the compositions, whose coefficients are in compositions.toml."""
 
 from __future__ import annotations
 
+import tomllib
 from fractions import Fraction
+from importlib.resources import files
+from typing import Any
 
-from contactbench.splitting.composition import HALF, ONE, Composition, balance, palindrome, strang_composition
-
-BLANES_MOAN = "Blanes, Moan, J. Comput. Appl. Math. 142, 313 (2002), doi:10.1016/S0377-0427(01)00492-7"
-
-_BM6 = """
- 0.050262764400392686021221654402397513629577787569618   0.1488164479010432319209010055360047916700944368305
- 0.41351430042834381506306372013091290903522165849761   -0.1323858657677836474488454265998966699569670767424
- 0.045079889794398062968897052124940537763958704107536   0.067307604692184458150257896592082543718256196906123
--0.18805485381956891479912848891626252441530182136536    0.43266640257817359752766797088454962323046694953908
- 0.54196067845078013483141474093199460128604741047017
-"""
-
-_RKN4 = """
- 0.082984406417405018838347478942265881558838163780929    0.24529895718427116260393242600141783223311001879892
- 0.39630980149836807709491152826365930198137621752971     0.60487266571107997496089269764306760781459593913832
--0.039056304922348435170865290765367112585752451476464
-"""
-
-_RKN6 = """
- 0.041464998518262843298778133916980363329979264472426    0.12322977594627115156108638033741953478048446514427
- 0.1981286719180665411367264731820410168042880747604      0.29055379779955827036641416932431729650341126625154
--0.040006192104152686888828363536154469243445061813333   -0.12704921262541691566250505382923211008325120941956
- 0.075253984301580341127878878525511443979020626422923   -0.24633176106207540419497348910506449470832789179453
--0.011511387420687770062443201500596928412724038204632    0.35720887279592775261986034962403529482885932820439
-"""
-
-# Found by Newton's method from random starts.  Kernel: 13 stages, 14 − 2 consistent parameters, and the
-# 1 + 2 + 5 conditions of degree 3, 5 and 7 for a time-symmetric method to be conjugate to order 8; of
-# the solutions met, that with the smallest leading error, the parts of degree 9 that no processor
-# removes (weighted 100) and the part of degree 8 that the processor would have to supply.  Processor:
-# the 26 conditions that its logarithm be the conjugation up to degree 7, among the solutions met that
-# of the smallest coefficients.  Kernels and processors were compared on Hénon–Heiles, coupled pendula
-# and the potential q1²q2², none of them a scene here.
-_RKN8_KERNEL = """
--0.037087380456747430688368995277224020188573135083406    0.07485206416529386921230256055332740852362196241037
--0.051031696465799471106816762992760499620799363339497   -0.079792074136650552156379854928346122033118598707705
--0.16600794409994134657258642091881399390999757928972     0.0044571932925694125393117795771810182856288324679514
- 0.36306835029540571374191832828872301208011351020852     0.19373984154963269502384585604479253580335520007716
- 0.23563392689463614493805807209796760973055372412487    -0.087185737979965480013482866140340042735171104098752
--0.039782227772119742294144653437389762698073757096257    0.28789966568690919924694864078836167897563698395771
-"""
-
-_RKN8_PROCESSOR = """
- 0.070514925777936012012668886963256591939211632838262    -0.084131039684989077262963484874728814583123704068104
- 0.2925468768738881350246379252167112998325084154009       0.00049780725989633267456906066656073117824996347949124
--0.17019923780815188228930630658870043674415770604181      0.015167411765776938209632262217813899829843967199728
--0.24700694056430219561405540701778532325295974015966     -0.039339101641317136964240007277559479590762756671507
- 0.18658705865443389056960684910609126403448493046574     -0.039431755939464070530495150997676508967983525814219
--0.17829552206194901969796237993047998951622571555908      0.014527458603364490579539037754177336842718025264845
- 0.10271130566948693976337222798305513369666044166097      0.12482062863990015290088559950560817960698474666573
--0.13020985769473103643210818209867537818989117506866      0.083318420771153904337146651758064437288350616744159
--0.20565702122535208155392445902224595243902702372526     -0.0037741136024227068874324095678494839979087214915938
- 0.33218255097965166228151497210193725577253059013722      0.072322288034870999177282554684410088589190028750349
--0.16367804499246382384537986053226588316388677263549      0.042488485206775721930051424221202092585763477563909
- 0.039901379333993978334716935434180597827870188217062    -0.07244025151803453302283655353039359595159575317472
- 0.1264189594309054959521289619269493647151729253326
-"""
-
-_KAHAN_LI = """
- 0.13020248308889008087881763209670052235723185436506    0.56116298177510838456196440770015056726615922120603
--0.3894749626448472864080785982352483888360299624802     0.15884190655515560089621074570715248141215492833811
--0.39590389413323757733623153934793893602680169266742    0.18453964097831570709183254153337546281900077254789
- 0.25837438768632204729397910999493947181308868214327    0.2950117236093102988709662402182281129765178453897
-"""
+from contactbench.splitting.composition import Composition, Stage, balance, palindrome, strang_composition
 
 
-def two_part(name: str, order: int, half: str, source: str, nystrom: bool = False) -> Composition:
-    """Return the palindrome that begins and ends with kicks, from the table of its first half."""
-    return Composition(name, order, palindrome("kick", "drift_damp", half.split()), source, nystrom)
+def listed(text: str) -> tuple[Stage, ...]:
+    words = text.split()
+    return tuple((flow, Fraction(part)) for flow, part in zip(words[::2], words[1::2], strict=True))
 
 
-PRINTED = Composition(
-    "contact-printed",
-    1,
-    (("kick", HALF), ("damp", ONE), ("drift", ONE), ("kick", HALF)),
-    "the paper, §5.2, eq. (85), read right to left: B½, C, A, B½",
-    mission=True,
-)
-ABC = Composition(
-    "contact-abc",
-    2,
-    (("kick", HALF), ("drift", HALF), ("damp", ONE), ("drift", HALF), ("kick", HALF)),
-    "the palindromic three-part splitting; Bravetti, Seri, Vermeeren, Zadra, Celest. Mech. Dyn. Astron. "
-    "132, 7 (2020), doi:10.1007/s10569-019-9946-9",
-)
-STRANG = Composition(
-    "contact-strang",
-    2,
-    (("kick", HALF), ("drift_damp", ONE), ("kick", HALF)),
-    "Strang, SIAM J. Numer. Anal. 5, 506 (1968), doi:10.1137/0705041, on V and T + γs",
-    mission=True,
-)
-BM6 = two_part("contact-bm6", 6, _BM6, f"S10 of {BLANES_MOAN}")
-RKN4 = two_part("contact-rkn4", 4, _RKN4, f"SRKN6b of {BLANES_MOAN}")
-RKN6 = two_part("contact-rkn6", 6, _RKN6, f"SRKN11b of {BLANES_MOAN}", nystrom=True)
-RKN8 = Composition(
-    "contact-rkn8",
-    8,
-    palindrome("drift_damp", "kick", _RKN8_KERNEL.split()),
-    "kernel of 13 stages and processor of 13, derived here from the order conditions",
-    nystrom=True,
-    processor=balance("drift_damp", "kick", _RKN8_PROCESSOR.split()),
-)
-_OUTER = [Fraction(c) for c in _KAHAN_LI.split()]
-O8 = Composition(
-    "contact-o8",
-    8,
-    strang_composition([*_OUTER, 1 - 2 * sum(_OUTER), *reversed(_OUTER)]),
-    "s17odr8b of Kahan, Li, Math. Comput. 66, 1089 (1997), doi:10.1090/S0025-5718-97-00873-9, on Strang",
-)
-COMPOSITIONS = (PRINTED, ABC, STRANG, BM6, RKN4, RKN6, RKN8, O8)
-
-# -- with an exact linear part, see linear.py -----------------------------------------------------------
-NEAR = "Blanes et al., Appl. Numer. Math. 68, 58 (2013), doi:10.1016/j.apnum.2013.01.003"
-
-_ABA864 = """
- 0.0711334264982231177779387300061549964174   0.183083687472197221961703757166430291072
- 0.241153427956640098736487795326289649618    0.310782859898574869507522291054262796375
- 0.521411761772814789212136078067994229991   -0.0265646185119588006972121379164987592663
-"""
-
-_ABA1064 = """
- 0.03809449742241219545697532230863756534060  0.09585888083707521061077150377145884776921
- 0.1452987161169137492940200726606637497442   0.2044461531429987806805077839164344779763
- 0.2076276957255412507162056113249882065158   0.2170703479789911017143385924306336714532
- 0.4359097036515261592231548624010651844006
-"""
-
-
-def linear_strang(name: str, kick: str, about: str, settled: bool = False) -> Composition:
-    stages = (("swing", HALF), (kick, ONE), ("swing", HALF))
-    before, after = ((("unsettle", ONE),), (("settle", ONE),)) if settled else ((), ())
-    source = f"{about}; the linear part about the nearest equilibrium is exact, derived here"
-    return Composition(name, 2, stages, source, processor=before, postprocessor=after)
-
-
-def near_integrable(name: str, half: str, which: str) -> Composition:
+def composition(name: str, given: dict[str, Any]) -> Composition:
+    first, second = given.get("flows", "kick drift_damp").split()
+    if "half" in given:
+        stages = palindrome(first, second, given["half"].split())
+    elif "strang" in given:
+        outer = [Fraction(c) for c in given["strang"].split()]
+        stages = strang_composition([*outer, 1 - 2 * sum(outer), *reversed(outer)])
+    else:
+        stages = listed(given["stages"])
+    before, after = (listed(given.get(name, "")) for name in ("before", "after"))
+    if "processor" in given:
+        before = balance(first, second, given["processor"].split())
+    known = {key: given.get(key, False) for key in ("nystrom", "mission")}
     return Composition(
-        name,
-        4,
-        palindrome("swing", "kick", half.split()),
-        f"{which} of {NEAR}, about the nearest equilibrium",
+        name, given["order"], stages, given["source"], processor=before, postprocessor=after, **known
     )
 
 
-LINEAR = (
-    linear_strang("contact-linear2", "gradient_kick", "a gradient kick and a processor", settled=True),
-    linear_strang("contact-linear2-plain", "kick", "a kick between halves of the exact linear flow"),
-    near_integrable("contact-aba864", _ABA864, "ABA(8,6,4)"),
-    near_integrable("contact-aba1064", _ABA1064, "ABA(10,6,4)"),
-)
+_entries = tomllib.loads(files(__package__).joinpath("compositions.toml").read_text(encoding="utf-8"))
+_all = {name: composition(name, given) for name, given in _entries.items()}
+#: those with the exact flow of a linear part, and the others
+LINEAR = tuple(own for own in _all.values() if any(flow == "swing" for flow, _ in own.stages))
+COMPOSITIONS = tuple(own for own in _all.values() if own not in LINEAR)
+O8 = _all["contact-o8"]
