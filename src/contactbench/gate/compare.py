@@ -191,10 +191,7 @@ def keys(table: Table, rows: pd.DataFrame) -> pd.MultiIndex:
 
 
 def between(which: str, *parts: pd.DataFrame, listed: bool | None = None) -> Findings:
-    """Label findings with the two sides compared.
-
-    listed : whether a commit message announces the change, which makes it green; None where it cannot.
-    """
+    """Label findings with the two sides compared; listed : whether a commit announces them, None if it cannot."""
     moved = sum(map(Findings, parts), Findings()).moved.assign(between=which)
     if listed is not None:
         moved["result"] += ", listed" if listed else ", not listed"

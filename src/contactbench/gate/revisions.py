@@ -73,10 +73,7 @@ def dirty(root: Path) -> bool:
 
 
 def base(root: Path, revision: str | None) -> str:
-    """Return the commit to compare with.
-
-    By default it is the commit at which HEAD left the main branch; on the main branch it is HEAD's parent.
-    """
+    """Return the commit to compare with: where HEAD left the main branch; on the main branch HEAD's parent."""
     if revision is not None:
         if found := commit(root, revision):
             return found
@@ -102,10 +99,7 @@ def pinned(root: Path, base: str) -> str:
 
 @contextmanager
 def checkout(root: Path, commit: str) -> Iterator[Path]:
-    """Check out a commit into a temporary folder and give the path of the project there.
-
-    Every file is there, those with the attribute export-ignore too.
-    """
+    """Check out a commit with all its files into a temporary folder and give the path of the project there."""
     with tempfile.TemporaryDirectory(prefix="contactbench-base-") as scratch:
         top, tree = repository(root).resolve(), Path(scratch).resolve() / "base"
         index = {"GIT_INDEX_FILE": str(tree.with_name("index"))}
@@ -118,10 +112,7 @@ def checkout(root: Path, commit: str) -> Iterator[Path]:
 
 
 def environment(tree: Path, root: Path | None = None) -> dict[str, str]:
-    """Return the environment variables of a process that runs the code of `tree`.
-
-    Plug-ins inside `root` are replaced by their copies in `tree`.
-    """
+    """Return the environment of a process that runs the code of `tree`, its copies of plug-ins included."""
     own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     first = [str(tree / "src" if (tree / "src").is_dir() else tree)]

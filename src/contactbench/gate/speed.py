@@ -84,9 +84,8 @@ def public() -> list[Cell]:
 def workload(times: pd.DataFrame, everywhere: bool = False) -> list[Cell]:
     """Return the cells to time, each at the finest setting that is fast enough.
 
-    They are all methods on the first scene (for the end alone and with many saved times), all methods on the longest
-    scene, one method per family on the other scenes, and the public calls.
-    everywhere : instead time all methods on all scenes.
+    All methods on the first scene, also with many saved times, and on the longest; one per family on the others; the
+    public calls.  everywhere : instead all methods on all scenes.
     """
     known = times[times["scene"].isin([*SCENES]) & times["method"].isin([*METHODS])]
     own = known["control"] == [METHODS[name].control for name in known["method"]]

@@ -197,10 +197,7 @@ def check_records(root: Path, results: Mapping[Path, Frames], fresh: Path) -> li
 
 
 def check_tests(old: Path, root: Path, messages: str) -> list[Row]:
-    """Return the test functions removed since the base, by file; red if most of a file went unannounced.
-
-    A test function that moved to another file is not removed.
-    """
+    """Return the test functions removed, not moved, since the base, by file; red if most of a file went unannounced."""
     before, after = test_names(old), test_names(root)
     gone = sum(before.values(), Counter()) - sum(after.values(), Counter())
     listed, rows = names_in(TESTS_REMOVED, messages), []

@@ -90,10 +90,7 @@ class Choice(NamedTuple):
 
 
 class Room:
-    """Memory for the pilots from one start, by rung: the step is the longest one over 2^(rung/8).
-
-    Only one call uses a room at a time.
-    """
+    """Memory for the pilots from one start, for one call at a time; the step is the longest over 2^(rung/8)."""
 
     def __init__(self, chosen: ChosenStep) -> None:
         self.chosen, self.start = chosen, np.empty(len(chosen.start))
@@ -135,10 +132,7 @@ class Room:
 
 
 class Gap(NamedTuple):
-    """The distance of two pilots relative to the motion, and the ratio > 1 of their steps.
-
-    slope : size / (ratio − 1).
-    """
+    """The distance of two pilots relative to the motion, the ratio > 1 of their steps, and slope = size/(ratio − 1)."""
 
     size: float = math.inf
     ratio: float = 2.0
@@ -417,10 +411,7 @@ class ChosenStep(Prepared):
         return math.inf
 
     def time_scale_at(self, y: np.ndarray) -> Callable[[], float]:
-        """Return a function that computes 1/ω of the motion at the present content of the packed state y.
-
-        ω² = ‖J²f‖/‖f‖, in any units; 1/ω is infinite where f is constant.
-        """
+        """Return a function that computes 1/ω at the present content of the state y; ω² = ‖J²f‖/‖f‖, in any units."""
         scene, carry, units = self.request.scene, self.request.carry, self.units.tolist()
         own, d, found = np.array([scene.numbers()], dtype=float), len(y), np.zeros(2)
 

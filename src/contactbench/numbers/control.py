@@ -44,11 +44,7 @@ class Rows(Protocol):
 
 @dataclass(frozen=True)
 class Repeat:
-    """Apply a body n times, ``repeat(n, body, x)``, by the loop that an engine has.
-
-    rows : ``rows(count, like)`` makes so many rows; then the stages of a step are a loop, too, not written out one
-    after the other.
-    """
+    """Apply a body n times by an engine's loop; with `rows` the stages of a step are a loop, too."""
 
     loop: Iteration
     rows: Callable[[int, Sequence[Arithmetic]], Rows] | None = None
@@ -61,10 +57,7 @@ class Repeat:
         return self.loop(n, body, x)
 
     def steps(self, n: Count, step: Callable[[Any], Any], x: Any, h: Arithmetic) -> Any:
-        """Apply a step of size h n times; if x has a time t, the k-th step begins at t + k h, which is no running sum.
-
-        x : a state, or a tuple that begins with one.
-        """
+        """Apply a step n times to a state, or a tuple that begins with one; the k-th begins at t + k h."""
         state = x if hasattr(x, "_fields") else x[0]
         start = getattr(state, "t", None)
         if start is None:
@@ -97,11 +90,7 @@ def choose(condition: Condition, yes: Arithmetic, no: Arithmetic, xp: Namespace)
 
 
 def settle[X](x: X, xp: Namespace) -> X:
-    """Return x, computed once.
-
-    XLA would redo divisions and sines for every later component that reads them, which grows exponentially along a
-    chain of flows.
-    """
+    """Return x, computed once: XLA would redo divisions and sines for every later component that reads them."""
     return lax.optimization_barrier(x) if abilities(xp).traced else x
 
 

@@ -17,10 +17,7 @@ LARGEST = 4000
 
 
 class Decimals(Numbers):
-    """The namespace of numbers of a precision in bits, which its `context` has to be entered for.
-
-    They raise `gmpy2.OverflowResultError` where one would be beyond any scale.
-    """
+    """The namespace of numbers of a precision in bits, inside its `context`; huge numbers raise an error."""
 
     abilities = Abilities(branch=True, digits=True)
 

@@ -230,10 +230,7 @@ class Solver(Protocol):
 
 
 class Callback(Call):
-    """Run a solver that calls Python functions of floats, recorded with the scene's numbers as constants.
-
-    A function that cannot be recorded is called directly, at four times the cost.
-    """
+    """Run a solver that calls Python functions of floats, recorded with the scene's numbers if possible."""
 
     #: number of steps that a failed last step counts as
     failure = 1

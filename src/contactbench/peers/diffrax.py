@@ -34,10 +34,7 @@ def on_device(x: np.ndarray) -> Any:
 
 
 class Diffrax(Call):
-    """A compiled JAX function of a packed initial state and of all other numbers of a run, in one vector each.
-
-    Converting arguments dominates a short call, so there are few, and they are on the device already.
-    """
+    """A compiled JAX function of two vectors on the device: converting arguments would dominate a short call."""
 
     def __init__(self, method: Peer, request: Request) -> None:
         super().__init__(method, request)

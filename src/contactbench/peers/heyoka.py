@@ -40,10 +40,7 @@ def taylor_system(
     units: Sequence[float] | None = None,
     origin: int | None = None,
 ) -> list[tuple[object, object]]:
-    """Return the equations with each component in its own unit, since heyoka has one scale for all components.
-
-    origin : the number of the parameter that is the start, from which its time counts; None: from 0.
-    """
+    """Return the equations, each component in its own unit; origin : the number of the parameter that is the start."""
     names = scene.without_clock(scene.labels(carry))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
     variables = variables if isinstance(variables, list) else [variables]

@@ -308,8 +308,7 @@ def random_contests(
 ) -> pd.DataFrame:
     """Return the best contact method beside the best other on each random problem; as `contests`.
 
-    cost : evaluations, or time_s, which was measured in one process.  hard : a kind of hard problems, blank for those
-    that are not hard.
+    cost : evaluations, or time_s.  hard : a kind of hard problems, blank for those that are not hard.
     """
     rows = with_family(drawn(population, problems, hard), runs).assign(halves=1.0, processes=1.0)
     rows["cost"] = rows[cost].where(rows["status"] == "ok")

@@ -108,10 +108,7 @@ def leaders_view(rows: pd.DataFrame, kind: str, name: str = "") -> View | None:
 
 # -- what a tolerance gives ------------------------------------------------------------------------
 def asked_for(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the runs that were given a tolerance, those by pilots first; over : the error in parts of the tolerance.
-
-    It is infinite where a run to another end time, which the error covers too, did not arrive.
-    """
+    """Return the runs that were given a tolerance, by pilots first; over : error over tolerance, inf if it failed."""
     own = runs[(runs["control"] == "rtol") & (runs["saved"] == 1) & (runs["status"] == "ok")]
     own = own[own["setting"].between(*ASKED)]
     over = (own["error"] / own["setting"]).fillna(math.inf)

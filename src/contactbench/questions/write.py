@@ -116,9 +116,8 @@ def computed_part(readme: Path) -> tuple[str, str] | None:
 def report(
     results: Path, registries: Registries, readme: Path | None = None, png: bool = False
 ) -> list[Path]:
-    """Write every document and figure the tables allow; return the paths.
+    """Write every document and figure the tables allow, remove other figures of a report, and return the paths.
 
-    Figures of an earlier report that no table gives any more are removed.
     readme : a file whose computed part is filled in too.  png : whether figures are saved as pictures too.
     """
     texts, drawn = documents(results, registries, readme)

@@ -137,11 +137,7 @@ def conjugate(R: Vector) -> Vector:
 
 
 def rotation_matrix(R: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return the 3×3 matrix of a quaternion.
-
-    It is homogeneous of degree two and not normalised, so that a drift of the quaternion's length shows in RᵀR − 1 and
-    in J = R M.
-    """
+    """Return the 3×3 matrix of a quaternion, not normalised: a drift of its length shows in RᵀR − 1 and in J = R M."""
     w, x, y, z = R
     return (
         (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -155,10 +151,7 @@ def rotate(R: Vector, v: Vector) -> Vector:
 
 
 def quaternion_of(value: object) -> Vector:
-    """Return an attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion.
-
-    A value that is off by at most `ROUNDED`, such as printed or single-precision numbers, means the nearest attitude.
-    """
+    """Return the quaternion of an attitude given as 1, a quaternion or a rotation matrix, to within `ROUNDED`."""
     wanted, off = "1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix", ""
     given = real_array("R", value, wanted)
     if given.ndim == 0 and given == 1:

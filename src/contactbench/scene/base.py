@@ -117,10 +117,7 @@ class Kind(ABCMeta):
 
 
 class Cache[Made]:
-    """Cache the latest `size` items by key; an item with the key None is made at every call.
-
-    Threads that miss an item at the same time all make it, and all of them get the first one made.
-    """
+    """Cache the latest `size` items by key, none by the key None; threads share the first item made of a key."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -395,10 +392,7 @@ class Scene(metaclass=Kind):
         return ()
 
     def orders(self) -> list[tuple[int, int, bool]]:
-        """Return the order of its numbers as (i, j, strict): number i < number j, or ≤ unless strict; 0 comes last.
-
-        Numbers in another order need other flows, or are not allowed.
-        """
+        """Return the order that its numbers must keep, as (i, j, strict): number i < number j, or ≤; 0 comes last."""
         own = [getattr(self, name) for name in self.coefficients]
         ends = np.cumsum([0, *(len(leaves(value)) for value in own)]).tolist()
         spans = zip(self.coefficients, pairwise(ends), strict=True)
@@ -621,10 +615,7 @@ class Scene(metaclass=Kind):
         """Return the time derivative of the state, a state of the same fields."""
 
     def bend(self, x: OwnState, f: OwnState) -> Sequence[Numeric] | None:
-        """Return the packed second derivatives of the state, nan where not known, where q' is linear in p; else None.
-
-        f : the slope at x.  They need no further evaluation of a function.
-        """
+        """Return the packed second derivatives of the state with slope f, nan where not known; None if unknown."""
         return None
 
     def settled(self, y: np.ndarray, carry: Sequence[str]) -> np.ndarray:
@@ -662,10 +653,7 @@ class Scene(metaclass=Kind):
         """Return estimates of the largest components, and of the action, of the motion from x until `end`."""
 
     def scales(self, x: OwnState, end: float) -> np.ndarray:
-        """Return the scale of every packed component but the time for the motion from x, see `scene.scales`.
-
-        If components share a unit, a scale of order one counts as 1.
-        """
+        """Return the scale of every packed component but the time for the motion from x, see `scene.scales`."""
         with np.errstate(all="ignore"):
             if not self.mixed:
                 return np.array(self.scales_in(x, end, math), dtype=float)

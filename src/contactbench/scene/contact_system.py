@@ -351,10 +351,7 @@ def on_metric(
     parameters: Mapping[str, float] | None = None,
     **given: Any,
 ) -> ContactSystem:
-    """Return the contact system of `OnMetric`; γ, and κ unless it is 0, are among its parameters.
-
-    Raises `BadInput` if the mass is not a symmetric positive definite n×n matrix at the start.
-    """
+    """Return the contact system of `OnMetric`; raise `BadInput` unless its mass is symmetric positive definite."""
     for name in given.keys() & {"gradient", "hessian"}:
         raise BadInput(f"{name}: is derived where the mass depends on q")
     own_potential = function("potential", potential)

@@ -128,11 +128,10 @@ def _motion(scene: Mechanical) -> np.ndarray:
 
 
 class Claim(NamedTuple):
-    """A claim that one function is the derivative of another.
+    """A claim that `given`, (m, n), is the derivative at x of f, a function of (n,) with m values.
 
-    f : function of x, (n,), with m values.  given : its claimed derivative at x, (m, n).  size : sizes of the
-    components of x.  says, of, where : parts of the message "{says} 1.0 at {where}, {of} there 1.1"; the first number
-    is the user's: the given derivative, or if `derived` the derivative of f.
+    size : of the components of x.  says, of, where : of the message "{says} 1.0 at {where}, {of} there 1.1", whose
+    first number is the user's: the given derivative, or if `derived` the derivative of f.
     """
 
     f: Callable[[np.ndarray], object]

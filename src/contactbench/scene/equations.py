@@ -169,10 +169,7 @@ class Equations(Scene):
         return {"y0": x.y, "t": x.t}
 
     def sizes(self, x: EquationState, end: float) -> Sizes:
-        """Return the sizes of a throw with the initial slope, as long as the slope changes little.
-
-        A component that is at rest gets its slope at the end of the throw.
-        """
+        """Return the sizes of a throw with the initial slope, as long as the slope changes little."""
 
         def slope(span: float) -> np.ndarray:
             with suppress(ArithmeticError, ValueError):  # where a function is not defined

@@ -66,8 +66,7 @@ STRONG = 1.5
 def damping(gamma: Arithmetic, h: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
     """Return e^{−γh} as a pair (keep, lose): damped(p) = keep·p − lose·p.
 
-    With keep = 1 and lose = 1 − e^{−γh} only the small loss is rounded, so that 10⁶ steps do not drift by 10⁶ roundings
-    of the factor; and the loss joins the kick in one fused multiply-add.  For a large loss the pair is (e^{−γh}, 0).
+    With keep = 1 only the small loss is rounded, not the factor, in each of 10⁶ steps; a large loss is (e^{−γh}, 0).
     """
     strong = gamma * h > STRONG
     factor, loss = xp.exp(-gamma * h), -xp.expm1(-gamma * h)

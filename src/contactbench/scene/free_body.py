@@ -103,10 +103,7 @@ def free(scene: RigidBody, x: BodyState, t: Arithmetic, xp: Namespace) -> BodySt
 
 
 def polar(v: Vector, xp: Namespace) -> tuple[Arithmetic, Vector, Condition]:
-    """Return ‖v‖, v/‖v‖, and whether v is zero; for v = 0 return 1 and the first axis, to avoid a derivative of √0.
-
-    No square underflows, and the direction has length one where ‖v‖ itself has hardly any digits left.
-    """
+    """Return ‖v‖, v/‖v‖, without underflow, and whether v is zero: then 1 and the first axis."""
     largest: Arithmetic = 0.0
     for c in v:
         size = choose(c < 0, -c, c, xp)

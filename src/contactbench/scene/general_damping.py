@@ -52,10 +52,7 @@ def rule() -> tuple[list[float], list[float], list[list[float]]]:
 def decayed(
     scene: GeneralDamping, s: Arithmetic, h: Arithmetic, xp: Namespace
 ) -> tuple[Arithmetic, Arithmetic]:
-    """Return s(h) from s at 0, and log ∂s(h)/∂s, the logarithm of the factor on p and η; not finite beyond s = ∞.
-
-    The factor is Γ(s(h))/Γ(s), too, which is lost in round-off near the zeros of Γ.
-    """
+    """Return s(h) from s at 0, and log ∂s(h)/∂s, the logarithm of the factor on p and η; not finite beyond s = ∞."""
     if scene.damping_flow is not None:
         span = Dual(h, 0.0) if isinstance(h, Dual) else h
         after = scene.damping_flow(Dual(s, 1.0), span, DualNumbers(cast(ChoosingNamespace, xp)))

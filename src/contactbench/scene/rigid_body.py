@@ -66,10 +66,7 @@ def damping_matrix(name: str, value: object) -> tuple[Vector, ...]:
 
 # -- flows -----------------------------------------------------------------------------------------
 def rotation(x: BodyState, axis: int, a: Arithmetic, xp: Namespace) -> BodyState:
-    """Exact time-1 flow of ½ a M_i²: M and R turn about principal axis i at the constant rate a M_i.
-
-    R → R Rot(e_i, θ) and M → Rot(e_i, −θ) M, so J = R M does not change.
-    """
+    """Exact time-1 flow of ½ a M_i²: R → R Rot(e_i, θ) and M → Rot(e_i, −θ) M, θ = a M_i; J = R M stays."""
     j, k = (axis + 1) % 3, (axis + 2) % 3
     M, R, s = x
     angle = a * M[axis]
@@ -89,10 +86,7 @@ def rotation(x: BodyState, axis: int, a: Arithmetic, xp: Namespace) -> BodyState
 
 
 def spin(x: BodyState, a: Arithmetic, xp: Namespace) -> BodyState:
-    """Exact time-1 flow of ½ a ‖M‖²: M stays, R turns about it, R → R exp(a M̂) = exp(a Ĵ) R.
-
-    It commutes with every rotation: ‖M‖² is a Casimir function, and they leave J as it is.
-    """
+    """Exact time-1 flow of ½ a ‖M‖²: M stays, R → R exp(a M̂); it commutes with every rotation, and leaves J alone."""
     if x.R is None and x.s is None:
         return x
     square = dot(x.M, x.M)
@@ -129,9 +123,8 @@ def top_rate(scene: RigidBody) -> Arithmetic:
 def turn(scene: RigidBody, x: BodyState, tau: Arithmetic, xp: Namespace) -> BodyState:
     """Flow of ½ (1/I_min − 1/I_mid) M_min², the difference between an asymmetric body and a symmetric top.
 
-    Free body = `turn` + `top`: Touma, Wisdom, Astron. J. 107, 1189 (1994); for what the choice of axes does
-    to the error, Fassò, J. Comput. Phys. 189, 527 (2003).  Differences to the intermediate moment are the
-    smallest rates that two rotations can have.
+    Free body = `turn` + `top`: Touma, Wisdom, Astron. J. 107, 1189 (1994); no two rotations have smaller rates: Fassò,
+    J. Comput. Phys. 189, 527 (2003).
     """
     return rotation(x, scene.by_inertia[0], tau * turn_rate(scene), xp)
 
@@ -159,11 +152,7 @@ def body_damp(scene: RigidBody, x: BodyState, decay: Constants, xp: Namespace) -
 
 
 def free_damp(scene: RigidBody, x: BodyState, constants: Constants, xp: Namespace) -> BodyState:
-    """Advance the free body and isotropic damping together: free for the time φ(h), then damped.
-
-    C rescales time: e^{γt} M and R move as if undamped in the time φ(t), and s' = ½M·Ω − γs gives
-    s(h) = e^{−γh} (s + φ H0).  The whole flow of the scene, for any h.
-    """
+    """Advance the free body for the time φ(h), then damp it: the whole flow of the scene, s(h) = e^{−γh} (s + φ H0)."""
     tau, *decay = constants
     return body_damp(scene, free(scene, x, tau, xp), decay, xp)
 

@@ -57,8 +57,7 @@ def size(vector: Vector, xp: Namespace) -> Arithmetic:
 def reach(scene: Any, x: Any, end: Any, lengths: Sequence[int], xp: Any) -> tuple[list[Any], list[Any]]:
     """Estimate the largest sizes of parts of the coordinates, with given lengths, and of their velocities.
 
-    The estimate is a throw from x with the initial acceleration over the longest span up to `end` in which the change
-    of the force is small: a fraction of a period, or the whole time for a free body.
+    By a throw from x with the initial acceleration, over the longest span up to `end` in which the force varies little.
     """
 
     ends = [*accumulate(lengths)]
@@ -124,10 +123,7 @@ def curvatures(scene: Any, x: Any) -> np.ndarray:
 
 
 def at_least(scene: Any, x: Any, sizes: np.ndarray) -> np.ndarray:
-    """Return sizes of coordinates and momenta, (2n,), raised to a part of the sizes that the energy allows.
-
-    The bound is `FAINT` · √(2E/H'') with the kinetic energy E of the momenta: √(2E/mω²) and √(2mE).
-    """
+    """Return sizes of coordinates and momenta, (2n,), raised to `FAINT` times what the energy allows, √(2E/H'')."""
     bends, momenta = curvatures(scene, x), sizes[len(x.q) :]
     twice = np.nansum(bends[len(x.q) :] * momenta * momenta)
     room = np.sqrt(np.divide(twice, bends, out=np.zeros(len(sizes)), where=bends > 0))
@@ -169,10 +165,7 @@ def norms(v: np.ndarray, lengths: Sequence[int]) -> np.ndarray:
 
 
 def sizes_of(scene: Any, rows: np.ndarray, carry: Sequence[str], whole: bool = False) -> np.ndarray:
-    """Return the scale of each of `vectors_of` in true states (k, d): its largest size; the start comes first.
-
-    Small sizes are raised by `at_least`, zero counts as 1, and the user's `scale` has priority.
-    """
+    """Return the scale of each of `vectors_of` in true states (k, d), the start first: its largest size, or `scale`."""
     sizes, vectors = norms(*vectors_of(scene, rows, carry, whole)).max(axis=0), scene.vectors
     motion = len(vectors)
     if "p" in getattr(scene.state, "_fields", ()) and (scene.mixed or len(sizes) > motion):
@@ -199,9 +192,6 @@ def gaps(
 def errors(
     scene: Any, y: np.ndarray, true: np.ndarray, start: ArrayLike, carry: Sequence[str], whole: bool = False
 ) -> np.ndarray:
-    """Return the errors (k,) of states (k, d), relative to the sizes of the true states and the start.
-
-    Both may be arrays of high-precision numbers.
-    """
+    """Return the errors (k,) of states (k, d) of any numbers, relative to the sizes of the true states."""
     rows = np.asarray(np.vstack([np.asarray(start), true]), dtype=float)
     return gaps(scene, y, true, sizes_of(scene, rows, carry, whole), carry, whole)

@@ -66,11 +66,7 @@ def call_grouped(
 
 # -- flows -----------------------------------------------------------------------------------------
 def circular(square: Arithmetic, xp: Namespace) -> tuple[Arithmetic, Arithmetic]:
-    """Return cos θ and sin θ/θ of θ²: smooth functions of it, at 0 too.
-
-    By a series of a small part of θ, 1 − cos and sin θ/θ then doubled: to the roundings of θ, without a branch to a
-    function, which would cost a compiled stage as much again.
-    """
+    """Return cos θ and sin θ/θ of θ², by a series for a part of θ, doubled: no slow branch to a function."""
     if has_digits(xp) or abilities(xp).traced:  # JAX takes no derivative backwards through a loop
         still = square <= (0 if has_digits(xp) else SMALL)
         angle = xp.sqrt(choose(still, 1.0, square, xp))
@@ -155,8 +151,7 @@ def sphere_drift(scene: Spheres, x: State, h: Arithmetic, xp: Namespace) -> Stat
 def sphere_drift_damp(scene: Spheres, x: State, constants: Constants, xp: Namespace) -> State:
     """AC: the same great circles for the time φ = (1 − e^{−γh})/γ, then p → e^{−γh} p, s → e^{−γh} (s + φ T).
 
-    Along a geodesic |p| only decays, whatever the metric, so that the merged flow of T + γs + ½κs² is the flow of flat
-    space (`mechanical.drift_damp`) with the geodesic in the place of the straight line.
+    Along a geodesic |p| only decays: it is `mechanical.drift_damp` with the geodesic in place of the straight line.
     """
     time, phi, keep, lose, *nonlinear = constants
     s = None if x.s is None else x.s + phi * scene.kinetic(x.p)

@@ -77,11 +77,7 @@ def height_hessian(q: Vector, weight: Arithmetic) -> tuple[Vector, ...]:
 
 # -- closed forms: ``(scene, t, mp)`` with an mpmath context and mpmath numbers ----------------------
 def damped_oscillator(scene: Mechanical, t: Arithmetic, mp: MPContext) -> State:
-    """V = ½ ω² q², Γ = γ s: the linear damped oscillator, and s = ½ q p + e^{−γt} (s0 − ½ q0 p0).
-
-    The s formula: d(½ q p)/dt = T − V − γ (½ q p), the equation of s itself, so their difference
-    decays as e^{−γt}.
-    """
+    """V = ½ ω² q², Γ = γ s; s = ½ q p + e^{−γt} (s0 − ½ q0 p0), since ½ q p obeys the equation of s itself."""
     m, gamma = scene.mass, scene.gamma
     square = scene.parameters["omega"] ** 2 / m
     q0, v0, s0 = scene.q[0], scene.p[0] / m, scene.s
@@ -118,9 +114,7 @@ def elliptic_phase(
 def free_top(inertia: Any, M0: Any, tau: Arithmetic, mp: MPContext) -> Vector:
     """Return the body momentum of the free asymmetric top at time tau, by Jacobi elliptic functions.
 
-    With axes ordered so that the motion encircles the last one,
-    M = (A1 cn u, A2 sn u, ±A3 dn u) with u linear in time; Euler's equation for the middle
-    component gives the direction in which u runs.
+    In an order in which the motion encircles the last axis, M = (A1 cn u, A2 sn u, ±A3 dn u) with u linear in time.
     """
     axes = sorted(range(3), key=lambda i: inertia[i])
     square = dot(M0, M0)

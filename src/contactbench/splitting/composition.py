@@ -233,10 +233,7 @@ def shortest_period(names: list[str]) -> int:
 def stage_constants(
     stages: Iterable[Stage], scene: Scene, h: Arithmetic, xp: Namespace
 ) -> Callable[[Sequence[Stage]], Callable[[Any], Constants]]:
-    """Return ``constants(some)(k)``, the constants of the k-th of some stages of one flow, all computed once.
-
-    For arrays the constants of a flow are one vector, with one exponential for all.  h may be an array.
-    """
+    """Return ``constants(some)(k)``, of the k-th of some stages of one flow, all computed once."""
     flows, distinct = scene.flows, list(dict.fromkeys(stages))
     if not has_arrays(xp):
         scalars = {(f, c): flows[f].constants(scene, number(c, xp) * h, xp) for f, c in distinct}

@@ -40,10 +40,7 @@ SMALL = 1e-2
 
 @dataclass(frozen=True)
 class Expansion:
-    """A quadratic potential: V(a), ω² and the mass-weighted mode, a row, of each spring.
-
-    rest : the largest |curvature| of W at the start, over mass.
-    """
+    """A quadratic potential: V(a), ω² and mode of each spring; rest : largest |curvature| of W, over mass."""
 
     about: tuple[float, ...]
     level: float
@@ -61,10 +58,7 @@ _expansions: Cache[Expansion] = Cache(256)
 
 
 def expand(scene: Any, about: Sequence[float] | None = None) -> Expansion:
-    """Return the expansion of the potential about a point, by default the minimum downhill from the start.
-
-    Where there is no minimum U = V(a), a the start.
-    """
+    """Return the expansion about a point, by default the minimum downhill from the start; without one U = V(start)."""
     scene = scene.with_numbers([*map(float, scene.numbers())]).recorded()
     begin = tuple(map(float, scene.q))
     start = begin if about is None else tuple(map(float, about))
@@ -357,10 +351,7 @@ def settling(x: Arithmetic, xp: Namespace) -> Arithmetic:
 
 
 def along(split: Split, x: State, constants: Sequence[Any], theta: float, weight: float) -> State:
-    """Return the flow of κ W(u + θv) for the time `weight`, which leaves u + θv alone: it is exact.
-
-    u = (y + r x)/2ν is the slow and v = x − u the fast coordinate of a mode, −r its fast rate.
-    """
+    """Return the exact flow of κ W(u + θv) for the time `weight`; u = (y + r x)/2ν, v = x − u, r the fast rate."""
     X, Y = split.positions(split.from_point(x.q)), split.momenta(x.p)
     by = Settled(*constants)
     slow = tuple((y + r * x) / (2 * nu) for r, nu, x, y in zip(by.fast, by.nu, X, Y, strict=True))

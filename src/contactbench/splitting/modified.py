@@ -104,10 +104,7 @@ def lift(x: Vector, direction: Sequence[Arithmetic]) -> Vector:
 def modified_hamiltonian(
     scene: Any, composition: Composition, x: State, h: Arithmetic, degree: int = DEGREE
 ) -> Numeric:
-    """Return H̃ at x for steps of size h on a mechanical scene, with brackets of up to `degree` parts; needs s.
-
-    Its error is O(h^{degree+1}).
-    """
+    """Return H̃ at x for steps h, by brackets of up to `degree` parts, with an error O(h^{degree+1}); needs s."""
     total = scene.hamiltonian_at(x)
     for letters, c in weights(composition.stages).items():
         n = len(letters) + 2

@@ -75,10 +75,7 @@ def damping_of(scene: Scene) -> float:
 
 
 def similar(scene: Scene) -> pd.DataFrame:
-    """Return the costs on the random problems of the same kind with the nearest damping.
-
-    If the kind has no random problems, return the costs on its named scenes, or on all scenes if it has none.
-    """
+    """Return the costs on random problems of the kind with the nearest damping, else on named scenes."""
     problems, damping = results("problems").set_index(["seed", "scene"]), damping_of(scene)
     drawn = problems[(problems["hard"].fillna("") == "") & (problems["kind"] == scene.kind)]
     gaps = np.log(drawn["damping"].astype(float).clip(lower=LEAST_DAMPING) / damping).abs()

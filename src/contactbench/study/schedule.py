@@ -57,10 +57,7 @@ def watched() -> bool:
 
 
 class Budget:
-    """Track the time of a race.
-
-    interrupted : whether Ctrl-C ended a stage.  unrefined : methods whose setting was found, but not refined.
-    """
+    """Track the time of a race; interrupted : by Ctrl-C; unrefined : methods whose setting is not refined."""
 
     def __init__(self, seconds: float, begun: float, progress: bool) -> None:
         self.begun, self.seconds, self.interrupted = begun, seconds, False
@@ -121,8 +118,7 @@ def search(
 ) -> list[Search]:
     """Search the settings of every method, likely leaders first and slow compilers last.
 
-    In every pass each method has an equal share of the time left, and later methods get what earlier ones leave.  If
-    shares are small, each started method still gets a least share and the last methods are not begun.
+    In every pass each has an equal share of the time left, at least a least one; then the last ones are not begun.
     """
     searches, unfinished = [Search(question, name) for name in methods], dict[Search, Iterator[None]]()
     with budget.stage("search"), suppress(OutOfTime):

@@ -57,10 +57,7 @@ class Array(NamedTuple):
 
 
 class Lowering:
-    """The instructions of one function; variables are on the stack, and LLVM moves them into registers.
-
-    fused : products and sums may be one operation, which Python's are not.
-    """
+    """The instructions of one function, with variables on the stack; fused : products and sums may be one operation."""
 
     def __init__(
         self, builder: IRBuilder, arrays: dict[str, Array], numbers: dict[str, Value], fused: bool
@@ -262,10 +259,7 @@ class Machine:
         self.compiled = 0
 
     def address(self, key: str, result: str, kinds: Sequence[str], instructions: Instructions) -> int:
-        """Return the address of a function; its instructions are written and compiled unless it was kept on disk.
-
-        kinds : of its arguments and result, "double", "i64", "doubles" and "i64s" for pointers to them, or "void".
-        """
+        """Return the address of a function, kept or compiled; kinds : "double", "i64", "doubles", "i64s", "void"."""
         from llvmlite.binding import ObjectFileRef
 
         name = f"program_{form.digest(key, self.key)}"
@@ -339,12 +333,7 @@ def compile_recorded_c(function: form.Function) -> int:
 
 @cache
 def compile_function(function: form.Function, fused: bool = True) -> Native:
-    """Return the function, compiled for the arrays that its arguments name.
-
-    Raise `CannotRecord` where nothing is to be compiled.
-
-    fused : products and sums may be one operation, which Python's are not.
-    """
+    """Return the function, compiled for the arrays that its arguments name; fused : as of `Lowering`."""
     kinds = tuple(KINDS.get(name, (DOUBLE, 1)) for name in function.arguments)
 
     def instructions(builder: IRBuilder, given: Sequence[Value]) -> Value:

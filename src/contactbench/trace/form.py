@@ -68,10 +68,7 @@ class Allocate(NamedTuple):
 
 
 class Combine(NamedTuple):
-    """``into[c] = Σ weights[shift + j] rows[j·width + c]`` over j < terms, for every c < width.
-
-    late : so many of the first rows are added last.
-    """
+    """``into[c] = Σ weights[shift + j] rows[j·width + c]``, j < terms, c < width; `late` first rows come last."""
 
     into: str
     weights: Element

@@ -188,11 +188,7 @@ def derivatives(
 
 
 class Sums:
-    """Sums of products of values on a tape, without common factors computed twice.
-
-    Adjoints are kept as such sums: products that the tape has already are found, equal terms are collected, and what
-    is common to several terms is multiplied once.
-    """
+    """Sums of products of values on a tape: known products are found, common factors taken out."""
 
     def __init__(self, tape: Tape, kind: Kind, argument: str) -> None:
         self.tape, self.kind = tape, kind

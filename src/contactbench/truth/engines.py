@@ -79,10 +79,7 @@ GROWING, LARGEST = ("exp", "expm1", "sinh", "cosh", "tanh", "sin", "cos", "tan")
 
 
 def decimal_context(digits: int) -> MPContext:
-    """Return a new mpmath context, so that the global precision does not change.
-
-    Its functions raise `OverflowError` for huge arguments.
-    """
+    """Return a new mpmath context, whose functions raise `OverflowError` for huge arguments."""
     import mpmath
 
     context = mpmath.MPContext()
@@ -162,10 +159,7 @@ class DoublesOnly(BadInput):
 
 
 class Stopwatch:
-    """Measure the time of a computation over a span, and extrapolate it to the end.
-
-    patience : the computation goes on while the extrapolated time is at most this multiple of its budget.
-    """
+    """Measure the time of a computation; by extrapolation to its end it may take `patience` times its budget."""
 
     def __init__(self, scene: Scene, span: float, deadline: float, patience: float = 1.0) -> None:
         self.scene, self.span, self.deadline, self.patience = scene, span, deadline, patience
@@ -190,10 +184,7 @@ class Stopwatch:
 
 
 def within[Made](make: Callable[[], Made], watch: Stopwatch) -> Made:
-    """Return the result of `make`, a compilation; raise `OutOfTime` at the deadline.
-
-    A thread cannot be ended: a late compilation goes on, and the interpreter waits for it when it exits.
-    """
+    """Return the result of `make`, a compilation, which goes on in its thread; raise `OutOfTime` at the deadline."""
     if watch.deadline == NEVER:
         return make()
     from concurrent.futures import Future  # loaded when it is used
@@ -243,10 +234,8 @@ def taylor(
 ) -> Rows:
     """Return states at increasing times ≥ 0 (decimal strings) by heyoka's Taylor series, as mpmath numbers.
 
-    start : packed initial state as decimal strings, by default the scene's own.  stops : some of the times, at which a
-    step must end.  Raises `BlowUp` if a step falls below `collapse` times the longest one, and `OutOfTime` after the
-    deadline (a time of `perf_counter`).
-    Biscani, Izzo, Mon. Not. R. Astron. Soc. 504, 2614 (2021), doi:10.1093/mnras/stab1032.
+    start : decimal strings, by default the scene's own.  stops : times at which a step must end.  Raises `BlowUp` if a
+    step falls below `collapse` times the longest one, and `OutOfTime` after the deadline (of `perf_counter`).
     """
     import heyoka
 
@@ -287,10 +276,7 @@ def taylor(
 
 
 def heyoka_reads_rhs(scene: Scene, rows: Rows, carry: tuple[str, ...]) -> bool:
-    """Return whether heyoka's right-hand side agrees with mpmath's to 35 digits, at states and half-way between them.
-
-    They disagree, for example, on x / 3, which heyoka computes as a product with a double near 1/3.
-    """
+    """Return whether heyoka's right-hand side agrees with mpmath's to 35 digits; that of x / 3 does not."""
     import heyoka
 
     bits = 160
@@ -341,10 +327,7 @@ Slope = Callable[[Arithmetic, np.ndarray], np.ndarray]
 
 
 def initial_value_problem(scene: Scene, carry: tuple[str, ...]) -> tuple[Slope, np.ndarray, Arithmetic]:
-    """Return y' = f(t, y), y(0), and the time at the start.
-
-    Where a force jumps the time must be exact: a clock that is integrated with the state is off by round-off.
-    """
+    """Return y' = f(t, y), y(0), and the time at the start: t is exact, as a jump of a force needs it."""
     start = scene.pack(scene.initial(carry))
     origin = 0.0 if scene.clock is None else start[scene.clock]
 
@@ -380,10 +363,7 @@ def across_breaks(
     breaks: Breaks,
     begin: Arithmetic = 0.0,
 ) -> list[np.ndarray]:
-    """Return states at increasing times, `sides` of breaks among them, by `solve(y, times, begin=…)`.
-
-    No engine converges over a break: the state moves across it by the mean of the slopes on both sides.
-    """
+    """Return states at increasing times by `solve(y, times, begin=…)`, over breaks by the mean of both slopes."""
     rows, begin, group = list[np.ndarray](), begin + 0 * times[-1], list[Arithmetic]()
     for time in times:
         before = group[-1] if group else begin
@@ -410,10 +390,7 @@ def extrapolate(
     begin: Arithmetic = 0.0,
     least: float = 0.0,
 ) -> list[np.ndarray]:
-    """Return the states at increasing times, arrays of any kind of numbers; raises as `extrapolation` does.
-
-    least : lower bound for the size of a state.
-    """
+    """Return the states at increasing times, of any kind of numbers; least : lower bound for the size of a state."""
     if not times:
         return []
     now, trial, rows, longest = begin + 0 * times[-1], times[-1] - begin, [], NO_STEP / collapse * times[-1]
@@ -447,10 +424,7 @@ def extrapolated(
     check: Callable[[], None],
     least: float = 0.0,
 ) -> tuple[int, np.ndarray | None]:
-    """Return the number of columns and the result of an extrapolated step from t; None if it needs more than `most`.
-
-    check : called before every slope; raises when the time is over.
-    """
+    """Return the number of columns and the result of an extrapolated step, None if it needs more than `most`."""
     first, far = slope(t, y), BEYOND * (1 + np.abs(y).max())
     previous: list[np.ndarray] = []
     for j in range(1, most + 1):

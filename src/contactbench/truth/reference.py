@@ -219,8 +219,7 @@ def closed_form_columns(
 ) -> Columns | None:
     """Return decimals and digits of every column of the closed form, by two precisions; None for a missing column.
 
-    Return None if no closed form solves the equations (for example after a change of a parameter that it ignores), or,
-    if `whole`, if a column is missing.
+    Return None if no closed form solves the equations, or, if `whole`, if a column is missing.
     """
     if scene.exact is None or not solves_equations(scene, carry, float(t.max()), deadline):
         return None
@@ -412,10 +411,7 @@ BLOW_UP_COLLAPSE = 1e-45
 
 
 def blow_up_time(scene: Scene) -> tuple[str, int] | None:
-    """Return the time of blow-up as a decimal string and its digits; None if the trajectory is finite to t_end.
-
-    It is frozen, or found by Taylor series at two precisions, whose steps shrink in proportion to the remaining time.
-    """
+    """Return the time of blow-up as a decimal string, and its digits; None if the motion is finite to t_end."""
     if scene.exact is not None:
         return None
     for entry in entries(scene):

@@ -134,10 +134,7 @@ class Survey:
 
     @cached_property
     def stops(self) -> list[float]:
-        """Return times that no step of an engine may straddle, without the end.
-
-        The list is empty if there is no time to find them; `OutOfTime` is raised if a force depends on the time.
-        """
+        """Return times that no step may straddle; none, or for a driven force `OutOfTime`, if time is short."""
         ends = [0.0]
         try:
             self.follow([self.end], None, ends)
@@ -230,10 +227,7 @@ class Survey:
     def cut(
         self, a: float, b: float, path: DenseOutput, sizes: np.ndarray
     ) -> tuple[list[float], np.ndarray, np.ndarray]:
-        """Return the ends of the pieces of a step, the integral of the slopes, and their change with the state.
-
-        Slopes are sampled along the path, and at a fixed state, where only rounding hides an explicit time dependence.
-        """
+        """Return the ends of the pieces of a step, the integral of the slopes, and their change with the state."""
         ends, integral, left = list[float](), np.zeros_like(self.start), [(a, b)]
         steepest = coupled = np.zeros_like(self.start)
         timed, moved = self.scene.clock is not None, self.signs * sizes[:, None]
@@ -290,10 +284,7 @@ def excess(values: np.ndarray, weights: np.ndarray, allowed: np.ndarray) -> np.n
 
 
 def stops_between(ends: list[float]) -> list[float]:
-    """Return some of the ends of pieces, so that no distance is much longer than the shortest piece in it.
-
-    No distance is much longer than its neighbours either: the tails of a pulse are hidden by rounding.
-    """
+    """Return some of the ends of pieces; no distance is much longer than its neighbours or a piece in it."""
     stops, shortest = [0.0], math.inf
     for before, end in itertools.pairwise(ends):
         shortest = min(shortest, end - before)

@@ -51,10 +51,7 @@ def doubles(
     stops: Sequence[float] = (),
     blur: float = 0.0,
 ) -> tuple[np.ndarray, int]:
-    """Return states (k, size) at increasing times, and the number of digits on which two solvers agree.
-
-    stops : times at which a step must end.  blur : relative uncertainty of the slopes.
-    """
+    """Return states (k, size) and the digits on which two solvers agree; blur : uncertainty of the slopes."""
     tightest = max(TIGHTEST, blur)
     of_motion, start, origin = initial_value_problem(scene, carry)
     #: both solvers use one scale for all components

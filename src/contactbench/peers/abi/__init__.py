@@ -53,11 +53,7 @@ SOURCES = digest(
 
 
 class Kept:
-    """The cache of one function; numba's own cache fails for ever on a damaged file.
-
-    numba pickles compiled functions: `read_kept` reads only files of this user in a folder that no other user can write
-    to.
-    """
+    """The cache of one function, in a private folder; numba's own fails for ever on a damaged file."""
 
     cache_path = property(lambda self: str(folder("programs") or ""))
 

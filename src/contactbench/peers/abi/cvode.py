@@ -213,10 +213,7 @@ def on_to_times(saved, times, out, memory, vector, y, data, clock, end, max_step
 
 @kept
 def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """Put states at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
-
-    By single steps, those of `to_end`: in CVODE's other mode the first depends on the first time asked for.
-    """
+    """Put states at times > 0 into out (k, d), interpolated in the steps of `to_end`; returns `FACTS` and a state."""
     restart(start, memory, vector, y, data, clock, end)
     return on_to_times(0, times, out, memory, vector, y, data, clock, end, max_steps)
 
