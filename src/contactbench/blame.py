@@ -34,11 +34,7 @@ class UserError(BadInput):
 
 
 def is_ours(function: object, asked: tuple[object, ...] = ()) -> bool:
-    """Return whether a function, or a class, was written in this package: it computes the same tomorrow.
-
-    The globals of a function show where it was written.  Its captured values must not change either.  asked : functions
-    that captured it; functions of `cb.math` capture themselves.
-    """
+    """Return whether a function or class is of this package, by its globals and captured values; asked : outer ones."""
     if any(function is each for each in asked):
         return True
     if not isinstance(function, FunctionType):

@@ -45,11 +45,7 @@ _files: set[Path] = set()
 
 
 def load_file(path: Path | str) -> None:
-    """Run a Python file that registers methods and scenes, and evaluate each of them once.
-
-    A file given twice is run once.  Raises `BadInput` with the line of the file if it cannot be read, fails, ends the
-    program or registers nothing.
-    """
+    """Run a Python file once, and evaluate each method and scene that it registers; `BadInput` if that fails."""
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"plug-in {path}: no such file")

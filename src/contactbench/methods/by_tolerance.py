@@ -361,11 +361,7 @@ def march_by_the_clock(
 def loop_program(
     method: Any, scene: Scene, carry: tuple[str, ...], settings: int, single: bool = False
 ) -> Program:
-    """Return the loop over intervals of given spans, with at most n attempts; may raise `CannotRecord`.
-
-    single : an interval is n further attempts on the way to the end of the span, of which the start says how much is
-    left.
-    """
+    """Return the loop over intervals of given spans, with at most n attempts; single : n on the way to one end."""
     d, given = len(scene.labels(carry)), len(scene.numbers())
 
     def advance(

@@ -316,10 +316,7 @@ def collocation(stages: int) -> Step:
 
 @dataclass(frozen=True)
 class ContactGauss(FixedStep):
-    """Collocation on the symplectisation; the first iteration of a run starts from the slope there, one evaluation.
-
-    each : evaluations per iteration.
-    """
+    """Collocation on the symplectisation; each : evaluations per iteration, of which the first of a run is one."""
 
     each: int = field(kw_only=True)
     engines: tuple[str, ...] = ("llvm", "python")

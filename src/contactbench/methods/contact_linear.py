@@ -20,11 +20,9 @@ from contactbench.splitting.tables import LINEAR
 
 @dataclass(frozen=True)
 class ContactLinear(ContactMethod):
-    """A composition of the exact flow of T + U + γs and kicks of the rest of the potential.
+    """A composition of the exact flow of T + U + γs and kicks of the rest of the potential, U of an `Expansion`.
 
-    U is the quadratic potential of an `Expansion`, which belongs to a scene: `on` returns the method with it.
-    Whatever the expansion, every step is an exact contact map of the order of the composition; a good one has a small
-    rest.  A scene whose numbers change later (`step_map`) is expanded by those that it has first.
+    Whatever the expansion, every step is an exact contact map of the order of the composition.
     """
 
     expansion: Expansion | None = None

@@ -219,10 +219,9 @@ class Logarithmic(Method):
         return x, [*Scene.pack(end.x), *end[1:], tried, rejected, lag]
 
     def start(self, scene: Mechanical, x: State, step: Arithmetic, xp: Any) -> tuple[Arithmetic, Arithmetic]:
-        """Return E at the start and the step of τ; steps are given in units of the action V²/√(2E ∇V·∇V/m).
+        """Return E at the start, of an unbound motion −V, and the step of τ, in units of the action V²/√(2E ∇V·∇V/m).
 
-        For Kepler's motion the unit is √(mka) at every point, and 2π/step steps make a revolution.  For an unbound
-        motion −V replaces E.
+        For Kepler's motion the unit is √(mka) at every point, and 2π/step steps make a revolution.
         """
         V, gradient = scene.V(x.q), scene.dV(x.q)
         depth = -(scene.kinetic(x.p) + V)

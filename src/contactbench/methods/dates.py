@@ -21,10 +21,7 @@ from contactbench.scene.base import OwnState
 
 
 def division(scene: Scene, later: np.ndarray) -> tuple[np.ndarray, slice | np.ndarray]:
-    """Return the ends of the fewest intervals between saved times > 0 and breaks, and the numbers of the saved ones.
-
-    A time within roundings of a break is at the break.
-    """
+    """Return the ends of the fewest intervals between saved times > 0 and breaks, and the numbers of the saved ones."""
     end, ends = float(later[-1]), list[float]()
     for time, exact in scene.breaks_until(end):
         if (ends[-1] if ends else 0.0) + exact < time < end - exact:

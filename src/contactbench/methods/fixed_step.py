@@ -131,10 +131,7 @@ class FixedStep(Method):
         return self.per_step(scene) if engine in CALLBACKS else None
 
     def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:
-        """Raise `BadInput` unless a user's step map takes a state of the scene to a state of the same fields.
-
-        It must also evaluate as often as it declares: comparisons use that number.
-        """
+        """Raise `BadInput` unless a user's step map keeps the fields of a state and evaluates as it declares."""
         x, h, what = scene.initial(carry), TRIED * scene.t_end, f"method {self.name!r}"
         twin, calls = with_counters(scene)
         try:

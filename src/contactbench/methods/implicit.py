@@ -37,9 +37,7 @@ def fixed_point[K](
 ) -> tuple[K, Condition, Arithmetic]:
     """Return k with update(k) = k, whether the iteration converged, and the number of updates.
 
-    It ends when an increment moves the state by a small part of a unit in the last place.  Increments above rounding
-    may grow for a while, as for oscillating errors.  The slopes of dual numbers must settle too.
-
+    It ends when an increment moves the state by a small part of a unit in the last place, and dual numbers settle too.
     moves : how far a unit of every number in k moves the state, relative to the size of the state.
     """
     settled, rounding = (10.0**-xp.dps, 10.0 ** (6 - xp.dps)) if has_digits(xp) else (SETTLED, ROUNDING)
@@ -69,10 +67,7 @@ def implicit[K](
     k: K,
     xp: Namespace,
 ) -> tuple[K, Condition, Arithmetic]:
-    """Return solve(k); under JAX, differentiate k = update(k) by its Jacobian.
-
-    JAX cannot differentiate backwards through the loop of an iteration.
-    """
+    """Return solve(k); under JAX, whose loops have no reverse mode, differentiate k = update(k) itself."""
     if not abilities(xp).traced or any(isinstance(c, Dual) for c in leaves(k)):
         return solve(k)
 
@@ -103,10 +98,7 @@ def otherwise[K](
     again: Callable[[], tuple[K, Condition, Arithmetic]],
     xp: Namespace,
 ) -> tuple[K, Condition, Arithmetic]:
-    """Return the first result of an iteration; where it did not converge, run the second one and add the costs.
-
-    Results have the form that `fixed_point` returns.
-    """
+    """Return the first result of an iteration; where it did not converge, run the second one and add the costs."""
     k, there, cost = first
     open_, settled, lost = 1.0, 0.0, -1.0
 

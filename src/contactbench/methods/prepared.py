@@ -325,8 +325,7 @@ class Prepared(ABC):
     ) -> Outcome:
         """Return the outcome for the saved states reached: check for divergence, pad with NaN.
 
-        stopped : time and state at which a solver gave up.  If that state is out of scale, the run has diverged: steps
-        shrink without end before a singularity.
+        stopped : time and state at which a solver gave up: out of scale it has diverged, with ever shorter steps.
         """
         bad = self.first_divergence(y0, y)
         if bad is None and status is Status.ok and len(y) == self._saves:
@@ -359,10 +358,7 @@ class Prepared(ABC):
         return out
 
     def _without_rise(self, y0: np.ndarray, out: Outcome) -> Outcome:
-        """Withdraw an `ok` if H0 ends above its start by more than all its terms there.
-
-        No motion of a scene that `bounds_energy` does so.  A small error after a start near an equilibrium is accepted.
-        """
+        """Withdraw an `ok` if a bounded H0 ends above its start by more than all its terms there."""
         r = self.request
         x = r.scene.unpack(r.scene.entries(y0), r.carry)
         start = r.scene.energy(x)
@@ -517,10 +513,7 @@ BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 
 
 class Patience:
-    """A limit of time for measuring laws, on the clock of `perf_counter`; tell : reports progress.
-
-    over : whether the runs for a derivative would exceed it.
-    """
+    """A limit of time for measuring laws, on the clock of `perf_counter`; tell : reports progress."""
 
     def __init__(self, until: float, tell: Callable[[str], None]) -> None:
         self.until, self.tell, self.over = until, tell, False
@@ -563,14 +556,10 @@ def differences(
 ) -> Differential:
     """Return dΦ at y0 by differences of `run.integrate`, the choice of steps included.
 
-    patience : the limit of time; by default a number of right-hand sides, the same on every machine.
-
-    The initial data are displaced along the scene's tangents by increments δ that fall by the factor `RATIO`.  Two
-    neighbouring central differences D give an estimate of fourth order, R = (r² D(δ/r) − D(δ))/(r² − 1): Hairer,
-    Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9.  Truncation dominates the first estimates and
-    round-off the last.  The value is the estimate that agrees best with its neighbour, and twice their difference is
-    the error bar (Ridders, Adv. Eng. Software 4, 75 (1982), doi:10.1016/S0141-1195(82)80057-0).  No value is given if
-    the last two differ by a tenth of their size and by more than the round-off of the state.
+    The initial data are displaced along the tangents by increments δ that fall by the factor `RATIO`.  Two neighbouring
+    central differences D give R = (r² D(δ/r) − D(δ))/(r² − 1).  The value is the R that agrees best with its neighbour,
+    the error bar twice their difference (Ridders, Adv. Eng. Software 4, 75 (1982), doi:10.1016/S0141-1195(82)80057-0);
+    none if the last two differ by a tenth of their size and by more than round-off.
     """
     scene: Scene = run.request.scene
     x = scene.unpack(tuple(y0.tolist()), run.request.carry)

@@ -369,10 +369,7 @@ def nystrom_step(
     factors: Factors | None = None,
     stage: Callable[[Count], Sequence[Arithmetic]] | None = None,
 ) -> tuple[Undamped, Slopes, Own]:
-    """Return the state after a step, the sums of h times z'', e^{G} (½ q·∇V − V), γ'/2, and `pull` at the last stage.
-
-    first : `pull` at the start, if it is known.  stage : see `factors_by_stage`.
-    """
+    """Return the state after a step, the sums of h z'', e^{G} (½ q·∇V − V), γ'/2, and `pull` at the last stage."""
     factors = factors or factors_of(tableau, scene, y.t, h, xp)
     stage, loss = stage or factors_by_stage(tableau, factors, h, xp, loop), factors.loss
     acts, d = y.action is not None, len(y.q)

@@ -140,10 +140,7 @@ class Gap(NamedTuple):
 
 
 def error_of(gap: Gap, wider: Gap, order: int) -> tuple[float, bool]:
-    """Return the relative error of the finest of three pilots, and whether the gaps agree with the order.
-
-    wider : the gap of the two coarser pilots, infinite if there are no two.
-    """
+    """Return the relative error of the finest of three pilots, and whether the gaps agree with the order."""
     size, ratio, slope = gap
     before, longer, steeper = wider
     if not before <= LOST or (slope >= steeper and size >= ROUND_OFF):
@@ -363,10 +360,7 @@ class ChosenStep(Prepared):
         return replace(out, steps=pilot.run.steps_taken)
 
     def end_of(self, y0: np.ndarray) -> tuple[Outcome | None, int]:
-        """Return the outcome of an adaptive solver if it diverges, else None, and its evaluations.
-
-        Pilots cannot tell: in front of a steep wall all of them diverge, at the same time.
-        """
+        """Return the outcome of an adaptive solver, None unless it diverges, and its evaluations."""
         r, witness = self.request, METHODS[WITNESS]
         if witness.refuses(r.scene) is not None:
             return None, 0
@@ -390,10 +384,7 @@ class ChosenStep(Prepared):
 
     # -- the first pilot -------------------------------------------------------------------------------
     def push(self) -> float:
-        """Return the time scale of an explicitly time-dependent force at the start's position, else infinity.
-
-        Pilots whose steps are whole periods of the force see one phase of it, and agree on a wrong motion.
-        """
+        """Return the time scale of an explicitly time-dependent force at the start, of which pilots need all phases."""
         scene, span, begins = self.request.scene, self._end, self.request.scene.begins
         near = max(NEXT * span, APART * math.ulp(abs(begins) + span))
 
@@ -446,10 +437,7 @@ class ChosenStep(Prepared):
 def curvature(
     scene: Scene, y: Sequence[Arithmetic], carry: Sequence[str], units: Sequence[float], xp: Namespace
 ) -> tuple[Arithmetic, Arithmetic]:
-    """Return ‖J²f‖ and ‖f‖ of the motion at a packed state, in units.
-
-    f excludes a constant damping: the damped motion is slow, and contact steps may be longer than the damping time.
-    """
+    """Return ‖J²f‖ and ‖f‖ of the motion at a packed state, in units; f excludes a constant damping, which is slow."""
     rate, motion = scene.conformal_rate, len(units)
     momenta = motion // 2 if hasattr(scene.unpack(y, carry), "q") else 0
     damped = range(momenta, 0 if rate is None else motion)

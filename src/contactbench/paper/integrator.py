@@ -283,8 +283,7 @@ def unconditional_from(name: str) -> float:
 def threshold() -> float:
     """Return the same for the printed order by formula: x² ≤ 2(1 + e^{gx}) for every x = ωh, g = γ/ω.
 
-    Where the two sides touch, x = g e^{gx}; with y = gx, e^y (y − 2) = 2, so y = 2 + W(2/e²) and
-    g = √(y e^{−y}) = 0.49134, at ωh = g e^y = 4.514.
+    Where both sides touch, y = gx has e^y (y − 2) = 2: y = 2 + W(2/e²), g = √(y e^{−y}) = 0.49134.
     """
     y = 2 + float(scipy.special.lambertw(2 / math.e**2).real)
     return math.sqrt(y * math.exp(-y))

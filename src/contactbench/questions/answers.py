@@ -44,10 +44,7 @@ def count(frames: Frames, query: str) -> tuple[int, int]:
 
 
 def share(frames: Frames, question: str, what: str, query: str, **beside: str) -> Answer | None:
-    """Return the answer to a question by the share of rows that are true; None where there are none.
-
-    query : gives a series of truth values.  beside : queries of other counts, by the keys of `BESIDE`.
-    """
+    """Return the answer by the share of true rows, None without rows; beside : queries by the keys of `BESIDE`."""
     part, whole = count(frames, query)
     if not whole:
         return None

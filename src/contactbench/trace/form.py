@@ -34,10 +34,7 @@ class Operation(NamedTuple):
 
 
 class Element(NamedTuple):
-    """An array's element, `shift` beyond its last index; kind : of number, as in `Recorded`, or "stop".
-
-    A "stop" is a whole number that another thread may change: it is read anew every time.
-    """
+    """An array's element, `shift` beyond its last index; kind : as of `Recorded`, or "stop", which threads set."""
 
     array: str
     indices: tuple[Operand, ...]

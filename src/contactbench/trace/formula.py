@@ -116,10 +116,7 @@ class Formula(form.Digested):
         )
 
     def derive(self, choose: Callable[[list[list[Arithmetic]]], object], exact: bool = False) -> Formula:
-        """Return the formula of selected derivatives of all results along the first argument.
-
-        exact : the constants in it, which are products of those of the function, are not rounded.
-        """
+        """Return the formula of some derivatives along the first argument; exact : no constant is rounded."""
         if exact and self.exact is not None:
             return self.to_all_digits.derive(choose, exact)
         tape, moved = Tape(), dict[Operand, Operand]()
@@ -163,10 +160,7 @@ def all_digits_count(x: object) -> bool:
 def derivatives(
     tape: Tape, results: Sequence[Operand], along: Sequence[str], kind: Kind
 ) -> list[list[Arithmetic]]:
-    """Return the derivatives of results along arguments, a row for each result; kind : of the constants in them.
-
-    Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2.
-    """
+    """Return the derivatives of results along arguments, a row for each result; kind : of the constants in them."""
     operations, rows = list(tape.root.statements), []
     sums = Sums(tape, kind, along[0])
     for result in results:

@@ -63,11 +63,7 @@ class Program(NamedTuple):
 
 
 class Watch(NamedTuple):
-    """Further tests of `run`, as functions of (numbers, state).
-
-    slope : numbers that must be finite at the start.  energy : an energy and its allowed rise above the start; None if
-    it may rise.
-    """
+    """Further tests of `run`, functions of (numbers, state): a finite slope, an energy and its allowed rise."""
 
     slope: Callable[[Numbers, Numbers], list[Arithmetic]]
     energy: Callable[[Numbers, Numbers], tuple[Arithmetic, Arithmetic]] | None

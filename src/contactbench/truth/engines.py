@@ -306,8 +306,7 @@ def extrapolation(
 ) -> Rows:
     """Return states at increasing times ≥ 0 (decimal strings) by the Gragg–Bulirsch–Stoer method in mpmath.
 
-    Modified midpoint rule, extrapolated in h² until two neighbours agree to `digits` digits; raises as `taylor` does.
-    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9.
+    The midpoint rule is extrapolated in h² until two agree to `digits`: Hairer, Nørsett, Wanner I, §II.9.
     """
     context = decimal_context(digits + 15)  # extrapolation amplifies round-off
     twin = with_decimals(scene, context.mpf)
