@@ -2,7 +2,7 @@
 
 They are judged by exterior calculus at a point by automatic differentiation, independent of every hand-written formula.
 A one-form is a function ``eta(y) -> covector`` on coordinates y ∈ R^N, a two-form a matrix with
-``(u, v) -> u·A v``.  Canonical coordinates are y = (q, p, s), η = ds − p·dq.
+``(u, v) -> u·A v``.  Canonical coordinates are y = (q, p, s), η = ds − p·dq.  Parameters gamma are > 0.
 """
 
 from __future__ import annotations
@@ -365,7 +365,6 @@ def vertical_component(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
 @claim("C54")
 def decomposition(seed: int = SEED, gamma: float = 0.1) -> Evidence:
-    """gamma : > 0."""
     at, powers = points(5, seed=seed), []
     for scene in (SCENES["particle"].with_(gamma=gamma), quadratically_damped(gamma)):
         X, energy = vector_field(scene), function_of(scene.energy)
@@ -506,7 +505,6 @@ def momentum_laws(gamma: float) -> tuple[Field, Field, Field, Field]:
 
 @claim("C46")
 def momentum_step(seed: int = SEED, gamma: float = 0.1) -> Evidence:
-    """gamma : > 0."""
     _, change, printed, decay = momentum_laws(gamma)
     at = points(7, seed=seed)
     yield largest(change - printed, at) / largest(change, at)
@@ -516,7 +514,6 @@ def momentum_step(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
 @claim("C47")
 def momentum_deduction(seed: int = SEED, gamma: float = 0.1) -> Evidence:
-    """gamma : > 0."""
     X, change, printed, decay = momentum_laws(gamma)
     at = points(7, seed=seed)
     inserted = lie_derivative(X, eta) @ generator
@@ -601,7 +598,6 @@ def time_dependent_reduction(gamma: float = 0.1) -> Evidence:
 
 @claim("C58")
 def published_examples(gamma: float = 0.1) -> Evidence:
-    """gamma : of the projectile."""
     thrown = Mechanical(
         name="projectile", potential=lambda q: q[1], gamma=gamma, q=(0.0, 0.0), p=(1.0, 1.0), t_end=10.0
     )

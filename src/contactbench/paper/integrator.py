@@ -108,7 +108,6 @@ def discrete_herglotz(seed: int = SEED, gamma: float = 0.1, h: float = 0.1) -> E
 
 @claim("C48")
 def variational_splitting(gamma: float = 0.1, h: float = 0.1) -> Evidence:
-    """gamma : > 0."""
     scene = PARTICLE.with_(gamma=gamma)
     decay, span = math.exp(-gamma * h), -math.expm1(-gamma * h) / gamma
     # the kinetic part of s₁ over ‖q₁ − q₀‖²: of A after C, of A½ C A½, of A and C together
@@ -272,12 +271,9 @@ def largest_radius(name: str, gamma: float) -> float:
 
 
 def unconditional_from(name: str) -> float:
-    """Return the γ/ω from which no step size has an eigenvalue outside the unit circle, by bisection."""
-    low, high = 0.3, 0.7
-    while high - low > 1e-9:
-        middle = (low + high) / 2
-        low, high = (middle, high) if largest_radius(name, middle) > 1 + SLACK else (low, middle)
-    return (low + high) / 2
+    """Return the γ/ω from which no step size has an eigenvalue outside the unit circle."""
+    over = lambda gamma: largest_radius(name, gamma) - 1 - SLACK  # noqa: E731
+    return float(scipy.optimize.bisect(over, 0.3, 0.7, xtol=1e-9))
 
 
 def threshold() -> float:

@@ -1,13 +1,10 @@
 """The ledger: what a claim is, what counts as evidence, and how a verdict follows from numbers.
 
-One rule decides all verdicts.  A claim *holds* if it is true as printed.  It *holds, corrected* if a printed number or
-formula is wrong, and the statement in words that the text draws from it survives the correction.  It is *refuted* if
-that statement fails.  Where a text can be read in two ways, both are measured and said, and the paper's own definitions
-decide.  A claim is judged in the paper's own setting; how it fares in others is measured beside it.
+A claim *holds* if it is true as printed, in the paper's own setting and by its own definitions.  It *holds, corrected*
+if a number or formula is wrong, and the statement in words survives the correction.  Else it is *refuted*.
 
-A claim is a statement and the bounds of its measurements, in ``statements.toml``, and a function that returns the
-numbers.  The verdict follows from the numbers by `verdict`; whether a correction repairs or replaces a statement
-that fails is argued in its `correction`.
+Statements and bounds are in ``statements.toml``, functions return the numbers, `verdict` follows from them; whether a
+correction repairs or replaces a statement that fails is argued in its `correction`.
 """
 
 from __future__ import annotations
@@ -40,18 +37,12 @@ class Verdict(StrEnum):
 
 
 class Correction(StrEnum):
-    """How a corrected statement relates to the paper's, declared with the claim.
+    """How a corrected statement relates to the paper's, declared with the claim."""
 
-    repairs : a number or formula is corrected, the statement in words survives; the claim *holds, corrected*.
-    replaces : the statement in words fails, and the correction contradicts it; it is *refuted*.
-    sharpens : the claim holds, and more is true than it says.
-    extends : the claim holds; the correction says how far it goes, or how another reading of it fares.
-    """
-
-    repairs = "repairs"
-    replaces = "replaces"
-    sharpens = "sharpens"
-    extends = "extends"
+    repairs = "repairs"  # a number or formula is corrected, the statement in words survives
+    replaces = "replaces"  # the statement in words fails, and the correction contradicts it
+    sharpens = "sharpens"  # the claim holds, and more is true than it says
+    extends = "extends"  # the claim holds; how far it goes, or how another reading of it fares
 
 
 @dataclass(frozen=True)
@@ -112,12 +103,10 @@ def columns(measurements: Sequence[Measurement], prefix: str = "") -> dict[str, 
 class Claim:
     """One claim of the paper, or beyond it.
 
-    name : its id.  where : section and equation or figure of the paper, numbered as it is printed, or `BEYOND`.
-    says : the claim in our words.  scene, method : what it is measured on.  measure : ``(**parameters) -> Evidence``,
-    the numbers of `measured` and then of `corrected`; every parameter has a default, which is what the table shows.
-    measured, corrected : the measurements of the paper's statement and of the corrected one.  kind, correction : how
-    and in which words it is corrected.  figures : the paper's figures redrawn for it.  dear : it takes longer than a
-    second.
+    where : section and equation or figure of the paper, or `BEYOND`.  says : the claim in our words.  measure :
+    ``(**parameters) -> Evidence``, by default with the table's, of the rows `measured` of the paper's statement
+    and then `corrected`.  kind, correction : how and in which words it is corrected.  figures : of the paper.  dear : it
+    takes longer than a second.
     """
 
     name: str

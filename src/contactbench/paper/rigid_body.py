@@ -251,13 +251,8 @@ def motions_settle(seed: int = SEED, starts: int = 1200, inertia: Sequence[float
 
 
 # -- stability of the steady rotations -------------------------------------------------------------
-# Take a principal axis i in ker D and M* = m e_i, m of either sign, D symmetric ≥ 0.  Let a = 1/I and (i, j, k) be a
-# cyclic order of the axes.  M' = M × I⁻¹M − D M has the components
-#
-#     M_j' = (a_i − a_k) M_k M_i − (D M)_j,    M_k' = (a_j − a_i) M_i M_j − (D M)_k.
-#
-# D e_i = 0 and D = Dᵀ leave of D the block (d_jj, d_jk; d_jk, d_kk).  At M* the axis i has eigenvalue 0, because m' e_i
-# is an equilibrium for every m', and the transverse linearisation is
+# Let D be symmetric ≥ 0, D e_i = 0, M* = m e_i, a = 1/I, and (i, j, k) a cyclic order.  M' = M × I⁻¹M − D M linearised
+# across the axis is
 #
 #     A = ( −d_jj                     m (a_i − a_k) − d_jk )
 #         ( m (a_j − a_i) − d_jk      −d_kk                ),
@@ -265,10 +260,8 @@ def motions_settle(seed: int = SEED, starts: int = 1200, inertia: Sequence[float
 #     tr A  = −(d_jj + d_kk),
 #     det A = d_jj d_kk − d_jk² + m (a_j − a_k) d_jk + m² (a_i − a_j)(a_i − a_k).
 #
-# tr A ≤ 0, and tr A = 0 only for D = 0.  So, off the border det A = 0: det A < 0 is a saddle; det A > 0 is stable,
-# asymptotically across the axis if D ≠ 0.  The last term of det A is positive for an extreme axis and negative for the
-# intermediate one: that is all the classical theorem sees.  The third term has either sign and changes it with m: M*
-# and −M* may differ.
+# det A < 0 is a saddle; det A > 0 is stable, asymptotically if D ≠ 0.  The classical theorem sees the last term alone,
+# positive for an extreme axis; the sign of the third is that of m.
 #: (D, inertia, M*), M* on a principal axis in ker D
 type Case = tuple[Matrix, Sequence[float], Vector]
 
