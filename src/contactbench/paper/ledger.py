@@ -105,8 +105,8 @@ class Claim:
 
     where : section and equation or figure of the paper, or `BEYOND`.  says : the claim in our words.  measure :
     ``(**parameters) -> Evidence``, by default with the table's, of the rows `measured` of the paper's statement
-    and then `corrected`.  kind, correction : how and in which words it is corrected.  figures : of the paper.  dear : it
-    takes longer than a second.
+    and then `corrected`.  kind, correction : how and in which words it is corrected.  figures : of the paper.  dear :
+    it takes longer than a second.
     """
 
     name: str

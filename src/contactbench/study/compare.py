@@ -66,11 +66,10 @@ def compare(
 ) -> pd.DataFrame:
     """Race methods on one scene: what each costs at each error, and what it keeps.
 
-    Each method is tried from its coarsest setting to the one that reaches the smallest error, on the first
-    of its engines that can run the scene; the settings that reach the errors are then timed in turns, as bare
-    calls, each at least eight times, or fewer if the machine is too busy for that.  Times are compared within a kind of
-    engine: compiled, or calling back into Python.
-    Ctrl-C ends the race with the rows so far.
+    Each method is tried from its coarsest setting to the one that reaches the smallest error, on the first of its
+    engines that can run the scene; the settings that reach the errors are then timed in turns, as bare calls, at least
+    eight times, or fewer if the machine is too busy for that.  Times are compared within a kind of engine: compiled, or
+    calling back into Python.  Ctrl-C ends the race with the rows so far.
 
     Parameters
     ----------
@@ -86,8 +85,7 @@ def compare(
         those of q, p, M, R and each component with a unit of its own.  `scale=` of the scene sets other denominators;
         with `attitude=False` the R of a body does not count.
     budget :
-        Seconds for everything, by default 15, and 50 where `methods` are given; the reference may take five
-        seconds whatever the budget.
+        Seconds for everything, by default 15, and 50 where `methods` are given; the reference may take five.
     progress :
         Whether to show a bar on stderr, in a terminal and in a notebook.
     reference :
@@ -101,19 +99,17 @@ def compare(
     -------
     pandas.DataFrame
         One row for each method and error, columns: scene, method, family, engine, kind, error_asked, setting,
-        error_reached, time_s (the least round), evaluations (of the right-hand side, or what equals one), ratio (to
-        the least time of its kind at that error), margin (the factor by which the less of the two
-        must be ahead to lead alone),
-        at_least (a lower bound of its seconds where it was cut off or not timed), verdict (win; tie
-        of all within a quarter of the least; undecided where the margin is wider, or a rival that might be
-        faster was cut off; loss), laws_kept,
-        laws_undecided (their round-off may hide a drift), a column for each law, status, reason (why a method got
-        no further, was not timed, or is undecided).
-        ``attrs``: "recommendation" (what to take, a sentence for each error),
-        "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
-        claimed), "runs" (every setting tried), "undamped" (whether the scene is), "carry" (which of s and R the runs
-        carry), "of_floats" (functions that cannot be recorded), "unbegun" (methods that no time was left for),
-        "unrefined" (those without a last search for a coarser setting), "interrupted", "seconds".
+        error_reached, time_s (the least round), evaluations (of the right-hand side, or what equals one), ratio (to the
+        least time of its kind at that error), margin (the factor by which the less of the two must be ahead to lead
+        alone), at_least (a lower bound of its seconds where it was cut off or not timed), verdict (win; tie of all
+        within a quarter of the least; undecided where the margin is wider, or a rival that might be faster was cut off;
+        loss), laws_kept, laws_undecided (their round-off may hide a drift), a column for each law, status, reason (why
+        a method got no further, was not timed, or is undecided).
+        ``attrs``: "recommendation" (what to take, a sentence for each error), "reference" (source, digits, digits
+        confirmed by a second engine, error: smaller ones are not claimed), "runs" (every setting tried), "undamped",
+        "carry" (which of s and R the runs carry), "of_floats" (functions that cannot be recorded), "unbegun" (methods
+        that no time was left for), "unrefined" (those without a last search for a coarser setting), "interrupted",
+        "seconds".
 
     Raises
     ------

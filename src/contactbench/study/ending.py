@@ -1,4 +1,4 @@
-"""Print the summary of a benchmark run: answers, and the documents to read."""
+"""Print the summary of a benchmark run: answers, and the document to read."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ NO_MARKDOWN = str.maketrans("", "", "`*")
 
 
 def ending(results: Path) -> str:
-    """Return the answers of a folder of tables, and the documents, as text."""
-    return "\n".join([*answers(results), "", *documents(results)])
+    """Return the answers of a folder of tables, and the document to read, as text."""
+    read = [f"{results / 'README.md'}: all tables"] * (results / "README.md").exists()
+    return "\n".join([*answers(results), "", *read])
 
 
 def answers(results: Path) -> Iterator[str]:
@@ -23,12 +24,5 @@ def answers(results: Path) -> Iterator[str]:
     yield f"Of {runs['method'].nunique()} methods on {runs['scene'].nunique()} scenes:"
     for answer in mission.answers(frames):
         yield textwrap.fill(answer.question.translate(NO_MARKDOWN), WIDTH)
-        found = f"{answer.answer}: {answer.count}".translate(NO_MARKDOWN)
-        yield textwrap.fill(
-            found, WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
-        )
-
-
-def documents(results: Path) -> Iterator[str]:
-    if (results / "README.md").exists():
-        yield f"{results / 'README.md'}: all tables"
+        found = f"    {answer.answer}: {answer.count}".translate(NO_MARKDOWN)
+        yield textwrap.fill(found, WIDTH, subsequent_indent="    ", break_on_hyphens=False)

@@ -66,17 +66,11 @@ def leaders(rows: pd.DataFrame, methods: list[str], errors: Collection[float]) -
     return sorted(parts, key=lambda name: -parts[name])[:MOST_LEADERS]
 
 
-def damping_of(scene: Scene) -> float:
-    """Return the ratio of damping to frequency, estimated by a pilot run; nan if the pilot fails."""
-    damping = np.nan
-    with suppress(BadInput):
-        damping = max(float(features(scene).damping), LEAST_DAMPING)
-    return damping
-
-
 def similar(scene: Scene) -> pd.DataFrame:
     """Return the costs on random problems of the kind with the nearest damping, else on named scenes."""
-    problems, damping = results("problems").set_index(["seed", "scene"]), damping_of(scene)
+    problems, damping = results("problems").set_index(["seed", "scene"]), np.nan
+    with suppress(BadInput):  # a pilot run fails
+        damping = max(float(features(scene).damping), LEAST_DAMPING)
     drawn = problems[(problems["hard"].fillna("") == "") & (problems["kind"] == scene.kind)]
     gaps = np.log(drawn["damping"].astype(float).clip(lower=LEAST_DAMPING) / damping).abs()
     near, rows = (gaps.nsmallest(NEAREST) if damping == damping else gaps), results("population")

@@ -34,11 +34,7 @@ ROWS, WIDTH = 10, 100
 
 # -- the terminal ----------------------------------------------------------------------------------
 def text(frame: pd.DataFrame, every: bool = False, scene: str = "") -> str:
-    """Return the text of a race for the terminal; the recommendation comes last.
-
-    every : show all rows, settings and notes; otherwise only the times of the best `ROWS` methods.  scene : words that
-    name the scene on the command line, by default its name.
-    """
+    """Return the text of a race, the best `ROWS` methods or `every` one; scene : its words on the command line."""
     recommended, (reference, *more) = frame.attrs["recommendation"], notes(frame)
     order, named = ranked(frame), {word for line in recommended for word in re.findall(r"[\w-]+", line)}
     named |= {name for group in CONTESTANTS for name in [n for n in order if n in group][:1]}
@@ -217,7 +213,6 @@ def recommendation(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def named(row: pd.Series) -> str:
-    """Return a method and its setting in words."""
     return f"{row['method']}, {str(row['setting']).replace('=', ' ', 1)}"
 
 

@@ -37,10 +37,8 @@ SHARE = 0.05
 RUN_SHARE = 0.006
 #: rough cost of the derivative of a map: compilations, least seconds of each, and runs
 COMPILATIONS, CACHED, RUNS = 2.0, 0.2, 100.0
-#: number of components above which its compilation grows like their cube
-MANY = 20
-#: stages that the progress bar counts beside the methods
-STAGES = 3
+#: number of components above which its compilation grows like their cube; stages that the progress bar counts
+MANY, STAGES = 20, 3
 #: status and reason of a method without a run
 NOT_BEGUN, INTERRUPTED = ("budget", "no time was left to begin it"), "interrupted"
 #: measures that are not laws, or that another column covers
