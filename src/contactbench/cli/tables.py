@@ -54,7 +54,7 @@ def report(arguments: argparse.Namespace) -> int:
         return 1 if found else 0
     if readme:
         writable("--readme", readme)
-    for path in write.report(results, registries, readme, arguments.png):
+    for path in write.report(results, registries, readme):
         print(path)
     return 0
 

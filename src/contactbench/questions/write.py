@@ -57,9 +57,8 @@ def as_of(results: Path, written: tuple[int, ...]) -> Tables:
     return Tables({name: read(table, results) for name, table in TABLES.items()})
 
 
-def documents(
-    results: Path, registries: Registries, readme: Path | None
-) -> tuple[dict[Path, str], list[Figure]]:
+def documents(results: Path, registries: Registries, readme: Path | None) -> dict[Path, str]:
+    """Return the texts of documents and figures by their paths."""
     frames, pages, drawn = tables(results), dict[str, str](), dict[str, Figure]()
     for file, own in groupby(chapters(frames), key=lambda chapter: chapter.file):
         first, *others = own
@@ -78,9 +77,7 @@ def documents(
         pages = {name: TO_DOCS.sub("", text) for name, text in pages.items()}
     pages |= {f"figures/{name}.svg": draw.svg(figure) for name, figure in drawn.items()}
     paths = {results / name: text for name, text in pages.items()}
-    return paths | ({readme: with_answers(readme, frames, results.name)} if readme else {}), list(
-        drawn.values()
-    )
+    return paths | ({readme: with_answers(readme, frames, results.name)} if readme else {})
 
 
 def chapter_parts(chapter: Chapter, frames: Frames) -> tuple[Part, ...]:
@@ -113,14 +110,12 @@ def computed_part(readme: Path) -> tuple[str, str] | None:
     return text.partition(begin)[0] + begin, end + text.partition(end)[2]
 
 
-def report(
-    results: Path, registries: Registries, readme: Path | None = None, png: bool = False
-) -> list[Path]:
+def report(results: Path, registries: Registries, readme: Path | None = None) -> list[Path]:
     """Write every document and figure the tables allow, remove other figures of a report, and return the paths.
 
-    readme : a file whose computed part is filled in too.  png : whether figures are saved as pictures too.
+    readme : a file whose computed part is filled in too.
     """
-    texts, drawn = documents(results, registries, readme)
+    texts = documents(results, registries, readme)
     (results / "figures").mkdir(exist_ok=True)
     for path, text in texts.items():
         with replacing(path) as file:
@@ -128,7 +123,7 @@ def report(
     for path in (results / "figures").glob("*.svg"):
         if path not in texts and draw.MADE_HERE in path.read_text(encoding="utf-8"):
             path.unlink()
-    return [*texts, *(draw.save_png(figure, results / "figures") for figure in drawn if png)]
+    return [*texts]
 
 
 # -- the glossary: what the registries say of methods, scenes and columns ----------------------------
@@ -155,7 +150,7 @@ def columns_view(name: str) -> View:
 
 # -- do the committed documents and figures say what the committed tables say? -----------------------
 def differing(results: Path, readme: Path | None, registries: Registries) -> list[str]:
-    wanted, _ = documents(results, registries, readme)
+    wanted = documents(results, registries, readme)
     lines = []
     for path, text in wanted.items():
         if not path.exists():

@@ -7,7 +7,6 @@ import math
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -205,11 +204,3 @@ def svg(figure: Figure) -> str:
     )
     rules = "".join(f".{name}{{{style}}}" for style, name in styles.items())
     return text.replace("<defs>", f"{MADE_HERE}{rules}</style>\n <defs>", 1)
-
-
-def save_png(figure: Figure, folder: Path) -> Path:
-    path = folder / f"{figure.name}.png"
-    drawing = render(figure)
-    drawing.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(drawing)
-    return path
