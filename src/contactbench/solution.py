@@ -88,8 +88,6 @@ DRAWN = 8
 
 #: controls of a method without step and tolerance, and of growing steps, which are given by their mean
 EXACT, GROWING = "exact", "growing"
-#: the variant of a fixed-step method that is given rtol: pilots choose its step
-PILOTS = "pilots"
 
 
 def setting_key(control: str, value: float) -> str:
