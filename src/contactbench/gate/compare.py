@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +151,7 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool
     same_end = (both["status"] == both["status after"]).to_numpy() if "status" in table.columns else True
     blank = both.isna() | (both == "")
     for name, rule in table.rules.items():
-        if rule is Rule.time or name in table.key or blank[name].all():
+        if name in table.key or blank[name].all():
             continue  # a blank column of the baseline is new
         moved = distance(name, rule, both, alike)
         if name not in ("status", "profile"):  # a changed ending is red already; skip its numbers
@@ -254,24 +253,15 @@ def readable(folder: Path) -> tuple[Frames, list[str]]:
     frames, others = {}, []
     for name in TABLES:
         try:
-            frames[name] = load(name, folder)
+            frames[name] = read(TABLES[name], folder)
         except OldTable:
-            frames[name] = empty(name)
+            frames[name] = set_types(pd.DataFrame(columns=[*TABLES[name].columns]), TABLES[name])
             others.append(name)
     return frames, others
 
 
-def load(name: str, folder: Path) -> pd.DataFrame:
-    return read(TABLES[name], folder) if TABLES[name].path(folder).exists() else empty(name)
-
-
-@cache
-def empty(name: str) -> pd.DataFrame:
-    return set_types(pd.DataFrame(columns=[*TABLES[name].columns]), TABLES[name])
-
-
 def compare_folders(baseline: Path, fresh: Path) -> Findings:
-    (before, _), now = readable(baseline), {name: load(name, fresh) for name in TABLES}
+    (before, _), now = readable(baseline), {name: read(table, fresh) for name, table in TABLES.items()}
     found = compare_runs(before, now, Runs.of(baseline, fresh), "base → fresh")
     if not found.notes:
         raise BadInput(f"{baseline}: no row that a run of this profile makes")

@@ -28,7 +28,6 @@ from contactbench.gate.compare import (
     compare,
     compare_runs,
     keys,
-    load,
     locate,
     readable,
     rows_of,
@@ -38,6 +37,7 @@ from contactbench.plugins import brought
 from contactbench.tables import provenance
 from contactbench.tables.declared import TIMES
 from contactbench.tables.schema import TABLES, Table
+from contactbench.tables.store import read
 
 PARTS = ("accuracy", "speed")
 #: lines of commit messages that announce changed tables (or "all") and removed tests
@@ -108,7 +108,7 @@ def gate(
                 rows += check_report(root, results)
             found += Findings(rows_of(*rows))
         if "speed" in parts:
-            times = before[TIMES.name] if len(before[TIMES.name]) else load(TIMES.name, results)
+            times = before[TIMES.name] if len(before[TIMES.name]) else read(TIMES, results)
             cells = speed.workload(times, everywhere=not revisions.ours(root))
             if not cells:
                 raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {where}/")

@@ -44,7 +44,6 @@ class Rule(Enum):
     measured = "what a claim measured: a factor of two or a hundredth, above round-off and far from its bound"
     point = "a coordinate of a curve: within a hundredth of the largest along the curve, above round-off"
     end = "how far a run got: exact where it ended well, else within a tenth"
-    time = "not compared: the gate times calls itself, in pairs"
     profile = "may be of a smaller profile, never only of a larger one"
 
     @property
