@@ -8,7 +8,6 @@ from functools import cache
 from typing import ClassVar, cast
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from contactbench.checks import function, require_number
 from contactbench.errors import BadInput
@@ -43,6 +42,7 @@ NODES, ITERATIONS, PANELS = 16, 6, 2
 @cache
 def rule() -> tuple[list[float], list[float], list[list[float]]]:
     """Return Gauss's nodes and weights on [0, 1], and the weights of the integrals from 0 to each node."""
+    legendre = np.polynomial.legendre  # loaded when first used
     x, w = legendre.leggauss(NODES)
     integrals = legendre.legval(x, legendre.legint(np.eye(NODES), lbnd=-1)).T
     upto = integrals @ np.linalg.inv(legendre.legvander(x, NODES - 1)) / 2
