@@ -118,14 +118,10 @@ def able(frames: Frames, scene: str, method: str) -> bool:
 @lru_cache(8)
 def contestants(frames: Frames, scene: str) -> list[str]:
     """Return the methods of the mission that run on a scene, with its fastest and its fastest contact method."""
-    ranked = cost.standings(frames, "compiled")
-    here = ranked[(ranked["scene"] == scene) & (ranked["error"] == ERRORS[-1])].dropna(subset="cost")
-    contact = here[here["family"] == CONTACT]
-    runs = frames["runs"]
-    able = set(runs["method"][(runs["scene"] == scene) & (runs["status"] != "unsupported")])
-    found = dict.fromkeys([*METHODS, *contact["method"].head(1), *here["method"].head(1)])
-    known = families(runs)
-    return sorted((name for name in found if name in able), key=lambda name: known[name] != CONTACT)
+    first = [leading(frames, label, scene, ERRORS[-1]) for label in (LABELS["best"], LABELS["fastest"])]
+    found = dict.fromkeys(m for m in [*METHODS, *first] if m is not None and able(frames, scene, m))
+    known = families(frames["runs"])
+    return sorted(found, key=lambda name: known[name] != CONTACT)
 
 
 @lru_cache(8)
@@ -138,24 +134,12 @@ def equal_cost(frames: Frames, scene: str) -> float:
 
 @lru_cache(64)
 def at_equal_cost(frames: Frames, scene: str, method: str) -> pd.Series:
-    """Return error, laws and time of a method at the cost at which the contestants are compared."""
+    """Return error and laws of a method at the cost at which the contestants are compared."""
     runs, most = frames["runs"], equal_cost(frames, scene)
     rows = runs[(runs["scene"] == scene) & (runs["method"] == method) & (runs["saved"] == SAVED)]
     found = at_cost(rows, most, ["error", *LAWS])
     nothing = pd.Series({"evaluations": np.nan, "error": np.nan, **dict.fromkeys(LAWS, np.nan)})
-    found = nothing if found is None else found
-    return pd.concat([found, pd.Series({"time": time_of(frames, scene, method, found["evaluations"])})])
-
-
-def time_of(frames: Frames, scene: str, method: str, evaluations: float) -> float:
-    """Return the time of so many evaluations: log-log between timed runs, in proportion beyond the longest of them."""
-    timed = cost.compared(frames, scene, "compiled")
-    own = timed[timed["method"] == method].sort_values("evaluations", kind="stable")
-    spent, seconds = (np.array(floats(own[name])) for name in ("evaluations", "spent"))
-    if not len(own) or np.isnan(evaluations):
-        return np.nan
-    beyond = max(1.0, evaluations / spent[-1])
-    return float(np.exp(np.interp(np.log(evaluations), np.log(spent), np.log(seconds))) * beyond)
+    return nothing if found is None else found
 
 
 def claimed(frames: Frames, scene: str, law: str) -> bool:
@@ -251,7 +235,8 @@ def step_view(frames: Frames) -> View:
 def keeps_view(frames: Frames) -> View:
     """Return error and laws of the contestants at equal cost, the largest of the scenes."""
     lines = []
-    for method in [*METHODS, *(m for m in dict.fromkeys(contact_best(frames)) if m not in METHODS)]:
+    best = [leading(frames, LABELS["best"], scene, ERRORS[-1]) for scene in SCENES]
+    for method in dict.fromkeys([*METHODS, *filter(None, best)]):
         there = [s for s in SCENES if method in contestants(frames, s)]
         found = {scene: at_equal_cost(frames, scene, method) for scene in there}
         if there:
@@ -259,12 +244,6 @@ def keeps_view(frames: Frames) -> View:
             laws_there = [worst(frames, found, law) for law in LAWS]
             lines.append([method, as_cell(error, scientific), *laws_there])
     return view("story_keeps", frame_of(lines[:MOST], ["method", "error", *map(law_label, LAWS)]))
-
-
-def contact_best(frames: Frames) -> list[str]:
-    ranked = cost.standings(frames, "compiled").dropna(subset="cost")
-    ranked = ranked[(ranked["error"] == ERRORS[-1]) & (ranked["family"] == CONTACT)]
-    return [str(m) for m in ranked[ranked["scene"].isin(SCENES)].drop_duplicates("scene")["method"]]
 
 
 def worst(frames: Frames, found: Mapping[str, pd.Series], law: str) -> Cell:
