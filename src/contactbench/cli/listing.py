@@ -10,7 +10,6 @@ from contactbench.cli.printing import print_item
 
 if TYPE_CHECKING:
     from contactbench.methods.base import Method
-    from contactbench.paper import Claim
     from contactbench.registry import Registry
     from contactbench.scene import Scene
 
@@ -116,14 +115,11 @@ def of_scene(scene: Scene) -> Iterator[tuple[str, object]]:
     yield "methods", ", ".join(name for name, each in cb.METHODS.items() if each.refuses(scene) is None)
 
 
-def of_claim(claim: Claim) -> Iterator[tuple[str, object]]:
-    yield "claim", f"{claim.where}: {claim.says}"
-    yield "measure", f"contactbench claim {claim.name}"
-
-
 DETAILS: dict[str, Callable[[Any], Iterator[tuple[str, object]]]] = {
     "scenes": of_scene,
     "methods": of_method,
     "laws": lambda law: iter([("about", law.definition)]),
-    "claims": of_claim,
+    "claims": lambda claim: iter(
+        [("claim", f"{claim.where}: {claim.says}"), ("measure", f"contactbench claim {claim.name}")]
+    ),
 }

@@ -72,10 +72,6 @@ def answers(frames: Frames) -> Iterator[Answer]:
 
 
 # -- who is cheapest -------------------------------------------------------------------------------
-def error_label(error: float) -> str:
-    return f"error {power(error)}"
-
-
 def cost_text(row: Cost, timed: bool) -> str:
     if math.isnan(row.cost):
         return row.reason or DASH
@@ -102,7 +98,7 @@ def leaders_view(rows: pd.DataFrame, kind: str, name: str = "") -> View | None:
     reached = rows[both & (rows.groupby("scene")["cost"].transform("count") > 0)]
     if not len(reached):
         return None
-    table = matrix(reached, "scene", "error", lambda own: leaders(own, timed), error_label)
+    table = matrix(reached, "scene", "error", lambda own: leaders(own, timed), lambda e: f"error {power(e)}")
     return View(name or f"leaders_{kind}", title, table, ENTRIES[kind]["about"])
 
 

@@ -47,10 +47,6 @@ def ending(runs: pd.DataFrame) -> Cell:
     return Cell(names(list(dict.fromkeys(runs["status"]))), mark=mark)
 
 
-def endings_view(runs: pd.DataFrame) -> View:
-    return view("hard_endings", matrix(hard_runs(runs), "method", "scene", ending))
-
-
 # -- limits of steps -------------------------------------------------------------------------------
 def limit_cell(rows: pd.DataFrame) -> Cell:
     row = rows.iloc[0]
@@ -158,7 +154,7 @@ def ticks_figure(limits: pd.DataFrame) -> Figure | None:
 @chapter("hard", answers)
 def parts(frames: Frames) -> Iterator[Part | None]:
     limits, hard = frames["limits"], hard_runs(frames["runs"])
-    yield endings_view(hard)
+    yield view("hard_endings", matrix(hard, "method", "scene", ending))
     yield leaders_view(ranked(hard, saved=SAVED), "evaluations", "hard_leaders")
     yield limits_view(limits)
     yield stability_map(with_family(limits, frames["runs"]))

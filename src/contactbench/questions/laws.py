@@ -17,7 +17,7 @@ from contactbench.report.curves import ROUND_OFF, above, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
 from contactbench.report.numbers import count, names, scientific
-from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
+from contactbench.report.views import Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.solution import EXACT
 from contactbench.tables.declared import RUNS
 
@@ -82,10 +82,6 @@ def laws_on(rows: pd.DataFrame) -> list[str]:
     return shown + [law for law in of_the_map if rows[f"{law}_claimed"].any()]
 
 
-def law_cell(found: pd.Series, law: str) -> Cell:
-    return as_cell(found[law], scientific, Mark.kept if found.get(f"{law}_kept") else None)
-
-
 def equal_cost_view(frames: Frames, scene: str) -> View | None:
     rows = frames["runs"]
     rows = rows[(rows["scene"] == scene) & (rows["saved"] == SAVED)]
@@ -95,7 +91,8 @@ def equal_cost_view(frames: Frames, scene: str) -> View | None:
     for method, own in rows.groupby("method", sort=False):
         if (found := at_cost(own, cost, ["error", *laws])) is not None:
             spent = "any" if EXACT in set(own["control"]) else count(found["evaluations"])
-            drifts = [law_cell(found, law) for law in laws]
+            marks = [Mark.kept if found.get(f"{law}_kept") else None for law in laws]
+            drifts = [as_cell(found[law], scientific, mark) for law, mark in zip(laws, marks, strict=True)]
             order = order_of(frames, scene, str(method))
             lines.append((method, spent, order, as_cell(found["error"], scientific), *drifts))
     labels = ["method", "evaluations", "order", "error", *map(law_label, laws)]

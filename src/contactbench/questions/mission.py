@@ -5,7 +5,7 @@ It makes results/README.md, and the computed part of the README of the project.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
@@ -320,7 +320,7 @@ def parts(frames: Frames) -> list[Part | None]:
     found: list[Part | None] = [motion_figure(frames["motion"])]
     for (name, own), figure, table in zip(steps(frames).items(), PICTURES, tables, strict=True):
         prose, drawn = PROSE[NAME]["steps"][name], picture(frames, figure)
-        shown = view_of(table, frames, f"story_{name}")
+        shown = replace(table(frames), name=f"story_{name}", title="")
         lines = Text(" ".join(prose["about"].split()), tuple(map(line, own)))
         found.append(Section(prose["title"], (lines, drawn and replace(drawn, caption=""), shown)))
     questions: dict[str, list[str]] = {}
@@ -331,10 +331,6 @@ def parts(frames: Frames) -> list[Part | None]:
         (f"[{file}]({file})", " ".join(asked)) for file, asked in questions.items() if file != f"{NAME}.md"
     ]
     return [*found, view("documents", frame_of(rows, ["document", "question"]))]
-
-
-def view_of(make: Callable[[Frames], View], frames: Frames, name: str) -> View:
-    return replace(make(frames), name=name, title="")
 
 
 def machine(runs: Sequence[Mapping[str, object]]) -> Text:

@@ -387,7 +387,8 @@ class Spheres(Mechanical):
         """Return Σ q ∧ p: one number in the plane, three in space, d(d − 1)/2; its component along an axis."""
         total: Sequence[Arithmetic] = ()
         for q, p in self.pairs(x):
-            turned = cross(q, p) if len(q) == 3 else planes(q, p)
+            planes = combinations(range(len(q)), 2)
+            turned = cross(q, p) if len(q) == 3 else [q[i] * p[j] - q[j] * p[i] for i, j in planes]
             total = [a + b for a, b in zip(total, turned, strict=True)] if total else turned
         return tuple(total) if self.axis is None else (dot(self.axis, total),)
 
@@ -430,11 +431,6 @@ class Spheres(Mechanical):
                 q = tuple(cos * a + sin * R * b for a, b in zip(q, u, strict=True))
             moved = moved[0] + q, moved[1] + p
         return State(*moved, s)
-
-
-def planes(q: Vector, p: Vector) -> Vector:
-    """Return q ∧ p, a number for each pair of axes."""
-    return tuple(q[i] * p[j] - q[j] * p[i] for i, j in combinations(range(len(q)), 2))
 
 
 def frame(u: Vector) -> list[Vector]:
