@@ -348,22 +348,17 @@ def make_request(
         raise BadInput(f"the run ends at t = {times[-1]:.3g}: must be {SHORTEST_RUN:g} or later")
     engine = engine or engines_of(chosen)[0]
     request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget, steps, dense=dense)
-    if (why := chosen.refuses(scene) or too_large(chosen, request)) is not None:
+    why, most = chosen.refuses(scene), chosen.largest
+    if why is None and engine not in CALLBACKS and scene.motion > 2 * most:  # compiled one by one
+        size = f"the {scene.motion // 2} components of scene {scene.name!r}, more than {most}"
+        plain = ": take engine='python'" if "python" in chosen.engines else ""
+        why = f"{chosen.name} would compile {size}, one by one{plain}"
+    if why is not None:
         return Refused(chosen.name, request, why)
     require_start(scene, request.carry)
     if chosen.adaptive and atol is None and (chosen.takes_atol or chosen.own_time):
         request = request.to_scale(chosen.takes_atol)
     return request
-
-
-def too_large(chosen: Method, request: Request) -> str | None:
-    """Return why a scene has too many components to be compiled one by one, or None."""
-    scene, most = request.scene, chosen.largest
-    if request.engine in CALLBACKS or scene.motion <= 2 * most:
-        return None
-    size = f"the {scene.motion // 2} components of scene {scene.name!r}, more than {most}"
-    plain = ": take engine='python'" if "python" in chosen.engines else ""
-    return f"{chosen.name} would compile {size}, one by one{plain}"
 
 
 def setting_of(
