@@ -1,6 +1,8 @@
 """What must hold of every subflow, composition and method, as functions that say whether it does."""
 
 import math
+from dataclasses import replace
+from fractions import Fraction
 from functools import partial
 
 import numpy as np
@@ -299,6 +301,17 @@ def consistent(composition):
         for part in name.split("_"):
             total[part] = total.get(part, 0) + coefficient
     return total == {"kick": 1, "drift": 1, "damp": 1}
+
+
+def faulty(composition):
+    """The composition with one coefficient a part in a thousand larger, for each of them."""
+    found = []
+    for which in ("stages", "processor"):
+        stages = getattr(composition, which)
+        for k, (name, c) in enumerate(stages):
+            other = (*stages[:k], (name, c * Fraction(1001, 1000)), *stages[k + 1 :])
+            found.append(replace(composition, **{which: other}))
+    return found
 
 
 def runs_on(method, *scenes):

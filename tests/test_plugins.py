@@ -201,7 +201,8 @@ def test_a_file_that_fails_or_leaves_is_one_line(text, says, registries, tmp_pat
     monkeypatch.setenv(VARIABLE, "60")
     path = tmp_path / "bad.py"
     path.write_text(text)
-    line = ["solve", "particle", "bad", "--step", "0.1", "--plugin", str(path), "--plugin-timeout", "1"]
+    limit = "1" if says == ENDED else "60"
+    line = ["solve", "particle", "bad", "--step", "0.1", "--plugin", str(path), "--plugin-timeout", limit]
     assert main(line) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n"), says in err) == ("", 1, True), err

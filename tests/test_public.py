@@ -4,7 +4,6 @@ import doctest
 import importlib
 import math
 import re
-import subprocess
 import sys
 from math import cos, sin
 from pathlib import Path
@@ -15,7 +14,7 @@ import pytest
 from matplotlib import pyplot
 
 import contactbench as cb
-from cases import refusal
+from cases import refusal, run
 from contactbench.blame import FUNCTIONS, SEVERAL
 from contactbench.cli import main
 from contactbench.measure.laws import LAWS, laws_of
@@ -53,7 +52,7 @@ def test_nothing_more_is_loaded_and_the_environment_is_left_alone(statement, wit
         f"with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit): {statement}\n"
         "assert before == dict(os.environ); print(*sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    done = run(sys.executable, "-c", program)
     assert not done.stderr
     assert "contactbench" in (found := set(done.stdout.split()))
     assert not found & without

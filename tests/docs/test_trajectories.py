@@ -18,7 +18,7 @@ STEPS = 100
 #: a few roundings a step, of states of size 1
 ROUND_OFF = 4 * np.finfo(float).eps * STEPS
 #: seconds that two processes have, imports included
-LIMIT = 120
+LIMIT = 300
 #: what a process writes of the third block's variables
 WRITE = """
 import sys

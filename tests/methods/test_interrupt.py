@@ -43,8 +43,8 @@ times, *methods = sys.argv[1:]
 for way, _, name in (method.partition(" ") for method in methods):
     setting = {"step": 0.05} if name == "contact-log8" else {"rtol": 1e-9}
     run = cb.prepare(scene, name, save_at=eval(times), max_steps=10**14, **setting)
-    threading.Timer(0.1, signal.raise_signal, [signal.SIGINT]).start()
     try:
+        threading.Timer(0.1, signal.raise_signal, [signal.SIGINT]).start()
         run.bare(run.start) if way == "bare" else run()
     except KeyboardInterrupt:
         print(way, name)

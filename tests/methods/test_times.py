@@ -130,7 +130,7 @@ def test_the_clock_of_a_long_run_is_no_sum_of_steps():
 
 def test_a_reference_far_from_time_zero_is_the_one_at_zero():
     start = 1.7e9
-    found = cb.reference(pushed(start, 20.0), [start + 20.0], (), seconds=60.0)
+    found = cb.reference(pushed(start, 20.0), [start + 20.0], ())
     np.testing.assert_allclose(found.y[0, :2], motion(20.0), rtol=0, atol=1e-14)
     assert found.source == "live"
 

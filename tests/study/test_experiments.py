@@ -425,7 +425,7 @@ def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, benc
     fault, results = tmp_path / "full.py", tmp_path / "results"
     fault.write_text(FULL_DISK.format(name=name, after=after))
     process = bench(results, KEYWORD, "--plugin", str(fault))
-    output, _ = process.communicate(timeout=120)
+    output, _ = process.communicate(timeout=240)
     assert process.returncode == 2, output
     (line,) = (line for line in output.splitlines() if "No space left" in line)
     assert "--resume" in line

@@ -5,12 +5,14 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
+from cases import Clock, reading
 from contactbench.study import race
 
 
 @pytest.fixture(scope="module")
 def frame():
-    return cb.compare("oscillator", ["contact-strang", "rk4", "contact-exact"], (1e-2, 1e-4), budget=60.0)
+    with reading(Clock()):
+        return cb.compare("oscillator", ["contact-strang", "rk4", "contact-exact"], (1e-2, 1e-4), budget=60.0)
 
 
 def test_text_has_every_time_and_the_plot_every_kind(frame):

@@ -148,7 +148,7 @@ def finished_cells(results):
     return [json.loads(path.read_text()) for path in paths if path.suffix in (".new", ".done")]
 
 
-def wait_for(condition, seconds=120):
+def wait_for(condition, seconds=240):
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline
