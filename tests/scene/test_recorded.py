@@ -6,18 +6,14 @@ import pickle
 from functools import partial, wraps
 from itertools import pairwise
 
-import mpmath
 import numpy as np
 import pytest
 
 import contactbench as cb
 from cases import mine
 from chains import chain
-from contactbench.numbers.functions import exp, log, sin, sqrt
 from contactbench.peers.compiled import functions
 from contactbench.scene import Mechanical
-from contactbench.trace.formula import formula
-from contactbench.xla import jax
 
 
 def from_a_closure():
@@ -221,52 +217,6 @@ def test_a_gradient_that_is_wrong_somewhere_on_the_way_is_refused(center):
             ask()
 
 
-FUNCTIONS = {
-    "polynomial": lambda q: q[0] ** 4 / 4 - 3 * q[0] * q[1] ** 2 + q[1] / 7 - (q[0] - q[1]) ** 3,
-    "roots and quotients": lambda q: -1 / cb.math.sqrt(q[0] ** 2 + q[1] ** 2) + q[0] / (2 + q[1] ** 2),
-    "exponential": lambda q: (1 - cb.math.exp(-(q[0] - 0.3))) ** 2 + cb.math.log(2 + q[1]) * q[0],
-    "circular": lambda q: cb.math.sin(q[0]) * cb.math.cos(q[1]) + cb.math.tan(q[0] / 3),
-    "arcus": lambda q: cb.math.asin(q[0] / 3) + cb.math.acos(q[1] / 3) + cb.math.atan(q[0] * q[1]),
-    "angle": lambda q: cb.math.atan2(q[1], q[0]),
-    "hyperbolic": lambda q: cb.math.tanh(q[0]) * cb.math.sinh(q[1]) + cb.math.cosh(q[0]),
-    "area": lambda q: cb.math.asinh(q[1]) + cb.math.acosh(2 + q[0]) + cb.math.atanh(q[1] / 4),
-    "differences": lambda q: cb.math.expm1(q[0] - q[1]) * q[1] + cb.math.log1p(q[0] * q[1]),
-    "powers": lambda q: q[0] ** 2.3 + q[1] ** -1.5 + q[0] ** q[1] + 2.0 ** q[0],
-    "absolute": lambda q: abs(q[0] - q[1]) ** 3 + np.hypot(q[0], q[1]),
-    "NumPy": lambda q: np.sin(q[0]) + np.float64(2) * np.exp(q[1]) + np.maximum(q[0], q[1]) ** 2,
-    "constant": lambda q: 3.0,
-    "one of them": lambda q: q[1],
-}
-
-
-PLACES = np.random.default_rng(3).uniform(0.3, 1.4, (10, 2))
-
-
-@pytest.fixture(scope="module")
-def by_jax():
-    """Gradients and Hessians of all of them, compiled at once."""
-
-    def both(function, places):
-        value = lambda q: function((q[0], q[1])) + 0 * q[0]  # noqa: E731
-        return jax.vmap(jax.grad(value))(places), jax.vmap(jax.hessian(value))(places)
-
-    recorded = {name: formula(function, (2,), ()) for name, function in FUNCTIONS.items()}
-
-    def derivatives(places):
-        return {name: both(function, places) for name, function in recorded.items()}
-
-    return jax.jit(derivatives)(PLACES)
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_derivatives_of_formulas_against_jax(name, by_jax):
-    derived = formula(FUNCTIONS[name], (2,), ()).gradient()
-    for q, gradient, hessian in zip(PLACES, *by_jax[name], strict=True):
-        np.testing.assert_allclose(derived(tuple(q)), gradient, rtol=1e-12, atol=1e-13)
-        found = np.array(derived.hessian()(tuple(q)), dtype=float)
-        np.testing.assert_allclose(found, hessian, rtol=1e-11, atol=1e-12)
-
-
 # -- sizes -----------------------------------------------------------------------------------------
 def test_many_components_compile():
     n = 100
@@ -292,29 +242,6 @@ def test_solutions_are_pickled_and_copied(method, options):
         assert repr(other) == repr(solution)
         for law in ("solution_error", "contact_drift"):
             np.testing.assert_allclose(cb.LAWS[law](other), cb.LAWS[law](solution), rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "function",
-    [
-        lambda q: exp(-(((q[0] - 30) / 3) ** 2)) / 7,
-        lambda q: 0.1 * (0.1 * q[0] ** 3) * 0.3 + q[0] * 0.7 / 0.9,
-        lambda q: q[0] ** 0.1 * 0.2 + (q[0] * q[0] + 0.3) ** 1.7 / 1.1,
-        lambda q: sin(q[0] / 3) * log(q[0] / 7) / 0.3 / 0.7 + sqrt(q[0] / 3) + 1 / (q[0] * 0.1) ** 3,
-        lambda q: cb.math.where(q[0] > 1, q[0] / 3, q[0] / 7) * 0.1,
-    ],
-    ids=["quotient", "products", "powers", "functions", "choice"],
-)
-def test_constants_in_derivatives_are_rounded_for_doubles_alone(function):
-    """1/3, and 0.1 × 0.1 as two floats, are no floats: at 60 digits a derivative is that of the function."""
-    value = formula(function, (1,), ())
-    slope = value.gradient()
-    with mpmath.workdps(60):
-        x, h = mpmath.mpf("2.31"), mpmath.mpf(10) ** -20
-        for f, derivative in ((lambda q: value((q,)), slope), (lambda q: slope((q,))[0], slope.gradient())):
-            found = derivative((x,))[0]
-            assert abs(found - (f(x + h) - f(x - h)) / (2 * h)) < 1e-36 * (1 + abs(found))
-            assert derivative((2.31,))[0] == pytest.approx(float(found), rel=1e-14)
 
 
 @pytest.mark.parametrize("names", [("v0", "v1"), ("v1", "v0"), ("a0", "tuple0"), ("v5", "v3")])
