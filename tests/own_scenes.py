@@ -3,7 +3,7 @@
 import contactbench as cb
 from contactbench.numbers import functions as xm
 from contactbench.scene import DrivenState
-from contactbench.scenes.driven import FORCED_OSCILLATOR, spherical, spherical_span, with_action
+from contactbench.scenes.driven import FORCED_OSCILLATOR, spherical, spherical_span
 
 
 # -- γ(t) without a closed form of its integral, and one that changes its sign -------------------------------
@@ -37,50 +37,25 @@ PULSATING = cb.Driven(
 )
 
 
-# -- Lane–Emden of index 0 and 1, and the Bessel equation of order ½, in closed form ---------------------------
-def lane_emden_0(scene, t, mp):
-    """q = C + D/t − t²/6, with 1 − t²/6 among them."""
-    t0, v0 = scene.t, scene.p[0]
-    D = -(v0 + t0 / 3) * t0**2
-    C = scene.q[0] - D / t0 + t0**2 / 6
-
-    def area(t):  # ∫ −½ t² q
-        return -C * t**3 / 6 - D * t**2 / 4 + t**5 / 60
-
-    return with_action(scene, t, lambda t: (C + D / t - t**2 / 6, -D / t**2 - t / 3), area)
-
-
-def spreading_wave(scene, t, a):
-    """Return u/tᵃ, u'' = −u, the motion under γ = 2a/t; s − ½ q p falls as 1/t²ᵃ, the potential being quadratic."""
+# -- Lane–Emden of index 1, in closed form, and a problem whose end is printed ----------------------------------
+def spreading_wave(scene, t, mp):
+    """Return u/t, u'' = −u, the motion under γ = 2/t; s − ½ q p falls as 1/t², the potential being quadratic."""
     t0, now = scene.t, scene.t + t
-    u0 = t0**a * scene.q[0]
-    w0 = t0**a * (scene.p[0] + a * scene.q[0] / t0)
+    u0, w0 = t0 * scene.q[0], t0 * scene.p[0] + scene.q[0]
     sin, cos = xm.sin(t), xm.cos(t)
     u, w = u0 * cos + w0 * sin, w0 * cos - u0 * sin
-    q, p = u / now**a, (w - a * u / now) / now**a
-    rest = (t0 / now) ** (2 * a) * (scene.s - scene.q[0] * scene.p[0] / 2)
+    q, p = u / now, (w - u / now) / now
+    rest = (t0 / now) ** 2 * (scene.s - scene.q[0] * scene.p[0] / 2)
     return DrivenState((q,), (p,), now, q * p / 2 + rest)
 
 
-LANE_EMDEN_0 = cb.Driven(
-    name="lane_emden_0",
-    potential=lambda q, t: q[0],
-    gradient=lambda q, t: (1.0 + 0 * q[0],),
-    rate=spherical,
-    span=spherical_span,
-    exact=lane_emden_0,
-    q=(0.94,),
-    p=(-0.2,),
-    t=0.6,
-    t_end=2.0,
-)
 LANE_EMDEN_1 = cb.Driven(
     name="lane_emden_1",
     potential=lambda q, t: q[0] * q[0] / 2,
     gradient=lambda q, t: (q[0],),
     rate=spherical,
     span=spherical_span,
-    exact=lambda scene, t, mp: spreading_wave(scene, t, mp.mpf(1)),
+    exact=spreading_wave,
     q=(0.8414709848078965,),
     p=(-0.30116867893975674,),
     t=1.0,
@@ -88,26 +63,7 @@ LANE_EMDEN_1 = cb.Driven(
 )
 
 
-def cylindrical_span(t, h, xp):
-    """γ = 1/t: ∫γ = log(1 + h/t), φ = t log(1 + h/t)."""
-    spent = xp.log1p(h / t)
-    return spent, t * spent
-
-
-#: problems E1, the Bessel equation of order ½ (its x + 1 the time), and E3 of DETEST: Hull, Enright, Fellen, Sedgwick,
-#: SIAM J. Numer. Anal. 9, 603 (1972), doi:10.1137/0709052
-DETEST_E1 = cb.Driven(
-    name="detest_e1",
-    potential=lambda q, t: (1 - 1 / (4 * t * t)) * q[0] * q[0] / 2,
-    gradient=lambda q, t: ((1 - 1 / (4 * t * t)) * q[0],),
-    rate=lambda t: 1 / t,
-    span=cylindrical_span,
-    exact=lambda scene, t, mp: spreading_wave(scene, t, mp.mpf(1) / 2),
-    q=(0.6713967071418031,),
-    p=(0.09540051444747454,),
-    t=1.0,
-    t_end=20.0,
-)
+#: problem E3 of DETEST: Hull, Enright, Fellen, Sedgwick, SIAM J. Numer. Anal. 9, 603 (1972), doi:10.1137/0709052
 DETEST_E3 = cb.Driven(
     name="detest_e3",
     potential=lambda q, t, softness, force, drive: (
@@ -135,7 +91,7 @@ UPRIGHT_PENDULUM = cb.SCENES["spherical_pendulum"].with_(
 UNDERFLOW = cb.SCENES["rigid_body"].with_(name="underflow", gamma=5.0, t_end=200.0)
 
 #: those with time in them
-TIMED = (FORCED_PULSATING, LANE_EMDEN_0, LANE_EMDEN_1, DETEST_E1, DETEST_E3)
+TIMED = (FORCED_PULSATING, LANE_EMDEN_1, DETEST_E3)
 
 
 def scene_of(name):

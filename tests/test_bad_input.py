@@ -14,7 +14,6 @@ from cases import refusal
 from contactbench.cli import main
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.testing import check_method, check_scene
-from own_scenes import scene_of
 from properties import GENERAL
 
 PARTICLE = cb.SCENES["particle"]
@@ -81,7 +80,7 @@ def reference(times, **options):
 
 
 def changed(scene="particle", **changes):
-    return lambda: scene_of(scene).with_(**changes)
+    return lambda: cb.SCENES[scene].with_(**changes)
 
 
 def composed(**changes):
@@ -167,11 +166,11 @@ CALLS = [
     (run_from(q=(1e160, 0.0), method="scipy-dop853", rtol=1e-6), "is not finite there: State(q=(1e+160"),
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
-    (changed("lane_emden_0", kappa=0.1), "without time"),
-    (changed("lane_emden_0", gamma=0.1), "has it in it"),
+    (changed("lane_emden_5", kappa=0.1), "without time"),
+    (changed("lane_emden_5", gamma=0.1), "has it in it"),
     (lambda: GENERAL.with_(gamma=0.1), "Γ has them in it"),
     (changed(gama=0.1), "did you mean 'gamma'?"),
-    (changed("lane_emden_0", rate=None), "its rate is missing"),
+    (changed("lane_emden_5", rate=None), "its rate is missing"),
     (changed(q=(1.0,)), "q has 1 components and p 2"),
     (changed(BODY, inertia=(1.0, -2.0, 3.0)), "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
     (changed(BODY, R=((1, 0, 0), (0, 1, 0), (0, 0, -1))), "it is a reflection; must be 1, a unit quaternion"),
