@@ -60,8 +60,7 @@ def results(given, tmp_path_factory):
     """The benchmark with all of them, for real, on a small part."""
     folder = tmp_path_factory.mktemp("results")
     own = "my-method and (my-pendulum or particle and not long) or my-pendulum and cvode-bdf"
-    few = "particle and not long and (strang or cvode-adams)"
-    finished(bench(folder, f"{own} or {few}", *given))
+    finished(bench(folder, f"{own} or run and particle and not long and strang", *given))
     run(sys.executable, EXTENSIONS[-1], folder).check_returncode()
     return folder
 
@@ -88,12 +87,13 @@ def test_the_readmes_example_has_its_rows_in_the_tables(results):
 
 def test_a_partial_run_fills_its_part_of_every_table(results):
     work, times = to_the_end(results), read(TIMES, results)
-    assert set(work["method"]) == {"contact-strang", "cvode-adams", "cvode-bdf", "my-method"}
+    assert set(work["method"]) == {"contact-strang", "cvode-bdf", "my-method"}
     ok, curves = work[work["status"] == "ok"], read(RUNS, results).query("saved == 1000")
-    assert {"contact-strang", "cvode-adams", "my-method"} == set(curves["method"])
+    assert {"contact-strang", "my-method"} == set(curves["method"])
     assert ok[["error", "steps", "evaluations"]].notna().all().all()
     key = list(TIMES.key)
-    assert set(map(tuple, times[key].values.tolist())) == set(map(tuple, ok[key].values.tolist()))
+    timed = ok[ok["method"] != "contact-strang"]
+    assert set(map(tuple, times[key].values.tolist())) == set(map(tuple, timed[key].values.tolist()))
     assert times[["least_s", "halves", "compile_s", "first_s"]].notna().all().all()
     assert times["process"].notna().any()
     assert "my-method" in set(read(ORDERS, results)["method"])

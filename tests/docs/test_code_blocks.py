@@ -20,7 +20,7 @@ PAGES = [
     if BLOCK.search(path.read_text()) and path.name != "trajectories.md"  # test_trajectories.py
 ]
 #: seconds of a race whose page does not say how long it may take
-BUDGET = 5.0
+BUDGET = 2.0
 #: take ten seconds
 LONG = [page for page in PAGES if page.name in ("adding.md", "embed.md", "gallery.md", "tutorial.md")]
 

@@ -8,7 +8,7 @@ import pytest
 import contactbench as cb
 
 #: seconds of the quick part
-SHORT = 6.0
+SHORT = 3.0
 #: where the Lennard-Jones and the Buckingham pair rest
 LJ_REST, BUCKINGHAM_REST = 2 ** (1 / 6), 1.0
 

@@ -75,10 +75,10 @@ def test_a_cell_of_another_version_is_left_aside_and_stops_no_run(tmp_path):
 def test_a_cell_that_takes_its_process_down_or_fails_costs_itself(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runner, "attempt", planted.attempt)
     run = Run(tmp_path, PROFILES["smoke"], "some", timed=False)
-    chosen = "run and particle and not long and (herglotz or rk4 or gauss4)"
+    chosen = "run and oscillator and not forced and (herglotz or rk4 or gauss4)"
     assert runner.work(run, chosen) == 2
     told = capsys.readouterr().err
-    assert "run[particle-rk4]: the solver took its process down (signal 9)" in told
-    assert "run[particle-contact-gauss4]: ValueError in planted.py" in told
+    assert "run[oscillator-rk4]: the solver took its process down (signal 9)" in told
+    assert "run[oscillator-contact-gauss4]: ValueError in planted.py" in told
     assert set(read(RUNS, tmp_path)["method"]) == {"herglotz1", "herglotz2"}
     assert len(run.cells.done()) == 2
