@@ -83,10 +83,3 @@ PLEIADES = planets(
     0.0,
     t_end=3.0,
 )
-BOUNDARIES = ("ring", "fixed", "free")
-#: few sites, every boundary, masses that are equal or not, every dimension
-SMALL = {
-    **{f"{b} held": chain(8, b) for b in BOUNDARIES},
-    **{f"{b} masses": chain(8, b, held=False, mass=masses(8)) for b in BOUNDARIES},
-    **{f"bodies {d}D": bodies(4, d) for d in (1, 2, 3)},
-}

@@ -80,8 +80,6 @@ DETEST_E3 = cb.Driven(
 
 
 # -- a pole that is passed closely, and numbers that underflow ------
-
-
 #: 4° from the upright pole, slowly turning: it swings back up to near the pole time and again
 UPRIGHT_PENDULUM = cb.SCENES["spherical_pendulum"].with_(
     name="upright_pendulum", gamma=1e-3, q=(0.07584, 0.0, 0.99712), p=(0.0, 0.1, 0.0), t_end=50.0

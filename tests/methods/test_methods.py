@@ -92,8 +92,6 @@ def test_other_parameters_steps_and_tolerances_do_not_recompile(method):
 
 
 # -- saved times -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("step", [1e-5, 1e-3, 0.1, 1 / 3, 0.7, 12.5], ids="{:.3g}".format)
 def test_only_an_interval_that_is_longer_than_its_steps_is_divided(step):
     """By a part in 10⁸, where times that late resolve it; at multiples of a step, as users write them."""

@@ -87,8 +87,6 @@ def test_no_two_saved_times_are_one_end_of_a_step():
 
 
 # -- what it keeps, and what it costs ----------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("steps", "evaluations", "error"), [(6, 72, 6.0e-7), (24, 288, 1.416e-10)])
 def test_growing_steps_on_a_motion_that_slows_down(steps, evaluations, error):
     """Of equal steps five times as many do not reach it."""

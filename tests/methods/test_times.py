@@ -150,6 +150,8 @@ BROKEN = [
 ]
 
 
+@pytest.mark.quick(start=1e6)
+@pytest.mark.quick(name=("contact-rkn6", "rk8-7", "rkn8-6"))
 @pytest.mark.parametrize("name", OURS)
 @pytest.mark.parametrize(("start", "end", "known"), BROKEN)
 def test_no_step_straddles_a_break(name, start, end, known):

@@ -24,8 +24,6 @@ def test_every_hard_scene_has_a_truth(scene):
 
 
 # -- what is known about them ----------------------------------------------------------------------
-
-
 #: dampings by what is in their kernel: the middle axis, that of least inertia, two axes
 SINGULAR = {"middle": (0.5, 0.0, 0.5), "least": (0.0, 0.5, 0.5), "two": (0.0, 0.0, 0.5)}
 
@@ -63,8 +61,6 @@ def test_blow_up_time_against_an_integral():
 
 
 # -- laws where numbers run out --------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("method", ["contact-abc", "contact-strang", "contact-rkn6", "rk4"])
 def test_contact_drift_of_the_overdamped_oscillator_means_something(method):
     """e^{−γT} = e^{−5000} of terms of size 10⁻²: round-off is told from a real drift all the same."""

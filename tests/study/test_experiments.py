@@ -106,18 +106,12 @@ def test_what_lasts_long_is_visited_less_often_and_recorded_once():
     for name, lasts in {"a": 0.001, "b": 2 * min(SPARED), "c": 2 * max(SPARED)}.items():
         again = Scripted(f"{name} again", order, *[2.0] * 6, lasts=lasts)
         table.entries.append(entry(name, order, recorded, *[2.0] * 6, again=again, lasts=lasts, scene=name))
+    # beside c, with which it does not contend
+    table.entries.append(entry("d", order, recorded, *[9.0] * 6, lasts=2 * max(SPARED), scene="c"))
     table.go()
-    assert Counter(order) == {"a": 6, "a again": 6, "b": 3, "b again": 3, "c": 2, "c again": 2}
-    assert set(order[6:8]) == {"a", "a again"}
-    assert set(recorded) == {*"abc"}
-
-
-def test_what_lasts_long_and_does_not_contend_is_visited_twice():
-    order, recorded, table = [], {}, Timetable(set(), visits=8)
-    for name, time in {"a": 1.0, "b": 9.0}.items():
-        table.entries.append(entry(name, order, recorded, *[time] * 8, lasts=2 * max(SPARED)))
-    table.go()
-    assert Counter(order) == {"a": 2, "b": 2}
+    assert Counter(order) == {"a": 6, "a again": 6, "b": 3, "b again": 3, "c": 2, "c again": 2, "d": 2}
+    assert set(order[7:9]) == {"a", "a again"}
+    assert set(recorded) == {*"abcd"}
     assert all("halves" in row for row, _ in recorded.values())
 
 

@@ -122,6 +122,7 @@ def test_without_tables_there_is_no_field(monkeypatch):
 )
 def test_who_races_and_for_how_long(monkeypatch, methods, known, raced, leading, budget):
     taken = []
+    monkeypatch.setattr("contactbench.study.schedule.confirmed", lambda *_: None)
     monkeypatch.setattr(compare, "field", lambda scene, errors: known)
     monkeypatch.setattr(compare, "search", lambda question, *given: taken.append(given) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
