@@ -8,7 +8,6 @@ from cases import few_slow, mine
 from chains import PLEIADES, planets
 from contactbench.methods import step_choice
 from contactbench.methods.distance import distance
-from contactbench.methods.step_choice import LOST, Gap, error_of
 
 FIXED = [m for m in cb.METHODS.values() if m.control == "step" and (m.one_step or m.follows)]
 exp, sqrt = cb.math.exp, cb.math.sqrt
@@ -19,24 +18,6 @@ def error(solution):
     run = solution.run
     true = cb.solve(solution.scene, "rk8-7", rtol=1e-13, save_at=solution.t, carry=solution.carry)
     return distance(run.request, solution.y0, solution.y, true.y)()
-
-
-# -- what is believed --------------------------------------------------------------------------------
-def gaps(errors, ratio=2.0):
-    """Of pilots whose errors have one sign."""
-    sizes = np.abs(np.diff(errors)).tolist()
-    return [Gap(size, ratio, size / (ratio - 1)) for size in sizes]
-
-
-def test_a_slope_that_is_not_the_order_s_is_not_believed():
-    """Of order 8: errors of a run on Morse's potential, which fall by 2^2.5 where the slope before promised 2^6.6."""
-    found, agree = error_of(*gaps([9.4e-4, 9.76e-6, 1.67e-6])[::-1], 8)
-    assert not agree
-    assert found > 10 * Gap(8.09e-6).size / (2**8 - 1)
-    assert error_of(*gaps([1e-4, 1e-5, 2e-5])[::-1], 8)[0] == pytest.approx(2e-5)
-    assert error_of(Gap(1e-9, 2.0, 1e-9), Gap(), 8) == (np.inf, False)
-    assert error_of(Gap(2e-3, 2.0, 2e-3), Gap(1e-3, 2.0, 1e-3), 8) == (np.inf, False)
-    assert error_of(Gap(1e-9, 2.0, 1e-9), Gap(2 * LOST, 2.0, 2 * LOST), 8) == (np.inf, False)
 
 
 # -- the error of the run ----------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 import bisect
 import importlib
-import itertools
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from cases import Ticks, after_pulse, few_slow, mine, pulse, refusal
 from contactbench.numbers.functions import exp
 from contactbench.truth import OutOfTime
 from contactbench.truth.reference import confirmed
-from contactbench.truth.survey import Survey, stops_between
+from contactbench.truth.survey import Survey
 from contactbench.truth.two_solvers import doubles
 
 
@@ -80,32 +79,6 @@ def test_two_solvers_that_agree_on_no_digit_are_refused(monkeypatch):
     monkeypatch.setattr(module, "by_scipy", lambda slope, y, times, **_: [y + 1.0 for _ in times])
     scene = cb.SCENES["oscillator"]
     assert "agree on no digit" in refusal(lambda: doubles(scene, np.array([1.0]), (), np.inf))
-
-
-@pytest.mark.parametrize("width", few_slow([1e-4, 0.0], 1e-4))  # test_pulses has others
-def test_a_step_in_time_is_followed_or_to_be_named(width):
-    """A force of 1 from t = 2 on, free motion: q = (t − 2)²/2; a jump is one of floats."""
-    rise = (lambda t: cb.math.tanh((t - 2.0) / width) / 2 + 0.5) if width else lambda t: float(t > 2.0)
-    functions = {"kind": cb.Driven, "gradient": lambda q, t: (-rise(t),)}
-    scene = mine(lambda q, t: -q[0] * rise(t), q=0.0, t_end=5.0, **functions)
-    if not width:
-        assert "jumps at t = 2 after the start: name the time in breaks=" in refusal(
-            lambda: cb.reference(scene, [5.0], ())
-        )
-        scene = scene.with_(breaks=(2.0,))
-    (found,) = cb.reference(scene, [5.0], (), seconds=np.inf).y
-    assert found[:2] == pytest.approx([4.5, 3.0], abs=width**2 + 1e-11)
-
-
-def test_stops_come_before_a_step_could_be_many_times_too_long():
-    ends = [0.0, 1.0, 2.0, 2.1, 2.2, 2.3, 3.5, 5.0]
-    stops = [0.0, *stops_between(ends), 5.0]
-    for a, b in itertools.pairwise(stops):
-        met = [y - x for x, y in itertools.pairwise(ends) if a < y and x < b]
-        assert b - a <= 2.0 * min(met) * (1 + 1e-12)
-    lengths = np.diff(stops)
-    assert np.all(lengths[1:] <= 4.0 * lengths[:-1] * (1 + 1e-12))
-    assert np.all(lengths[:-1] <= 4.0 * lengths[1:] * (1 + 1e-12))
 
 
 def test_two_solvers_reach_a_jump_to_round_off():
