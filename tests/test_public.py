@@ -1,5 +1,6 @@
 """What a user meets first: what an import loads, public names, and what a run returns, says and draws."""
 
+import ast
 import doctest
 import importlib
 import math
@@ -19,6 +20,7 @@ from contactbench.blame import FUNCTIONS, SEVERAL
 from contactbench.cli import main
 from contactbench.measure.laws import LAWS, laws_of
 from contactbench.numbers import functions
+from contactbench.plugins import OWN
 from own_scenes import scene_of
 
 SOURCE = Path(cb.__file__).parent
@@ -203,3 +205,26 @@ def test_notebooks_show_short_tables():
         assert (html[:7], html[-8:]) == ("<table>", "</table>")
         assert html.count("<tr>") < 60
         assert "<lambda>" not in html
+
+
+# -- names in the package ----------------------------------------------------------------------------
+ROOMS = ("runs", "questions", "report", "gate", "measure")
+#: names of documents that are about a method or a scene, and of the formulas that are known of one
+MOST = 30
+
+
+def literals(path):
+    """The names of methods and scenes that a module writes as text of its own."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and node.value in OWN]
+
+
+def test_few_names_of_methods_and_scenes_stand_in_what_runs_and_tells():
+    found = {
+        f"{room}/{path.name}": names
+        for room in ROOMS
+        for path in sorted((SOURCE / room).rglob("*.py"))
+        if (names := literals(path))
+    }
+    count = sum(map(len, found.values()))
+    assert count <= MOST, f"{count}: {found}"

@@ -5,7 +5,7 @@ import pytest
 import contactbench as cb
 from cases import pairs
 from contactbench.methods.fixed_step import FixedStep
-from decimals import contact_defect, momentum_defect
+from properties import contact_defect, momentum_defect
 
 METHODS = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and (m.contact or m.factor)]
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))

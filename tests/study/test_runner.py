@@ -1,5 +1,10 @@
 """Runs in processes of their own: what they choose, what they refuse, and what one that dies or fails costs."""
 
+import shutil
+import subprocess
+from pathlib import Path
+
+import pandas as pd
 import pytest
 
 import planted
@@ -7,6 +12,7 @@ from cases import refusal
 from contactbench.runs import runner
 from contactbench.runs.experiment import PROFILES, Experiment, experiments
 from contactbench.runs.runner import Run, Task
+from contactbench.study.ending import ending
 from contactbench.tables.cells import Cells
 from contactbench.tables.declared import RUNS
 from contactbench.tables.store import read
@@ -82,3 +88,42 @@ def test_a_cell_that_takes_its_process_down_or_fails_costs_itself(tmp_path, monk
     assert "run[oscillator-contact-gauss4]: ValueError in planted.py" in told
     assert set(read(RUNS, tmp_path)["method"]) == {"herglotz1", "herglotz2"}
     assert len(run.cells.done()) == 2
+
+
+# -- how a run ends ----------------------------------------------------------------------------------
+RESULTS = Path(__file__).parents[2] / "results"
+
+
+@pytest.fixture
+def committed(tmp_path):
+    """Some of the committed runs in a repository of their own."""
+    folder = tmp_path / "results"
+    folder.mkdir()
+    shutil.copy(RESULTS / "environment.json", folder)
+    rows = pd.read_csv(RESULTS / "runs.csv", dtype=str, keep_default_na=False)
+    rows[rows["scene"].isin(["particle", "central"])].to_csv(folder / "runs.csv", index=False)
+    author = ["-c", "user.name=x", "-c", "user.email=x@example.org"]
+    for command in (["init", "-q"], ["add", "."], [*author, "commit", "-qm", "tables"]):
+        subprocess.run(["git", "-C", str(tmp_path), *command], check=True)
+    return folder
+
+
+def test_a_run_ends_with_the_answers_of_its_tables(committed):
+    text = ending(committed)
+    assert text.startswith("Of ")
+    assert "\nDoes a method keep the momentum J wherever it claims to?\n    always" in text
+    assert "clocks aside: nothing moved." in text
+
+
+def test_what_moved_is_named(committed):
+    rows = pd.read_csv(committed / "runs.csv", dtype=str, keep_default_na=False)
+    chosen = rows.index[(rows["method"] == "rk4") & (rows["scene"] == "particle")][0]
+    rows.loc[chosen, "error"] = str(10 * float(rows.loc[chosen, "error"]))
+    rows.to_csv(committed / "runs.csv", index=False)
+    assert "runs particle rk4" in (text := ending(committed))
+    assert "1 measure moved" in text
+
+
+def test_tables_outside_a_repository_have_nothing_to_be_compared_with(committed):
+    shutil.rmtree(committed.parent / ".git")
+    assert "Not compared with the tables before it" in ending(committed)
