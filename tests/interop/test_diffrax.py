@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import few_slow
+from cases import PULSATING, few_slow
 from contactbench.xla import jax, jnp
-from own_scenes import PULSATING
 
 SCENES = {
     scene.name: scene

@@ -6,8 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 import contactbench as cb
-from cases import FIXED, by_name, pairs
-from own_scenes import PULSATING
+from cases import FIXED, PULSATING, by_name, pairs
 
 #: Herglotz's steps are merged in a run of `cb.solve`, and agree to round-off, as do those that iterate
 MERGED = [m for m in FIXED if m.one_step and not m.iterates and m.family != "variational"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import FIXED, by_name, pairs, saved
+from cases import FIXED, TIMED, UNDERFLOW, by_name, pairs, saved
 from contactbench.measure import laws
 from contactbench.measure.law import JUDGEMENT
 from contactbench.measure.laws import LAWS, laws_of, row
@@ -21,7 +21,6 @@ from contactbench.scene.scales import norms
 from contactbench.scenes.driven import DRIVEN
 from contactbench.solution import Solution, Status
 from contactbench.truth import OutOfTime
-from own_scenes import TIMED, UNDERFLOW
 
 TIMES = np.linspace(0.0, 20.0, 41)
 STANDARD = [

@@ -8,11 +8,13 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
-from cases import USER, by_name, in_mp, random_state
+from cases import USER, by_name, in_mp, pairs, random_state
 from contactbench.methods.euler import TREATMENTS
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.quadrature import rule
 from contactbench.runs import limits
 from contactbench.scene import dot
+from properties import contact_defect, momentum_defect
 
 HERGLOTZ = [cb.METHODS["herglotz1"], cb.METHODS["herglotz2"]]
 each = pytest.mark.parametrize("method", HERGLOTZ, ids=lambda m: m.name)
@@ -248,3 +250,28 @@ def test_rates_measured_on_a_falling_body(name):
         explicit = name == "euler-explicit-damping"
         true = math.inf if explicit and g * h >= 1 else RATES[name](g, h)
         assert row["measured"] == pytest.approx(true, rel=1e-11)
+
+
+# -- every method with a conformal factor at fifty digits --------------------------------------------
+METHODS = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and (m.contact or m.factor)]
+PARTICLE, BODY = (cb.SCENES[name] for name in ("particle", "rigid_body"))
+#: other parameters, mass and inertia ratios included; a generic attitude
+HEAVY = PARTICLE.with_(name="heavy", gamma=0.35, mass=1.6, coupling=-0.15, q=(0.7, -0.4), p=(0.5, 0.2), s=0.3)
+SLENDER = BODY.with_(
+    name="slender", gamma=0.3, inertia=(0.8, 1.1, 2.5), M=(-0.6, 0.4, 0.9), R=(0.5, 0.5, -0.5, 0.5), s=0.2
+)
+GENERIC = [PARTICLE, HEAVY, BODY, SLENDER]
+BEYOND = 1e-45  # 50 digits less what a few hundred operations on numbers of size one lose
+
+
+@pairs(METHODS, GENERIC)
+@pytest.mark.quick(scene="heavy")
+@pytest.mark.quick(method="contact-rkn4", scene="slender")
+def test_map_is_conformal_contact_with_the_claimed_factor(method, scene):
+    """Five steps of size 0.2 as one map, at 150 digits."""
+    assert contact_defect(method, scene, "0.2", 5) < BEYOND
+
+
+@pairs(METHODS, [CENTRAL, CENTRAL.with_(name="soft", gamma=0.4, stiffness=0.3, p=(-0.2, 0.9)), BODY, SLENDER])
+def test_momentum_map_decays_by_the_claimed_factor(method, scene):
+    assert momentum_defect(method, scene, "0.2", 20) < BEYOND

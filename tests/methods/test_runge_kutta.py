@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import few_slow, mine
-from chains import chain
+from cases import chain, few_slow, mine, scene_of
 from contactbench.measure.order import order_at
 from contactbench.methods.runge_kutta import read_tableau
 from contactbench.solution import Status
-from own_scenes import scene_of
 
 TABLEAUX = {name: read_tableau(name) for name in ("rk4", "rk8", "rk8-7", "rkn8-6", "rkn12-10")}
 #: what the coefficients are known to

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import mine
-from chains import chain
+from cases import chain, mine
 from contactbench.peers.compiled import functions
 from contactbench.scene import Mechanical
 

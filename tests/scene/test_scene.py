@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, TILTED, USER, by_name, random_state
-from chains import bodies, chain, masses
+from cases import ALL_SCENES, TILTED, USER, bodies, by_name, chain, masses, random_state
 from contactbench.peers.heyoka import taylor_system
 from contactbench.scene import State, rotation_matrix, verify
 from contactbench.scene.definition import verify_along, verify_at

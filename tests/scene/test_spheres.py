@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import contactbench as cb
-from cases import mine, refusal
+from cases import UPRIGHT_PENDULUM, mine, refusal
 from contactbench.measure.order import error_at
 from contactbench.methods.by_tolerance import PlainNumbers
 from contactbench.numbers.dual import Dual, DualNumbers
@@ -17,7 +17,6 @@ from contactbench.scene.spheres import circular
 from contactbench.testing import check_scene
 from contactbench.truth import decimal_context, with_decimals
 from contactbench.xla import jax, jnp
-from own_scenes import UPRIGHT_PENDULUM
 
 PENDULUM = cb.SCENES["spherical_pendulum"]
 #: two points of other masses and radii, coupled, with nonlinear damping

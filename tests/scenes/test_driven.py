@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import after_pulse, by_name, few_slow, mine, pairs, pulse, refusal, saved
+from cases import (
+    DETEST_E3,
+    FORCED_PULSATING,
+    LANE_EMDEN_1,
+    after_pulse,
+    by_name,
+    few_slow,
+    mine,
+    pairs,
+    pulse,
+    refusal,
+    saved,
+)
 from contactbench.measure.laws import laws_of, row
 from contactbench.measure.order import order_at
 from contactbench.methods.fixed_step import FixedStep
@@ -14,7 +26,6 @@ from contactbench.numbers import quadrature
 from contactbench.scene.base import Elapsed
 from contactbench.scenes.driven import DRIVEN, FORCED_OSCILLATOR, LANE_EMDEN_5
 from contactbench.truth import decimal_context
-from own_scenes import DETEST_E3, FORCED_PULSATING, LANE_EMDEN_1
 
 STEPPED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 CONTACT = [method for method in STEPPED if method.contact]

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import Ticks, after_pulse, few_slow, mine, pulse, refusal
-from chains import bodies, chain, masses
+from cases import Ticks, after_pulse, bodies, chain, few_slow, masses, mine, pulse, refusal
 from contactbench.numbers.functions import exp
 from contactbench.truth import OutOfTime, two_solvers
 from contactbench.truth.reference import confirmed
