@@ -236,38 +236,25 @@ def reading(clock):
         yield clock
 
 
-# -- scenes for properties that no registered scene has ----------------------------------------------
 # -- γ(t) without a closed form of its integral, and one that changes its sign -------------------------------
-def pulsating(t, friction, depth, pulse, **parameters):
-    """γ = γ₀ (1 + a sin νt); φ is no elementary function."""
-    return friction * (1 + depth * xm.sin(pulse * t))
-
-
-FORCED_PULSATING = cb.Driven(
-    name="forced_pulsating",
-    potential=lambda q, t, omega, force, drive, **damping: (
-        omega * omega * q[0] * q[0] / 2 - force * q[0] * xm.cos(drive * t)
-    ),
-    gradient=lambda q, t, omega, force, drive, **damping: (omega * omega * q[0] - force * xm.cos(drive * t),),
-    rate=pulsating,
-    q=(1.0,),
-    p=(0.0,),
+FORCED_PULSATING = mine(
+    lambda q, t, omega, force, drive, **rest: omega**2 * q[0] ** 2 / 2 - force * q[0] * xm.cos(drive * t),
     t_end=20.0,
+    kind=cb.Driven,
+    name="forced_pulsating",
+    rate=lambda t, friction, depth, pulse, **rest: friction * (1 + depth * xm.sin(pulse * t)),
     parameters={**FORCED_OSCILLATOR.parameters, "friction": 0.1, "depth": 1.5, "pulse": 1.3},
 )
 #: all of them, the potentials only hard ones have, and the shapes the registry does not have
 ALL_SCENES = [*STANDARD, TWO_SCALES, *map(cb.SCENES.get, ("kepler_drag", "double_pendulum", "thermostat"))]
 ALL_SCENES += [FORCED_PULSATING, USER, TILTED]
-
-
 #: without parameters, a force and a damping that depend on time
-PULSATING = cb.Driven(
-    name="pulsating",
-    potential=lambda q, t: q[0] ** 2 / 2 - 0.3 * q[0] * cb.math.sin(0.7 * t),
-    rate=lambda t: 0.1 * (1 + 1.5 * cb.math.sin(1.3 * t)),
-    q=(1.0,),
-    p=(0.0,),
+PULSATING = mine(
+    lambda q, t: q[0] ** 2 / 2 - 0.3 * q[0] * xm.sin(0.7 * t),
     t_end=20.0,
+    kind=cb.Driven,
+    name="pulsating",
+    rate=lambda t: 0.1 * (1 + 1.5 * xm.sin(1.3 * t)),
 )
 
 
@@ -283,33 +270,19 @@ def spreading_wave(scene, t, mp):
     return DrivenState((q,), (p,), now, q * p / 2 + rest)
 
 
-LANE_EMDEN_1 = cb.Driven(
-    name="lane_emden_1",
-    potential=lambda q, t: q[0] * q[0] / 2,
-    gradient=lambda q, t: (q[0],),
-    rate=spherical,
-    span=spherical_span,
-    exact=spreading_wave,
-    q=(0.8414709848078965,),
-    p=(-0.30116867893975674,),
-    t=1.0,
-    t_end=20.0,
-)
-
-
+OWN = {"rate": spherical, "span": spherical_span, "exact": spreading_wave, "t": 1.0}
+START = {"q": 0.8414709848078965, "p": -0.30116867893975674, "t_end": 20.0}
+LANE_EMDEN_1 = mine(lambda q, t: q[0] ** 2 / 2, kind=cb.Driven, name="lane_emden_1", **START, **OWN)
 #: problem E3 of DETEST: Hull, Enright, Fellen, Sedgwick, SIAM J. Numer. Anal. 9, 603 (1972), doi:10.1137/0709052
-DETEST_E3 = cb.Driven(
-    name="detest_e3",
-    potential=lambda q, t, softness, force, drive: (
-        q[0] * q[0] / 2 - q[0] ** 4 / (4 * softness) - force * q[0] * xm.sin(drive * t)
+DETEST_E3 = mine(
+    lambda q, t, softness, force, drive: (
+        q[0] ** 2 / 2 - q[0] ** 4 / (4 * softness) - force * q[0] * xm.sin(drive * t)
     ),
-    gradient=lambda q, t, softness, force, drive: (
-        q[0] - q[0] * q[0] * q[0] / softness - force * xm.sin(drive * t),
-    ),
-    parameters={"softness": 6.0, "force": 2.0, "drive": 2.78535},
-    q=(0.0,),
-    p=(0.0,),
+    q=0.0,
     t_end=20.0,
+    kind=cb.Driven,
+    name="detest_e3",
+    parameters={"softness": 6.0, "force": 2.0, "drive": 2.78535},
 )
 
 

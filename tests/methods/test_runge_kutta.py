@@ -48,6 +48,16 @@ def test_coefficients_solve_the_order_conditions(name, weights, order):
         assert largest(tableau, weights, order + 1) > 1e-8
 
 
+def test_rk4_is_the_classical_one():
+    """Other methods of four stages and order four are as accurate."""
+    tableau = TABLEAUX["rk4"]
+    assert [[c for c in map(float, row) if c] for row in tableau.matrix] == [[], [0.5], [0.5], [1.0]]
+    assert [[*map(float, row)] for row in (tableau.nodes, *tableau.weights)] == [
+        [0, 0.5, 0.5, 1],
+        pytest.approx([1 / 6, 1 / 3, 1 / 3, 1 / 6]),
+    ]
+
+
 def changed(rows):
     """Rows with one coefficient a thousandth larger, for every coefficient that is not 0."""
     for i, row in enumerate(rows):

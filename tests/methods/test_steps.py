@@ -420,13 +420,8 @@ def test_what_rounding_leaves_ends_the_search():
 @pytest.mark.parametrize("save_at", [None, [512.0]], ids=["many times", "the end"])
 def test_a_force_of_whole_periods_in_every_step_is_seen(method, save_at):
     """An oscillator shaken with a period of 1; steps of 2, 1, 8 meet the force in one phase."""
-    scene = cb.Driven(
-        name="shaken",
-        potential=lambda q, t: 1e-4 * q[0] ** 2 - 1e-3 * q[0] * cb.math.cos(2 * cb.math.pi * t),
-        q=(1.0,),
-        p=(0.0,),
-        t_end=512.0,
-    )
+    force = lambda t: cb.math.cos(2 * cb.math.pi * t)  # noqa: E731
+    scene = mine(lambda q, t: 1e-4 * q[0] ** 2 - 1e-3 * q[0] * force(t), t_end=512.0, kind=cb.Driven)
     assert error(cb.solve(scene, method, rtol=1e-3, save_at=save_at)) < 2e-3
 
 
