@@ -1,4 +1,4 @@
-"""Every Python block of README and documentation runs, page by page; the methods it makes keep their contract."""
+"""Every Python block of README and documentation runs, page by page; limits that pages quote are those of the code."""
 
 import re
 from functools import partial

@@ -1,4 +1,4 @@
-"""Families of methods by what defines them: Herglotz, collocation, multistep."""
+"""Families of methods by what defines them: Herglotz, collocation, multistep, symplectic Euler."""
 
 import math
 from fractions import Fraction

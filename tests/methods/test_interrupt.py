@@ -1,4 +1,4 @@
-"""Ctrl-C ends long runs of compiled solvers, and the pieces they are cut into change no result."""
+"""Ctrl-C ends long runs of compiled solvers, whose pieces change no result; threads do not disturb each other."""
 
 import subprocess
 import sys

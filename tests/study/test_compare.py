@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from cases import Clock, mine, reading
+from cases import Clock, Ticks, mine, reading
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.measure.clock import Race
@@ -133,7 +133,7 @@ BODY = cb.SCENES["rigid_body"]
 )
 def test_all_that_acts_on_the_motion_is_part_of_the_error(scene, method, carry, setting):
     """The truth is that of the fields carried, s where it acts and R unless its user says no."""
-    frame = cb.compare(scene, [method], [1e-5], budget=15.0)
+    frame = cb.compare(scene, [method], [1e-5], budget=60.0)
     (row,) = frame.to_dict("records")
     assert frame.attrs["carry"] == carry
     assert setting in row["setting"]
@@ -146,14 +146,20 @@ def test_all_that_acts_on_the_motion_is_part_of_the_error(scene, method, carry, 
 
 # -- references ------------------------------------------------------------------------------------
 def test_a_reference_that_would_take_too_long_is_refused_and_what_is_advised_instead_is_done(monkeypatch):
-    """Nearly undamped, it takes the reference of s longer than the rest."""
-    monkeypatch.setattr(schedule, "LEAST_REFERENCE", 1.0)
-    scene = mine(lambda q: (q[0] ** 2 - 1) ** 2 / 4, q=0.5, p=0.8, gamma=1e-4, t_end=3e3)
+    """Of one that takes its time for every hundred units of t."""
+
+    def slow(scene, times, carry, seconds):
+        if scene.t_end > 100:
+            raise OutOfTime("too late", seconds * scene.t_end / 100)
+        return cb.reference(scene, times, carry)
+
+    monkeypatch.setattr(schedule, "reference", slow)
+    monkeypatch.setattr(schedule, "LEAST_REFERENCE", 2.0)
     with pytest.raises(OutOfTime) as refused:
-        cb.compare(scene, ["rk4"], [1e-2], budget=0.5)
+        cb.compare(OWN.with_(t_end=3e3), ["rk4"], [1e-2], budget=0.5)
     more, t_end = re.search(r"--budget ([\d.]+)s \(budget=\1\), t_end=([\d.]+)", str(refused.value)).groups()
-    assert float(more) > 1.0
-    found = cb.compare(scene.with_(t_end=float(t_end)), ["rk4"], [1e-2], budget=0.5)
+    assert float(more) * schedule.REFERENCE == pytest.approx(60.0)
+    found = cb.compare(OWN.with_(t_end=float(t_end)), ["rk4"], [1e-2], budget=0.5)
     assert found.attrs["reference"]["digits"] > 12
 
 
@@ -163,10 +169,10 @@ def test_a_reference_of_ones_own_is_taken():
     def known(t):
         return cb.reference(OWN, t, ()).y
 
-    frame = cb.compare(OWN, ["contact-rkn6"], errors=[1e-6], budget=5, reference=known)
+    frame = cb.compare(OWN, ["contact-rkn6"], errors=[1e-6], budget=60, reference=known)
     assert frame.attrs["reference"]["source"] == "given"
     assert (frame["status"] == "ok").all()
-    other = cb.compare(OWN, ["contact-rkn6"], errors=[1e-6], budget=5, reference=lambda t: 1.5 * known(t))
+    other = cb.compare(OWN, ["contact-rkn6"], errors=[1e-6], budget=60, reference=lambda t: 1.5 * known(t))
     assert other["time_s"].isna().all()
     with pytest.raises(cb.BadInput, match="reference = 'gives shape"):
         cb.compare(OWN, ["rk4"], reference=lambda t: known(t)[:, :1])
@@ -182,7 +188,7 @@ def test_control_c_in_the_search_ends_it_with_what_there_is(monkeypatch):
     monkeypatch.setattr(
         Search, "turns", lambda one: map(interrupt, [0]) if one.method.name == names[1] else turns(one)
     )
-    found = cb.compare("particle", names, (0.5,), budget=8.0)
+    found = cb.compare("particle", names, (0.5,), budget=60.0)
     assert found.attrs["interrupted"]
     assert list(found["status"]) == ["ok", "interrupted", "interrupted"]
     assert found["time_s"][0] > 0
@@ -212,7 +218,7 @@ def test_a_method_that_breaks_is_a_row(monkeypatch):
         raise RuntimeError("no compiler found")
 
     monkeypatch.setattr(type(cb.METHODS["cvode-bdf"]), "prepare", broken)
-    found = cb.compare("particle", ["cvode-bdf"], (1e-2,), budget=5.0)
+    found = cb.compare("particle", ["cvode-bdf"], (1e-2,), budget=60.0)
     assert list(found["status"]) == ["failed"]
     assert "no compiler found" in found["reason"][0]
 
@@ -224,8 +230,11 @@ def test_a_setting_is_given_up_between_its_runs_when_it_goes_on_for_too_long():
 
 
 def test_what_compiles_for_long_is_not_begun_without_the_time_for_it():
-    question, time = race_of("rk4")[0].question, budget(4.0)
-    found = schedule.search(question, ["heyoka-taylor", "diffrax-dopri8", "rk4"], ["diffrax-dopri8"], time)
+    with reading(Ticks(1e-6)):
+        question, time = race_of("rk4")[0].question, budget(4.0)
+        found = schedule.search(
+            question, ["heyoka-taylor", "diffrax-dopri8", "rk4"], ["diffrax-dopri8"], time
+        )
     assert [bool(each.attempts) for each in found] == [True, False, True]
     assert found[1].why == schedule.NOT_BEGUN
 

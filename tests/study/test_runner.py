@@ -1,4 +1,4 @@
-"""Runs in processes of their own: what they choose, what they refuse, and what one that dies or fails costs."""
+"""Runs in processes of their own: what they choose and refuse, what a solver that dies or fails costs, how they end."""
 
 import shutil
 import subprocess
