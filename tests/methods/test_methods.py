@@ -12,6 +12,7 @@ from contactbench.methods.base import tolerance
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_in
 from contactbench.peers import diffrax
+from contactbench.plugins import OWN
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 from contactbench.xla import jax
@@ -24,6 +25,17 @@ ADAPTIVE = [m for m in ON_PARTICLE if m.adaptive]
 
 #: take XLA seconds to compile
 LONG = [cb.METHODS[name] for name in ("diffrax-kvaerno5", "diffrax-dopri8")]
+#: a method of every kind of loop; the others have the same
+LOOPS = (
+    "contact-strang",
+    "contact-rkn6",
+    "contact-rkn8",
+    "contact-gauss2",
+    "contact-linear2",
+    "contact-log8",
+)
+LOOPS += ("herglotz2", "rk4", "rk8", "rkn12", "quinlan-tremaine8")
+ALIKE = [method for method in FIXED if method.name in OWN - {*LOOPS}]
 fixed = pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
 adaptive = pytest.mark.parametrize("method", ADAPTIVE, ids=lambda m: m.name)
 
@@ -46,7 +58,7 @@ FORCED = DETEST_E3.with_(q=(1e-9,), t_end=6.0)
 ON_FORCED = [m for m in cb.METHODS.values() if m.refuses(FORCED) is None]
 
 
-@pytest.mark.parametrize("method", few_slow(ON_FORCED, *LONG), ids=lambda m: m.name)
+@pytest.mark.parametrize("method", few_slow(ON_FORCED, *LONG, *ALIKE), ids=lambda m: m.name)
 def test_a_start_next_to_rest_is_no_scale_of_the_motion(method):
     """The force takes it a billion times as far, which is no divergence; nor is it one of increments so small."""
     setting = {"step": 0.02} if method.control == "step" else {"rtol": 1e-6}
@@ -96,7 +108,7 @@ def test_only_an_interval_that_is_longer_than_its_steps_is_divided(step):
 
 
 # -- ways to end -----------------------------------------------------------------------------------
-@pytest.mark.parametrize("method", [m for m in FIXED if m.one_step], ids=lambda m: m.name)
+@pytest.mark.parametrize("method", few_slow([m for m in FIXED if m.one_step], *ALIKE), ids=lambda m: m.name)
 def test_the_step_that_diverges_is_the_last_one_counted(method):
     """Against steps taken one by one until a component is 10⁶ times the size of the initial (q, p)."""
     scene, step = cb.SCENES["escape"], cb.step_map("escape", method.name)
