@@ -23,7 +23,6 @@ from contactbench.questions import write
 from contactbench.tables.declared import ORDERS, RUNS, TIMES
 from contactbench.tables.provenance import runs
 from contactbench.tables.store import read
-from made_up import RUN
 
 MINE = ("my-method", "my-pendulum")
 REGISTRIES = {"methods": cb.METHODS, "scenes": cb.SCENES}
@@ -142,23 +141,6 @@ def test_a_law_and_a_question_have_their_documents_and_are_gated(results, given,
     for column in ("runs.mean_position", "half_life.half_life"):
         fresh = tenfold(results, column, tmp_path)
         assert column.partition(".")[2] in contactbench(*gate, fresh, code=1)
-
-
-@pytest.mark.slow
-def test_report_and_gate_know_a_table_that_a_module_among_the_chapters_declares(tmp_path):
-    chapters, tables = tmp_path / "chapters", tmp_path / "tables"
-    chapters.mkdir()
-    shutil.copy(EXTENSIONS[-1], chapters / "half_life.py")
-    run(sys.executable, EXTENSIONS[-1], tables).check_returncode()
-    (tables / "environment.json").write_text(json.dumps({"runs": [RUN]}))
-    line = "import sys, contactbench.questions as r; r.__path__.append(sys.argv.pop(1)); "
-    line += "from contactbench.cli import main; sys.exit(main(sys.argv[1:]))"
-    contactbench = partial(run, sys.executable, "-c", line, chapters)
-    contactbench("report", "--results", tables).check_returncode()
-    assert "When is half of the energy gone?" in (tables / "half_life.md").read_text()
-    fresh = tenfold(tables, "half_life.half_life", tmp_path)
-    gate = contactbench("gate", "--baseline", tables, "--fresh", fresh)
-    assert (gate.returncode, "half_life" in gate.stdout) == (1, True)
 
 
 @pytest.mark.slow
