@@ -213,7 +213,7 @@ CALLS = [
 ]
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize(("call", "says"), CALLS, ids=[says for _, says in CALLS])
 def test_a_call_is_refused_in_one_line(call, says):
     assert says in refusal(call)
@@ -261,14 +261,14 @@ def test_an_error_later_in_a_run_is_told_as_theirs():
 
 
 # -- what is taken ---------------------------------------------------------------------------------
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize(("end", "step"), [(20.0, 1e-300), (1e300, 1e-5)])
 def test_a_run_of_too_many_steps_ends_as_budget(end, step):
     scene = PARTICLE.with_(t_end=end)
     assert cb.solve(scene, "rk4", step=step, save_at=[end]).status is cb.Status.budget
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("method", ["scipy-dop853", "scipy-radau"])
 def test_a_first_step_that_is_no_number_ends_the_run(method):
     """A slope that is finite at the start and not where the first step leads: SciPy's loop would not end."""

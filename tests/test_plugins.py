@@ -176,7 +176,7 @@ FAILURES = {
 }
 
 
-@pytest.mark.timeout(60, method="thread")  # a timer of its own would be an outer limit
+@pytest.mark.timeout(300, method="thread")  # a timer of its own would be an outer limit
 @pytest.mark.parametrize(("text", "says"), FAILURES.values(), ids=FAILURES)
 def test_a_file_that_fails_or_leaves_is_one_line(text, says, registries, tmp_path, monkeypatch, capsys):
     """And the traceback where it is asked for."""
