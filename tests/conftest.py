@@ -100,6 +100,12 @@ def only_tables():
 
 
 @pytest.fixture
+def unconfirmed(monkeypatch):
+    """Have no second engine confirm the reference of a race, which takes most of a short one."""
+    monkeypatch.setattr("contactbench.study.schedule.confirmed", lambda *_: 20)
+
+
+@pytest.fixture
 def fresh(monkeypatch):
     """Forget every truth and compiled program from before the test, once more at each call, and its own after it."""
 

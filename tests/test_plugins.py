@@ -222,7 +222,9 @@ cb.SCENES.add(cb.Mechanical(name="talks", potential=potential, gamma=0.1, q=(1.0
 @pytest.mark.parametrize(
     "line", ["solve talks rk4 --step 0.1", "compare talks rk4 --error 1e-2", "solve talks x"]
 )
-def test_stdout_is_json_alone_whatever_a_file_prints(line, registries, tmp_path, capsys, monkeypatch):
+def test_stdout_is_json_alone_whatever_a_file_prints(
+    line, registries, unconfirmed, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr("contactbench.cli.runs.one_core", lambda: None)
     path = tmp_path / "talks.py"
     path.write_text(TALKS)

@@ -28,7 +28,7 @@ RACE = ["compare", "particle", "rk4", "contact-strang", "--error", "1e-2,1e-3", 
 
 
 @pytest.fixture(autouse=True)
-def cores(monkeypatch):
+def cores(monkeypatch, unconfirmed):
     """The tests keep their cores."""
     monkeypatch.setattr("contactbench.cli.runs.one_core", lambda: None)
 

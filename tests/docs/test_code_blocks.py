@@ -33,7 +33,7 @@ LONG = [page for page in PAGES if page.name in ("adding.md", "embed.md", "galler
 
 
 @pytest.mark.parametrize("page", few_slow(PAGES, *LONG), ids=lambda path: path.name)
-def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
+def test_the_code_of_a_page_runs(page, registries, unconfirmed, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     made = folder(tmp_path / "tables")  # a clone's may be those of any run
     for table in (REPOSITORY / "results").glob("population*.csv"):  # those that lead are found in it

@@ -175,7 +175,7 @@ def test_a_kind_that_it_never_evaluates_is_not_the_one_it_is(scene):
     assert "declare evaluations=1" in refusal(solved(euler, 2, scene, "gradient"))
 
 
-def test_a_race_refuses_it_too_and_goes_on(registries):
+def test_a_race_refuses_it_too_and_goes_on(registries, unconfirmed):
     cb.METHODS.add(FixedStep("free", 1, twice, 1, about="says that it costs half of what it does"))
     frame = cb.compare("oscillator", ["free", "rk4"], [0.1], budget=60.0)
     assert list(frame["status"]) == ["failed", "ok"]

@@ -183,7 +183,7 @@ def interrupt(*_):
     raise KeyboardInterrupt
 
 
-def test_control_c_in_the_search_ends_it_with_what_there_is(monkeypatch):
+def test_control_c_in_the_search_ends_it_with_what_there_is(monkeypatch, unconfirmed):
     turns, names = Search.turns, ["rk4", "contact-strang", "herglotz2"]
     monkeypatch.setattr(
         Search, "turns", lambda one: map(interrupt, [0]) if one.method.name == names[1] else turns(one)
@@ -213,7 +213,7 @@ def test_what_the_fewest_rounds_have_no_time_for_is_not_timed_and_says_so():
     assert list(found["reason"]) == ["", "too slow for the time that was left"]
 
 
-def test_a_method_that_breaks_is_a_row(monkeypatch):
+def test_a_method_that_breaks_is_a_row(monkeypatch, unconfirmed):
     def broken(self, request):
         raise RuntimeError("no compiler found")
 
@@ -364,7 +364,7 @@ def unexplained(outcome):
 
 @pytest.mark.quick(name="Morse, three bonds")
 @pytest.mark.parametrize("name", MOLECULES)
-def test_a_race_of_a_molecule_names_winners_or_reasons(name, request):
+def test_a_race_of_a_molecule_names_winners_or_reasons(name, request, unconfirmed):
     make, budget = MOLECULES[name]
     if request.config.option.markexpr.startswith("not slow"):
         budget = SHORT
@@ -483,9 +483,8 @@ def test_without_tables_there_is_no_field(monkeypatch):
         (["rk8", "rk4", "rk8"], ["rkn8"], ["rk8", "rk4"], ["rk8", "rk4"], compare.LONG_BUDGET),
     ],
 )
-def test_who_races_and_for_how_long(monkeypatch, methods, known, raced, leading, budget):
+def test_who_races_and_for_how_long(monkeypatch, unconfirmed, methods, known, raced, leading, budget):
     taken = []
-    monkeypatch.setattr("contactbench.study.schedule.confirmed", lambda *_: None)
     monkeypatch.setattr(compare, "field", lambda scene, errors: known)
     monkeypatch.setattr(compare, "search", lambda question, *given: taken.append(given) or 1 / 0)
     with pytest.raises(ZeroDivisionError):

@@ -145,10 +145,10 @@ EXPECTED = {
 
 
 class Impatient(Worker):
-    """A worker that waits half a second for what hangs, and a minute for all else (as after a crash it imports)."""
+    """A worker that waits half a second for what hangs, and five minutes for all else (as after a crash it imports)."""
 
     def call(self, limit, function, question):
-        return super().call(0.5 if "planted-hang" in question else 60.0, function, question)
+        return super().call(0.5 if "planted-hang" in question else 300.0, function, question)
 
 
 @pytest.fixture
