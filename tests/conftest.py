@@ -91,8 +91,8 @@ def only_tables():
     kept = dict(TABLES)
 
     def only(*names):
-        for name in kept.keys() - {*names}:
-            del TABLES[name]
+        TABLES.clear()
+        TABLES.update({name: kept[name] for name in names})
 
     yield only
     TABLES.clear()
