@@ -242,6 +242,7 @@ FORCED_PULSATING = mine(
     t_end=20.0,
     kind=cb.Driven,
     name="forced_pulsating",
+    gradient=lambda q, t, omega, force, drive, **rest: (omega**2 * q[0] - force * xm.cos(drive * t),),
     rate=lambda t, friction, depth, pulse, **rest: friction * (1 + depth * xm.sin(pulse * t)),
     parameters={**FORCED_OSCILLATOR.parameters, "friction": 0.1, "depth": 1.5, "pulse": 1.3},
 )
