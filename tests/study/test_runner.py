@@ -179,6 +179,8 @@ def test_a_planted_solver_is_a_row_with_its_status_and_the_sound_ones_around_it_
         row = rows.pop(name)
         assert (row["status"], message in row["message"], "error" in row) == (status, True, False), row
     assert [(row["status"], row["error"] < 1e-4) for row in rows.values()] == [("ok", True)] * 2
+    for name, status in (("planted-nan", "diverged"), ("planted-early", "failed")):  # in this process too
+        assert cb.solve("oscillator", planted.Planted(name), rtol=1e-6).status == status
 
 
 ASKER = """

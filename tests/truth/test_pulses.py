@@ -191,6 +191,15 @@ def test_a_narrow_box_is_a_jump_and_no_singularity():
     assert np.abs(named.y[0, :2] / true - 1).max() <= 10.0**-named.digits
 
 
+def test_a_jump_that_nobody_names_is_to_be_named():
+    """A force of 1 from t = 2 on, by floats."""
+    force = lambda t: float(t > 2.0)  # noqa: E731
+    gradient = lambda q, t: (-force(t),)  # noqa: E731
+    scene = mine(lambda q, t: -q[0] * force(t), 0.0, t_end=5.0, kind=cb.Driven, gradient=gradient)
+    says = "jumps at t = 2 after the start: name the time in breaks="
+    assert says in refusal(lambda: cb.reference(scene, [5.0], ()))
+
+
 def test_a_closed_form_that_leaves_a_pulse_out_is_no_truth(monkeypatch):
     """One survey of the whole motion serves the look at the closed form, at any number of times, and the reference."""
     ends, begin = [], Survey.__post_init__
