@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from importlib import import_module
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +16,10 @@ from mpmath import mp
 
 import contactbench as cb
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.numbers import functions as xm
 from contactbench.peers import compiled
-from own_scenes import FORCED_PULSATING
+from contactbench.scene import DrivenState
+from contactbench.scenes.driven import FORCED_OSCILLATOR, spherical, spherical_span
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -53,9 +57,6 @@ NAMES = ("oscillator", "particle", "central", "rigid_body", "rigid_body_anisotro
 STANDARD = [cb.SCENES[name] for name in (*NAMES, "quadratic_damping")]
 HARD = [scene for scene in cb.SCENES.values() if scene.hard]
 TWO_SCALES = cb.SCENES["stiff_spring"].with_(omega=3.0)  # not so stiff that round-off tests feel it
-#: all of them, the potentials only hard ones have, and the shapes the registry does not have
-ALL_SCENES = [*STANDARD, TWO_SCALES, *map(cb.SCENES.get, ("kepler_drag", "double_pendulum", "thermostat"))]
-ALL_SCENES += [FORCED_PULSATING, USER, TILTED]
 #: methods with a step map
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 #: tests that ask the C library what it has handed out
@@ -210,16 +211,177 @@ class Clock:
     """The processor's time of the tests alone, however busy the machine is, and what a test adds to it."""
 
     added = 0.0
+    #: which Windows tells in ticks of a sixtieth of a second
+    passed = staticmethod(time.perf_counter if sys.platform == "win32" else time.process_time)
 
     def __call__(self):
-        return time.process_time() + self.added
+        return self.passed() + self.added
+
+
+def readers():
+    """Import all of contactbench that reads a clock, lest a module that is loaded later read another one."""
+    for path in Path(cb.__file__).parent.rglob("*.py"):
+        if "import perf_counter" in path.read_text(encoding="utf-8"):
+            parts = path.relative_to(Path(cb.__file__).parents[1]).with_suffix("").parts
+            yield import_module(".".join(parts))
+
+
+READERS = [*readers()]
 
 
 @contextmanager
 def reading(clock):
     """Have all of contactbench read another clock."""
     with pytest.MonkeyPatch.context() as patch:
-        for name, module in [*sys.modules.items()]:
-            if name.startswith("contactbench.") and hasattr(module, "perf_counter"):
-                patch.setattr(module, "perf_counter", clock)
+        for module in READERS:
+            patch.setattr(module, "perf_counter", clock)
         yield clock
+
+
+# -- γ(t) without a closed form of its integral, and one that changes its sign -------------------------------
+FORCED_PULSATING = mine(
+    lambda q, t, omega, force, drive, **rest: omega**2 * q[0] ** 2 / 2 - force * q[0] * xm.cos(drive * t),
+    t_end=20.0,
+    kind=cb.Driven,
+    name="forced_pulsating",
+    gradient=lambda q, t, omega, force, drive, **rest: (omega**2 * q[0] - force * xm.cos(drive * t),),
+    rate=lambda t, friction, depth, pulse, **rest: friction * (1 + depth * xm.sin(pulse * t)),
+    parameters={**FORCED_OSCILLATOR.parameters, "friction": 0.1, "depth": 1.5, "pulse": 1.3},
+)
+#: all of them, the potentials only hard ones have, and the shapes the registry does not have
+ALL_SCENES = [*STANDARD, TWO_SCALES, *map(cb.SCENES.get, ("kepler_drag", "double_pendulum", "thermostat"))]
+ALL_SCENES += [FORCED_PULSATING, USER, TILTED]
+#: without parameters, a force and a damping that depend on time
+PULSATING = mine(
+    lambda q, t: q[0] ** 2 / 2 - 0.3 * q[0] * xm.sin(0.7 * t),
+    t_end=20.0,
+    kind=cb.Driven,
+    name="pulsating",
+    rate=lambda t: 0.1 * (1 + 1.5 * xm.sin(1.3 * t)),
+)
+
+
+# -- Lane–Emden of index 1, in closed form, and a problem whose end is printed ----------------------------------
+def spreading_wave(scene, t, mp):
+    """Return u/t, u'' = −u, the motion under γ = 2/t; s − ½ q p falls as 1/t², the potential being quadratic."""
+    t0, now = scene.t, scene.t + t
+    u0, w0 = t0 * scene.q[0], t0 * scene.p[0] + scene.q[0]
+    sin, cos = xm.sin(t), xm.cos(t)
+    u, w = u0 * cos + w0 * sin, w0 * cos - u0 * sin
+    q, p = u / now, (w - u / now) / now
+    rest = (t0 / now) ** 2 * (scene.s - scene.q[0] * scene.p[0] / 2)
+    return DrivenState((q,), (p,), now, q * p / 2 + rest)
+
+
+OWN = {"rate": spherical, "span": spherical_span, "exact": spreading_wave, "t": 1.0}
+START = {"q": 0.8414709848078965, "p": -0.30116867893975674, "t_end": 20.0}
+LANE_EMDEN_1 = mine(lambda q, t: q[0] ** 2 / 2, kind=cb.Driven, name="lane_emden_1", **START, **OWN)
+#: problem E3 of DETEST: Hull, Enright, Fellen, Sedgwick, SIAM J. Numer. Anal. 9, 603 (1972), doi:10.1137/0709052
+DETEST_E3 = mine(
+    lambda q, t, softness, force, drive: (
+        q[0] ** 2 / 2 - q[0] ** 4 / (4 * softness) - force * q[0] * xm.sin(drive * t)
+    ),
+    q=0.0,
+    t_end=20.0,
+    kind=cb.Driven,
+    name="detest_e3",
+    parameters={"softness": 6.0, "force": 2.0, "drive": 2.78535},
+)
+
+
+# -- a pole that is passed closely, and numbers that underflow ------
+#: 4° from the upright pole, slowly turning: it swings back up to near the pole time and again
+UPRIGHT_PENDULUM = cb.SCENES["spherical_pendulum"].with_(
+    name="upright_pendulum", gamma=1e-3, q=(0.07584, 0.0, 0.99712), p=(0.0, 0.1, 0.0), t_end=50.0
+)
+
+#: e^{−γT} = e^{−1000}: momentum and energy fall below the smallest number there is, the attitude stays of size one
+UNDERFLOW = cb.SCENES["rigid_body"].with_(name="underflow", gamma=5.0, t_end=200.0)
+
+#: those with time in them
+TIMED = (FORCED_PULSATING, LANE_EMDEN_1, DETEST_E3)
+
+
+def scene_of(name):
+    """Return a scene by its name, one of these or a registered one."""
+    own = {scene.name: scene for scene in TIMED}
+    return own.get(name) or cb.SCENES[name]
+
+
+# -- scenes of several bodies ------------------------------------------------------------------------
+def onsite(q):
+    return q * q / 4 + cb.math.cos(q)
+
+
+def bond(r, k):
+    return k * r * r / 2 + r * r * r / 8 + r * r * r * r / 16
+
+
+def chain_potential(boundary, onsite, bond):
+    """Return V(q, **parameters) of a chain whose sites are held by `onsite` (or None) and bound by `bond`."""
+
+    def potential(q, **parameters):
+        ends = {"ring": (*q, q[0]), "fixed": (0.0, *q, 0.0), "free": q}[boundary]
+        total = sum(bond(b - a, **parameters) for a, b in pairwise(ends))
+        return total if onsite is None else total + sum(map(onsite, q))
+
+    return potential
+
+
+def body_potential(pair, masses, dimensions):
+    """Return V(q, **parameters), the sum of pair(r², m_a, m_b) over all pairs of bodies."""
+
+    def potential(q, **parameters):
+        places = [q[dimensions * k : dimensions * (k + 1)] for k in range(len(masses))]
+        total = 0.0
+        for (x, a), (y, b) in combinations(zip(places, masses, strict=True), 2):
+            total = total + pair(
+                sum((c - d) * (c - d) for c, d in zip(x, y, strict=True)), a, b, **parameters
+            )
+        return total
+
+    return potential
+
+
+def data(size, seed=1):
+    return np.random.default_rng(seed).uniform(-0.5, 0.5, (2, size))
+
+
+def masses(n, seed=2):
+    return tuple(np.random.default_rng(seed).uniform(0.5, 2.0, n).tolist())
+
+
+def chain(n, boundary="ring", held=True, mass=1.3, bond=bond, **changes):
+    """A chain of n sites; held : by a potential at each of them."""
+    q, p = map(tuple, data(n).tolist())
+    potential = chain_potential(boundary, onsite if held else None, bond)
+    given = {"parameters": {"k": 1.5}, "q": q, "p": p, "s": 0.3, "mass": mass, "gamma": 0.2, "t_end": 1.0}
+    return cb.Mechanical(name=f"chain-{boundary}", potential=potential, **given | changes)
+
+
+def softened(r2, a, b, soft):
+    return -a * b / cb.math.sqrt(r2 + soft)
+
+
+def bodies(n, dimensions, pair=softened, **changes):
+    q, p = data(n * dimensions)
+    own = masses(n)
+    given = {"parameters": {"soft": 0.25}, "q": tuple((4 * q).tolist()), "p": tuple(p.tolist()), "s": 0.3}
+    given |= {"mass": tuple(np.repeat(own, dimensions).tolist()), "gamma": 0.2, "t_end": 1.0}
+    return cb.Mechanical(name="bodies", potential=body_potential(pair, own, dimensions), **given | changes)
+
+
+def planets(masses, q, p, softening, **given):
+    """Bodies of given masses in a plane."""
+    more = {"gamma": 0.0, "parameters": {"soft": softening**2}, "mass": tuple(np.repeat(masses, 2))} | given
+    return cb.Mechanical(name="planets", potential=body_potential(softened, masses, 2), q=q, p=p, **more)
+
+
+#: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.10: mass times velocity for p
+PLEIADES = planets(
+    np.arange(1.0, 8.0),
+    (3.0, 3.0, 3.0, -3.0, -1.0, 2.0, -3.0, 0.0, 2.0, 0.0, -2.0, -4.0, 2.0, 4.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, 0.0, 5.0, 10.5, 0.0, -10.5, 0.0),
+    0.0,
+    t_end=3.0,
+)

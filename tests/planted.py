@@ -1,4 +1,4 @@
-"""Solvers that misbehave, for the benchmark to survive, and one that is exact."""
+"""Solvers that misbehave, for the benchmark to survive."""
 
 import os
 import signal
@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 
-import contactbench as cb
 from contactbench.methods.base import METHODS, Adaptive
 from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.solution import Counts, Status
@@ -55,20 +54,6 @@ def row(question):
 
     register()
     return along(question)
-
-
-class Exact(Prepared):
-    def integrate(self, y0):
-        r, end = self.request, float(self.request.save_at[-1])
-        counts = Counts(round(8 * end), round(8 * end))
-        return Outcome(cb.reference(r.scene, r.save_at, r.carry).y, counts, Status.ok, "", end)
-
-
-class Truth(Planted):
-    """The truth at eight evaluations a unit of time."""
-
-    def prepare(self, request):
-        return Exact(self.name, request)
 
 
 def attempt(run, cells, timetable=None):

@@ -1,22 +1,25 @@
 """What must hold of every subflow, composition and method, as functions that say whether it does."""
 
 import math
+from dataclasses import replace
+from fractions import Fraction
 from functools import partial
+from typing import Any
 
 import numpy as np
 from mpmath import mp
 
 import contactbench as cb
 from cases import TILTED, in_mp, random_state
-from contactbench.measure.order import order_at
+from contactbench.measure.order import DIGITS, march, order_at
 from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import Numbers, abilities
-from contactbench.scene import cross, dot, free_body, quaternion_product
+from contactbench.scene import Scene, cross, dot, free_body, quaternion_product
 from contactbench.scene import flow as flow_module
 from contactbench.scene.general_damping import decayed
 from contactbench.splitting.composition import merge
+from contactbench.truth import decimal_context, with_decimals
 from contactbench.xla import jax
-from decimals import contact_defect, momentum_defect
 
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))
 ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"]
@@ -301,6 +304,17 @@ def consistent(composition):
     return total == {"kick": 1, "drift": 1, "damp": 1}
 
 
+def faulty(composition):
+    """The composition with one coefficient a part in a thousand larger, for each of them."""
+    found = []
+    for which in ("stages", "processor"):
+        stages = getattr(composition, which)
+        for k, (name, c) in enumerate(stages):
+            other = (*stages[:k], (name, c * Fraction(1001, 1000)), *stages[k + 1 :])
+            found.append(replace(composition, **{which: other}))
+    return found
+
+
 def runs_on(method, *scenes):
     return [scene for scene in scenes if method.refuses(scene) is None]
 
@@ -319,3 +333,54 @@ def has_its_conformal_factor(method, *scenes):
 def has_its_momentum_law(method, *scenes):
     defects = [momentum_defect(method, scene, "0.2", 4) for scene in runs_on(method, *scenes)]
     return close(defects, [0] * len(defects), ROUND_OFF)
+
+
+# -- of numerical maps in extended precision ---------------------------------------------------------
+#: a map is differentiated by central differences of step 10^{-50} at 150 digits: truncation and
+#: cancellation both leave 10^{-100}
+DERIVATIVE_DIGITS = 150
+DIFFERENCE = -50
+
+
+def pullback(method: Any, scene: Scene, step: str, n: int) -> tuple[list[Any], list[Any]]:
+    """η(Φ)·DΦ and η at the start, each on the scene's tangents, for n steps; mpmath numbers."""
+    context = decimal_context(DERIVATIVE_DIGITS)
+    twin = with_decimals(scene, context.mpf)
+    x = twin.initial(scene.carry())
+    start, delta = twin.pack(x), context.mpf(10) ** DIFFERENCE
+    end = twin.unpack(march(method, scene, step, n, context), scene.carry())
+    pulled, form = [], []
+    for v in twin.tangents(x):
+        ahead, behind = (
+            march(
+                method, scene, step, n, context, [a + d * b for a, b in zip(start, twin.pack(v), strict=True)]
+            )
+            for d in (delta, -delta)
+        )
+        pushed = [(a - b) / (2 * delta) for a, b in zip(ahead, behind, strict=True)]
+        pulled.append(twin.contact_form(end, twin.unpack(pushed, scene.carry())))
+        form.append(twin.contact_form(x, v))
+    return pulled, form
+
+
+def contact_defect(method: Any, scene: Scene, step: str, n: int) -> Any:
+    """‖Φ*η − cⁿ η‖ / ‖cⁿ η‖ for n steps, c the method's own conformal factor."""
+    context = decimal_context(DERIVATIVE_DIGITS)
+    pulled, form = pullback(method, scene, step, n)
+    twin = with_decimals(scene, context.mpf)
+    factor = method.conformal_factor(twin, context.mpf(step), context) ** n
+    difference = context.norm([a - factor * b for a, b in zip(pulled, form, strict=True)])
+    return difference / abs(factor) / context.norm(form)
+
+
+def momentum_defect(method: Any, scene: Scene, step: str, n: int) -> Any:
+    """‖J(y_n) − cⁿ J(y_0)‖ / ‖cⁿ J(y_0)‖ after n steps, c the method's own conformal factor."""
+    context = decimal_context(DIGITS)
+    twin = with_decimals(scene, context.mpf)
+    before = twin.momentum_at(twin.initial(scene.carry()))
+    after = twin.momentum_at(twin.unpack(march(method, scene, step, n, context), scene.carry()))
+    factor = method.conformal_factor(twin, context.mpf(step), context) ** n
+    assert before is not None
+    assert after is not None
+    difference = context.norm([a - factor * b for a, b in zip(after, before, strict=True)])
+    return difference / abs(factor) / context.norm(before)

@@ -1,11 +1,13 @@
-"""What a user meets first: what an import loads, public names, and what a run returns, says and draws."""
+"""What a user meets first: what an import loads, public names, what a run returns, and the plain install."""
 
+import ast
 import doctest
 import importlib
 import math
 import re
-import subprocess
 import sys
+import textwrap
+import tomllib
 from math import cos, sin
 from pathlib import Path
 
@@ -15,12 +17,13 @@ import pytest
 from matplotlib import pyplot
 
 import contactbench as cb
-from cases import refusal
+from cases import refusal, run, scene_of
 from contactbench.blame import FUNCTIONS, SEVERAL
+from contactbench.checks import INSTALLED_AS
 from contactbench.cli import main
 from contactbench.measure.laws import LAWS, laws_of
 from contactbench.numbers import functions
-from own_scenes import scene_of
+from contactbench.plugins import OWN
 
 SOURCE = Path(cb.__file__).parent
 WITH_EXAMPLES = [
@@ -53,7 +56,7 @@ def test_nothing_more_is_loaded_and_the_environment_is_left_alone(statement, wit
         f"with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit): {statement}\n"
         "assert before == dict(os.environ); print(*sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    done = run(sys.executable, "-c", program)
     assert not done.stderr
     assert "contactbench" in (found := set(done.stdout.split()))
     assert not found & without
@@ -204,3 +207,107 @@ def test_notebooks_show_short_tables():
         assert (html[:7], html[-8:]) == ("<table>", "</table>")
         assert html.count("<tr>") < 60
         assert "<lambda>" not in html
+
+
+# -- names in the package ----------------------------------------------------------------------------
+ROOMS = ("runs", "questions", "report", "gate", "measure")
+#: names of documents that are about a method or a scene, and of the formulas that are known of one
+MOST = 30
+
+
+def literals(path):
+    """The names of methods and scenes that a module writes as text of its own."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and node.value in OWN]
+
+
+def test_few_names_of_methods_and_scenes_stand_in_what_runs_and_tells():
+    found = {
+        f"{room}/{path.name}": names
+        for room in ROOMS
+        for path in sorted((SOURCE / room).rglob("*.py"))
+        if (names := literals(path))
+    }
+    count = sum(map(len, found.values()))
+    assert count <= MOST, f"{count}: {found}"
+
+
+# -- the plain install, without the packages of its extras -------------------------------------------
+PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+#: the names by which they are imported
+EXTRAS = ("jax", "jaxlib", "numba", "diffrax", "optimistix", "equinox", "sksundae", "heyoka", "CyRK", "gmpy2")
+
+
+def without_extras(code):
+    """What a program prints where none of the extras' packages can be imported."""
+    hidden = f"import sys, time\nsys.modules.update(dict.fromkeys({EXTRAS!r}))\n"
+    hidden += (
+        "time.perf_counter = time.process_time\nimport contactbench as cb\n"  # of a race, not of the machine
+    )
+    done = run(sys.executable, "-c", hidden + textwrap.dedent(code))
+    assert not done.returncode, done.stderr
+    return done.stdout
+
+
+def test_the_plain_install_solves_measures_and_races():
+    printed = without_extras("""
+        solution = cb.solve("oscillator", "contact-rkn6", step=0.1)
+        print(solution.status, len(solution.laws()) > 5)
+        well = cb.Mechanical(name="w", potential=lambda q: q[0] ** 4 / 4, q=(1.0,), p=(0.0,), gamma=0.2, t_end=1.0)
+        frame = cb.compare(well, ["contact-rkn6", "rk4", "scipy-dop853", "cvode-adams"], errors=[1e-3], budget=60)
+        print(*frame["status"])
+    """)
+    assert printed.splitlines()[0] == "ok True"
+    assert printed.splitlines()[1].split() == ["ok", "ok", "ok", "unsupported"]
+
+
+def test_what_is_missing_is_one_line_with_the_command():
+    printed = without_extras("""
+        for name, method in cb.METHODS.items():
+            setting = {"rtol": 1e-6} if method.adaptive else {} if method.control == "exact" else {"step": 0.1}
+            if getattr(method, "package", ""):
+                print(name, "|", cb.solve("kepler", name, **setting).message)
+        try:
+            cb.diffrax
+        except ImportError as error:
+            print("cb.diffrax |", error)
+    """)
+    said = dict(line.split(" | ") for line in printed.splitlines())
+    for name in ("cvode-adams", "heyoka-taylor", "cyrk-dop853", "diffrax-tsit5", "cb.diffrax"):
+        assert re.fullmatch(r"[\w-]+ is not installed: pip install [\w -]+", said[name]), (name, said[name])
+
+
+def test_a_method_is_checked_and_timed_on_the_engines_that_are_there():
+    printed = without_extras("""
+        from contactbench import cli
+        from contactbench.runs.grid import engines
+        from contactbench.testing import check_method
+        found = check_method(cb.METHODS["rk4"], scenes=[cb.SCENES["oscillator"]])
+        print("checked", sorted({each.engine for each in found}))
+        cli.main(["list", "methods"])
+        print("timed", engines(cb.SCENES["particle"], cb.METHODS["cvode-adams"]))
+        try:
+            check_method(cb.METHODS["diffrax-tsit5"], engines=["jax"])
+        except cb.BadInput as error:
+            print(error)
+    """)
+    assert "checked ['llvm', 'python']" in printed
+    assert "heyoka is not installed: pip install heyoka" in " ".join(printed.split())
+    assert "timed ['c']" in printed
+    assert printed.endswith("engine jax: diffrax is not installed: pip install diffrax optimistix\n")
+
+
+def names(requirements):
+    return {re.match(r"[\w-]+", each)[0] for each in requirements}
+
+
+@pytest.mark.parametrize("name", [*INSTALLED_AS.values(), "jax", "heyoka", "CyRK"])
+def test_the_command_names_packages_of_the_extras(name):
+    required = names(each for group in PROJECT["optional-dependencies"].values() for each in group)
+    assert {*name.split()} <= required
+
+
+def test_nothing_of_an_extra_is_required():
+    extras = {"jax", "diffrax", "optimistix", "scikit-sundae", "heyoka", "CyRK"}
+    assert not names(PROJECT["dependencies"]) & extras
+    assert {getattr(method, "package", "") for method in cb.METHODS.values()} <= {*EXTRAS, "scipy", ""}

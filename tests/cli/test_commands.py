@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 import contactbench as cb
 import made_up
 from cases import few_slow, run
+from contactbench import testing
 from contactbench.cli import main, parsing
 from contactbench.files import replacing
 from contactbench.methods.fixed_step import FixedStep
@@ -26,7 +28,7 @@ RACE = ["compare", "particle", "rk4", "contact-strang", "--error", "1e-2,1e-3", 
 
 
 @pytest.fixture(autouse=True)
-def cores(monkeypatch):
+def cores(monkeypatch, unconfirmed):
     """The tests keep their cores."""
     monkeypatch.setattr("contactbench.cli.runs.one_core", lambda: None)
 
@@ -119,11 +121,13 @@ def rules(out):
 
 
 @pytest.mark.usefixtures("mine")
-def test_a_method_on_one_engine_and_a_scene_have_every_rule(capsys):
+def test_a_method_on_one_engine_and_a_scene_have_every_rule(capsys, monkeypatch):
+    one = partial(testing.method_findings, scenes=testing.method.CASES[:1])
+    monkeypatch.setattr(testing, "method_findings", one)
     assert main(["check", "kept", "--engine", "python"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert rules(out) == 3 * list(METHOD_RULES)
+    assert rules(out) == list(METHOD_RULES)
     assert all(line.endswith("kept") for line in out.splitlines() if line[:4].strip().isdigit())
     assert main(["check", "oscillator"]) == 0
     assert rules(capsys.readouterr().out) == list(SCENE_RULES)
@@ -237,7 +241,7 @@ def test_what_is_no_file_is_written_to_as_it_is(tmp_path):
     reader = subprocess.Popen(["cat", path], stdout=subprocess.PIPE, text=True)
     with replacing(path) as file:
         file.write("all")
-    assert reader.communicate(timeout=30)[0] == "all"
+    assert reader.communicate()[0] == "all"
     assert path.is_fifo()
 
 

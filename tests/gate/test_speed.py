@@ -22,9 +22,7 @@ from contactbench.gate.speed import (
 )
 from contactbench.measure import clock
 from contactbench.measure.statistics import PairedRatio
-from contactbench.plugins import VARIABLE
 from made_up import project, time
-from planted_faults import plugin
 
 CELL = Cell("particle", "contact-strang", "python", "step", 0.05)
 PASS, STRADDLES, ABOVE = (PairedRatio(ratio, 0.9 * ratio, 1.1 * ratio, 15) for ratio in (1.0, 1.2, 1.5))
@@ -146,22 +144,6 @@ def copy(tmp_path_factory):
     return project(tmp_path_factory.mktemp("copy").resolve())
 
 
-def judge(copy, cells, base=None, pin=""):
-    """The red rows of the tree beside its own commit, or another tree."""
-    with revisions.checkout(copy, "HEAD") as tree:
-        moved = speed.compare_speed(copy, base or tree, cells, pin=pin).moved
-    return moved[moved["red"]]
-
-
-def test_the_same_code_is_not_slower_and_half_as_much_again_is(copy, tmp_path, monkeypatch):
-    """So many steps that a call costs little beside them."""
-    assert judge(copy, [CELL]).empty
-    call = f"slower(['contact-strang'], 1.5, {str(copy)!r})"
-    monkeypatch.setenv(VARIABLE, str(plugin(tmp_path / "slower.py", call)))
-    (after,) = judge(copy, [CELL])["after"]
-    assert float(after.split()[0].removeprefix("×")) == pytest.approx(1.5, rel=0.15)
-
-
 def test_a_cell_one_side_cannot_run_is_refused_and_a_broken_tree_is_not_compared(copy, tmp_path):
     pairs, cells = {("base", 0), ("base", 1)}, [CELL, replace(CELL, method="no-such-method")]
     ratios, refused = speed.time_pairs({"tree": copy, "base": copy}, cells, pairs)
@@ -177,9 +159,11 @@ def test_a_cell_one_side_cannot_run_is_refused_and_a_broken_tree_is_not_compared
 DELAYS = """
 import time
 
+{pause}
+
 def late(function, seconds):
     def other(*given, **more):
-        time.sleep(seconds)
+        pause(seconds)
         return function(*given, **more)
     return other
 
@@ -191,27 +175,35 @@ class Late:
     def __call__(self, **more):
         return self.run(**more)
 
-time.sleep(1)
 solve, reference, prepare = late(solve, 0.2), late(reference, 0.2), Late
 """
+#: time that passes, or is only told: a clock that nothing else moves
+SLEEP = "pause = time.sleep; pause(1)"
+TELL = (
+    "now = [0.0]; pause = lambda seconds: now.append(now[-1] + seconds); time.perf_counter = lambda: now[-1]"
+)
 QUICK = ("solve", "run()", "run(q=…)", "bare")
 
 
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_a_delay_of_every_public_call_is_found(quick, copy, monkeypatch):
+def test_a_delay_of_every_public_call_is_found_and_the_same_code_is_not_slower(quick, copy, monkeypatch):
     """All of them planted in the sources of the head; what is quick beside a pinned revision, as slow as its parent."""
     monkeypatch.setattr(speed, "ROUNDS", 7)
     cells = [cell for cell in public() if (cell.call in QUICK) is quick]
     file = copy / "src/contactbench/__init__.py"
     original = file.read_text()
     assert original.count("load_installed()\n") == 1
-    file.write_text(original.replace("load_installed()\n", "load_installed()\n" + DELAYS))
+    delays = DELAYS.format(pause=TELL if quick else SLEEP)
+    file.write_text(original.replace("load_installed()\n", "load_installed()\n" + delays))
     try:
-        found = judge(copy, cells, copy if quick else None, "HEAD" if quick else "")
+        with revisions.checkout(copy, "HEAD") as tree:
+            moved = speed.compare_speed(
+                copy, copy if quick else tree, cells, pin="HEAD" if quick else ""
+            ).moved
     finally:
         file.write_text(original)
-    expected = {(cell.scene, cell.setting) for cell in cells}
-    assert {*zip(found["scene"], found["setting"], strict=True)} == expected
+    found = moved[moved["red"]]
+    assert {*zip(found["scene"], found["setting"], strict=True)} == {(c.scene, c.setting) for c in cells}
     assert {*found["between"]} == {"pinned → tree" if quick else "base → tree"}
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 import contactbench.measure.order as of_steps
-from chains import bodies
+from cases import bodies, scene_of
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import DIGITS, ROUND_OFF, fit_order
 from contactbench.runs.search import Attempt, Question, Search
@@ -16,7 +16,6 @@ from contactbench.runs.settings import ENDS, carry_of, times, tolerances
 from contactbench.scene.base import Elapsed
 from contactbench.splitting.tables import COMPOSITIONS
 from contactbench.truth import decimal_context
-from own_scenes import scene_of
 
 H = [0.8 / 2**k for k in range(9)]
 

@@ -1,17 +1,20 @@
-"""Families of methods by what defines them: Herglotz, collocation, multistep."""
+"""Families of methods by what defines them: Herglotz, collocation, multistep, symplectic Euler."""
 
 import math
 from fractions import Fraction
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from mpmath import mp
 
 import contactbench as cb
-from cases import USER, by_name, in_mp, random_state
+from cases import USER, by_name, in_mp, pairs, random_state
+from contactbench.methods.euler import TREATMENTS
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.quadrature import rule
+from contactbench.runs import limits
 from contactbench.scene import dot
+from properties import contact_defect, momentum_defect
 
 HERGLOTZ = [cb.METHODS["herglotz1"], cb.METHODS["herglotz2"]]
 each = pytest.mark.parametrize("method", HERGLOTZ, ids=lambda m: m.name)
@@ -60,20 +63,18 @@ def test_steps_satisfy_the_discrete_herglotz_principle(method, scene, mp50):
         assert abs(equation) < mp50.mpf(10) ** -27  # differences: 10⁻³⁰ truncation, 10⁻³⁵ cancellation
 
 
-@pytest.mark.parametrize(("name", "order"), [("herglotz1", 1), ("herglotz2", 2)])
-def test_contact_drift_sees_the_factor_and_distribution_drift_does_not(name, order):
-    """σⁿ against e^{−γt}: an error of order h, or h², in the factor alone."""
-    scene = cb.SCENES["particle"]
-    solutions = [cb.solve(scene, name, step=h, save_at=[5.0, 10.0]) for h in (0.1, 0.05, 0.025, 0.0125)]
-    drifts = [cb.LAWS["contact_drift"](s) for s in solutions]
-    assert drifts[0] > 1e-6  # γt (γh)²/12 = 8.3e-6 for the second method
-    for coarse, fine in pairwise(drifts):
-        assert math.log2(coarse / fine) == pytest.approx(order, abs=0.05)
-    steps = 100
-    expected = cb.METHODS[name].conformal_factor(scene, 0.1) ** steps / math.exp(-scene.gamma * 10.0) - 1
-    assert drifts[0] == pytest.approx(abs(expected), rel=1e-9)
-    # measured 3e-15; the tangents grow to about 30 on the way
-    assert max(cb.LAWS["distribution_drift"](s) for s in solutions) < 1e-13
+@pytest.mark.parametrize(
+    "name", [name for name, method in cb.METHODS.items() if getattr(method, "factor", None)]
+)
+def test_the_contact_form_is_off_by_the_factor_alone(name):
+    """σⁿ against e^{−γt}; measured drifts of the distribution: 3e-15, and the tangents grow to about 30 on the way."""
+    scene, method = cb.SCENES["particle"], cb.METHODS[name]
+    for h in (0.1, 0.0125):
+        solution = cb.solve(scene, name, step=h, save_at=[5.0, 10.0])
+        off = abs(method.conformal_factor(scene, h) ** round(10 / h) / math.exp(-scene.gamma * 10.0) - 1)
+        assert cb.LAWS["contact_drift"](solution) == pytest.approx(off, rel=1e-6, abs=1e-13)
+        assert (off < 1e-13) == (name == "euler-contact")
+        assert cb.LAWS["distribution_drift"](solution) < 1e-13
 
 
 @each
@@ -222,3 +223,55 @@ def test_the_start_of_a_step_of_many_stages_is_not_extrapolated():
     run = cb.solve("double_pendulum", cb.gauss(32), step=0.1, save_at=[0.3], engine="python")
     assert run.ok
     assert cb.LAWS["solution_error"](run) < 1e-14
+
+
+# -- symplectic Euler with the damping treatments of game engines ------------------------------------
+#: −log(d)/h
+RATES = {
+    "euler-explicit-damping": lambda g, h: -math.log1p(-g * h) / h,
+    "euler-implicit-damping": lambda g, h: math.log1p(g * h) / h,
+    "euler-contact": lambda g, h: g,
+}
+
+
+def test_the_explicit_one_is_the_first_contact_variational_integrator():
+    runs = [cb.solve("particle", name, step=0.1).y for name in ("euler-explicit-damping", "herglotz1")]
+    np.testing.assert_allclose(*runs, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", TREATMENTS)
+def test_rates_measured_on_a_falling_body(name):
+    factor = cb.METHODS[name].conformal_factor(cb.SCENES["particle"], 0.1)
+    assert -math.log(factor) / 0.1 == pytest.approx(RATES[name](cb.SCENES["particle"].gamma, 0.1), rel=1e-13)
+    rows = [row for _, row in limits.ticks.rows((name,), None)]
+    assert len(rows) == len(limits.TICKS) * len(limits.DRAGS)
+    for row in rows:
+        g, h = row["gamma"], 1 / row["setting"]
+        explicit = name == "euler-explicit-damping"
+        true = math.inf if explicit and g * h >= 1 else RATES[name](g, h)
+        assert row["measured"] == pytest.approx(true, rel=1e-11)
+
+
+# -- every method with a conformal factor at fifty digits --------------------------------------------
+METHODS = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and (m.contact or m.factor)]
+PARTICLE, BODY = (cb.SCENES[name] for name in ("particle", "rigid_body"))
+#: other parameters, mass and inertia ratios included; a generic attitude
+HEAVY = PARTICLE.with_(name="heavy", gamma=0.35, mass=1.6, coupling=-0.15, q=(0.7, -0.4), p=(0.5, 0.2), s=0.3)
+SLENDER = BODY.with_(
+    name="slender", gamma=0.3, inertia=(0.8, 1.1, 2.5), M=(-0.6, 0.4, 0.9), R=(0.5, 0.5, -0.5, 0.5), s=0.2
+)
+GENERIC = [PARTICLE, HEAVY, BODY, SLENDER]
+BEYOND = 1e-45  # 50 digits less what a few hundred operations on numbers of size one lose
+
+
+@pairs(METHODS, GENERIC)
+@pytest.mark.quick(scene="heavy")
+@pytest.mark.quick(method="contact-rkn4", scene="slender")
+def test_map_is_conformal_contact_with_the_claimed_factor(method, scene):
+    """Five steps of size 0.2 as one map, at 150 digits."""
+    assert contact_defect(method, scene, "0.2", 5) < BEYOND
+
+
+@pairs(METHODS, [CENTRAL, CENTRAL.with_(name="soft", gamma=0.4, stiffness=0.3, p=(-0.2, 0.9)), BODY, SLENDER])
+def test_momentum_map_decays_by_the_claimed_factor(method, scene):
+    assert momentum_defect(method, scene, "0.2", 20) < BEYOND

@@ -1,7 +1,9 @@
-"""Ctrl-C ends long runs of compiled solvers, and the pieces they are cut into change no result."""
+"""Ctrl-C ends long runs of compiled solvers, whose pieces change no result; threads do not disturb each other."""
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -43,8 +45,8 @@ times, *methods = sys.argv[1:]
 for way, _, name in (method.partition(" ") for method in methods):
     setting = {"step": 0.05} if name == "contact-log8" else {"rtol": 1e-9}
     run = cb.prepare(scene, name, save_at=eval(times), max_steps=10**14, **setting)
-    threading.Timer(0.1, signal.raise_signal, [signal.SIGINT]).start()
     try:
+        threading.Timer(0.1, signal.raise_signal, [signal.SIGINT]).start()
         run.bare(run.start) if way == "bare" else run()
     except KeyboardInterrupt:
         print(way, name)
@@ -74,3 +76,61 @@ def test_a_run_of_many_steps_is_the_one_of_few(method, monkeypatch):
     np.testing.assert_array_equal(again.y, once.y)
     assert again.counts == once.counts
     np.testing.assert_array_equal(run.bare(run.start), once.y[-1])
+
+
+# -- several threads ---------------------------------------------------------------------------------
+THREADS = 4
+#: the runs with a state of their own, which takes a lock; the last one divides its intervals anew at every call
+STATEFUL = [("heyoka-taylor", "llvm"), ("cvode-bdf", "c"), ("contact-rkn6", "llvm")]
+#: a problem of a few steps, so that there are many calls and many switches within them
+SCENE = cb.SCENES["particle"].with_(t_end=0.5)
+SAVED = {"end": [0.5], "grid": [0.0, 0.2, 0.35, 0.5]}
+PAIRS = [(m, engine) for m in cb.METHODS.values() for engine in m.engines if m.refuses(SCENE) is None]
+
+
+def prepared(method, engine, times):
+    chosen = method.adaptive or (method.name, engine) in STATEFUL
+    control = {} if method.exact else {"rtol": 1e-6} if chosen else {"step": 0.1}
+    return cb.prepare(SCENE, method, engine=engine, save_at=SAVED[times], **control)
+
+
+def starts(thread):
+    return {"q": (1.0 + thread / 8, 0.5), "p": (0.1 * thread, 0.2)}
+
+
+@pytest.mark.parametrize("times", SAVED)
+@pytest.mark.parametrize("shared", [True, False], ids=["one run", "a run each"])
+@pytest.mark.parametrize(("method", "engine"), PAIRS, ids=[f"{m.name}-{e}" for m, e in PAIRS])
+@pytest.mark.quick(method=("heyoka-taylor", "cvode-bdf"), engine=("llvm", "c"), shared=True, times="end")
+@pytest.mark.quick(method="contact-rkn6", engine="llvm", shared=True, times="end")
+def test_threads_do_not_disturb_each_other(method, engine, shared, times):
+    calls = 600 if (method.name, engine) in STATEFUL else 60  # 10⁴ of all pairs
+    run = prepared(method, engine, times)
+    alone = [run(**starts(thread)).y.copy() for thread in range(THREADS)]
+    runs = [run if shared else prepared(method, engine, times) for _ in range(THREADS)]
+    barrier = Barrier(THREADS)
+
+    def calling(thread):
+        barrier.wait()
+        found = (runs[thread](**starts(thread)).y for _ in range(calls // THREADS))
+        return sum(not np.array_equal(y, alone[thread], equal_nan=True) for y in found)
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(THREADS) as pool:
+            assert sum(pool.map(calling, range(THREADS))) == 0
+    finally:
+        sys.setswitchinterval(interval)
+
+
+def test_a_cache_gives_all_threads_what_was_made_first():
+    both, cache = Barrier(2), Cache(2)
+
+    def make():
+        both.wait()
+        return object()
+
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(lambda _: cache.get("key", make), range(2))
+    assert first is second is cache.get("key", make)

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import few_slow, mine, run
+from cases import DETEST_E3, PLEIADES, few_slow, mine, run
 from contactbench.methods.base import tolerance
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prescribed import steps_in
 from contactbench.peers import diffrax
+from contactbench.plugins import OWN
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 from contactbench.xla import jax
-from own_scenes import DETEST_E3
 
 PARTICLE = CASES[0]
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep)]
@@ -25,20 +25,19 @@ ADAPTIVE = [m for m in ON_PARTICLE if m.adaptive]
 
 #: take XLA seconds to compile
 LONG = [cb.METHODS[name] for name in ("diffrax-kvaerno5", "diffrax-dopri8")]
+#: a method of every kind of loop; the others have the same
+LOOPS = (
+    "contact-strang",
+    "contact-rkn6",
+    "contact-rkn8",
+    "contact-gauss2",
+    "contact-linear2",
+    "contact-log8",
+)
+LOOPS += ("herglotz2", "rk4", "rk8", "rkn12", "quinlan-tremaine8")
+ALIKE = [method for method in FIXED if method.name in OWN - {*LOOPS}]
 fixed = pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
 adaptive = pytest.mark.parametrize("method", ADAPTIVE, ids=lambda m: m.name)
-
-
-def test_rk4_is_the_classical_one():
-    """By its tableau, c = A·1 and b: other methods of four stages and order four are as accurate."""
-    scene, h = cb.SCENES["particle"], 0.5
-    y = np.array(scene.pack(scene.initial(())))
-    slopes = np.zeros((4, len(y)))
-    for i, row in enumerate(([], [1 / 2], [0, 1 / 2], [0, 0, 1])):
-        x = y + h * np.array(row) @ slopes[:i]
-        slopes[i] = scene.pack(scene.rhs(scene.unpack(tuple(x), ())))
-    after = y + h * np.array([1, 2, 2, 1]) / 6 @ slopes
-    np.testing.assert_allclose(cb.solve(scene, "rk4", step=h, save_at=[h], carry=()).y[0], after, rtol=1e-14)
 
 
 @fixed
@@ -59,7 +58,7 @@ FORCED = DETEST_E3.with_(q=(1e-9,), t_end=6.0)
 ON_FORCED = [m for m in cb.METHODS.values() if m.refuses(FORCED) is None]
 
 
-@pytest.mark.parametrize("method", few_slow(ON_FORCED, *LONG), ids=lambda m: m.name)
+@pytest.mark.parametrize("method", few_slow(ON_FORCED, *LONG, *ALIKE), ids=lambda m: m.name)
 def test_a_start_next_to_rest_is_no_scale_of_the_motion(method):
     """The force takes it a billion times as far, which is no divergence; nor is it one of increments so small."""
     setting = {"step": 0.02} if method.control == "step" else {"rtol": 1e-6}
@@ -92,8 +91,6 @@ def test_other_parameters_steps_and_tolerances_do_not_recompile(method):
 
 
 # -- saved times -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("step", [1e-5, 1e-3, 0.1, 1 / 3, 0.7, 12.5], ids="{:.3g}".format)
 def test_only_an_interval_that_is_longer_than_its_steps_is_divided(step):
     """By a part in 10⁸, where times that late resolve it; at multiples of a step, as users write them."""
@@ -111,7 +108,7 @@ def test_only_an_interval_that_is_longer_than_its_steps_is_divided(step):
 
 
 # -- ways to end -----------------------------------------------------------------------------------
-@pytest.mark.parametrize("method", [m for m in FIXED if m.one_step], ids=lambda m: m.name)
+@pytest.mark.parametrize("method", few_slow([m for m in FIXED if m.one_step], *ALIKE), ids=lambda m: m.name)
 def test_the_step_that_diverges_is_the_last_one_counted(method):
     """Against steps taken one by one until a component is 10⁶ times the size of the initial (q, p)."""
     scene, step = cb.SCENES["escape"], cb.step_map("escape", method.name)
@@ -206,3 +203,102 @@ def test_diffrax_computes_in_doubles_and_leaves_jax_as_it_is(disabled):
     done = run(sys.executable, "-c", JAX, JAX_ENABLE_X64=0, JAX_DISABLE_JIT=disabled)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.split() == [*["True"] * 3, "float32", "False"]
+
+
+# -- problems whose digits are published, or known by two solvers ------------------------------------
+cos = cb.math.cos
+
+#: Mazzia, Magherini, Test Set for Initial Value Problem Solvers, release 2.4: x₁ … x₇, y₁ … y₇ at t = 3
+PLEIADES_AT_3 = (
+    *(0.3706139143970502, 3.237284092057233, -3.222559032418324, 0.6597091455775310),
+    *(0.3425581707156584, 1.562172101400631, -0.7003092922212495),
+    *(-3.943437585517392, -3.271380973972550, 5.225081843456543, -2.590612434977470),
+    *(1.198213693392275, -0.2429682344935824, 1.091449240428980),
+)
+
+
+@pytest.mark.parametrize(
+    ("method", "setting"),
+    [
+        ("contact-rkn8", {"step": 2.5e-4}),
+        ("contact-log8", {"step": 1e-3}),
+        ("contact-log8", {"rtol": 1e-10}),
+        ("rkn12", {"step": 4e-4}),
+        ("rkn12", {"rtol": 1e-10}),
+        ("rkn12-10", {"rtol": 1e-13}),
+        ("rk8-7", {"rtol": 1e-13}),
+        ("cyrk-dop853", {"rtol": 1e-13}),
+        ("heyoka-taylor", {"rtol": 1e-15}),
+    ],
+)
+def test_the_pleiades(method, setting):
+    """Close encounters multiply a rounding by 10⁴."""
+    run = cb.solve(PLEIADES, method, save_at=[3.0], carry=(), **setting)
+    true = np.reshape(PLEIADES_AT_3, (2, 7)).T.ravel()
+    np.testing.assert_allclose(run.q[-1], true, rtol=0, atol=max(5e-11, 10 * setting.get("rtol", 0)))
+
+
+def reactions(t, y):
+    a, b, c, d, e, f, g, h = y
+    return (
+        -1.71 * a + 0.43 * b + 8.32 * c + 0.0007,
+        1.71 * a - 8.75 * b,
+        -10.03 * c + 0.43 * d + 0.035 * e,
+        8.32 * b + 1.71 * c - 1.12 * d,
+        -1.745 * e + 0.43 * f + 0.43 * g,
+        -280 * f * h + 0.69 * d + 1.71 * e - 0.43 * f + 0.69 * g,
+        280 * f * h - 1.81 * g,
+        -280 * f * h + 1.81 * g,
+    )
+
+
+HIRES = cb.Equations(name="hires", rhs=reactions, y0=(1.0, *[0.0] * 6, 0.0057), t_end=321.8122)
+#: Mazzia, Magherini, as above
+HIRES_AT_THE_END = (
+    *(7.371312573325668e-4, 1.442485726316185e-4, 5.888729740967575e-5, 1.175651343283149e-3),
+    *(2.386356198831331e-3, 6.238968252742796e-3, 2.849998395185769e-3, 2.850001604814231e-3),
+)
+
+
+@pytest.mark.parametrize(
+    ("method", "setting", "tolerance"),
+    [
+        ("rk8", {"step": 0.02}, 1e-12),
+        ("rk8-7", {"rtol": 1e-13}, 1e-11),
+        ("heyoka-taylor", {"rtol": 1e-15}, 1e-12),
+    ],
+)
+def test_hires(method, setting, tolerance):
+    run = cb.solve(HIRES, method, save_at=[HIRES.t_end], **setting)
+    np.testing.assert_allclose(run.y[-1, :8], HIRES_AT_THE_END, rtol=tolerance)
+
+
+#: a pendulum that stands on its head, its support shaken up and down ω times as fast as it swings
+SHAKEN = mine(
+    lambda q, t, a, w: (1 - a * w * w * cos(w * t)) * -cos(q[0]),
+    q=np.pi - 0.1,
+    t_end=10.0,
+    kind=cb.Driven,
+    parameters={"a": 0.1, "w": 50.0},
+)
+
+
+def test_kapitza_s_pendulum():
+    """It swings about the upper end, slowly, by Ω² = (aω)²/2 − 1 up to terms of order a and the amplitude squared."""
+    times = np.linspace(0.05, 10.0, 200)
+    true = cb.solve(SHAKEN, "scipy-dop853", rtol=1e-13, atol=1e-13, save_at=times)
+    slow = np.sqrt((0.1 * 50.0) ** 2 / 2 - 1)
+    assert np.abs(true.q[:, 0] - np.pi).max() < 0.13
+    np.testing.assert_allclose(true.q[:, 0] - np.pi, -0.1 * np.cos(slow * times), atol=0.05)
+    for method, setting in [
+        ("contact-rkn8", {"rtol": 1e-8}),
+        ("contact-rkn6", {"step": 0.002}),
+        ("contact-gauss4", {"rtol": 1e-8}),
+        ("rkn12", {"rtol": 1e-8}),
+        ("rk8-7", {"rtol": 1e-12}),
+    ]:
+        run = cb.solve(SHAKEN, method, save_at=times, **setting)
+        assert run.ok, method
+        np.testing.assert_allclose(run.q, true.q, rtol=0, atol=1e-8)
+    still = cb.solve(SHAKEN.with_(parameters={"a": 0.0, "w": 50.0}), "rk8-7", rtol=1e-10, save_at=times)
+    assert np.abs(still.q[:, 0] - np.pi).max() > 3

@@ -8,6 +8,7 @@ import pytest
 
 import contactbench as cb
 from cases import few_slow, refusal
+from contactbench.scene import Driven, Mechanical
 
 GAMMA = 0.1
 #: a method of every kind of loop, with a setting at which errors are far from round-off and from one
@@ -130,7 +131,7 @@ def test_the_clock_of_a_long_run_is_no_sum_of_steps():
 
 def test_a_reference_far_from_time_zero_is_the_one_at_zero():
     start = 1.7e9
-    found = cb.reference(pushed(start, 20.0), [start + 20.0], (), seconds=60.0)
+    found = cb.reference(pushed(start, 20.0), [start + 20.0], ())
     np.testing.assert_allclose(found.y[0, :2], motion(20.0), rtol=0, atol=1e-14)
     assert found.source == "live"
 
@@ -150,6 +151,8 @@ BROKEN = [
 ]
 
 
+@pytest.mark.quick(start=1e6)
+@pytest.mark.quick(name=("contact-rkn6", "rk8-7", "rkn8-6"))
 @pytest.mark.parametrize("name", OURS)
 @pytest.mark.parametrize(("start", "end", "known"), BROKEN)
 def test_no_step_straddles_a_break(name, start, end, known):
@@ -198,3 +201,65 @@ def test_saved_times_before_the_start_are_refused_but_for_roundings(early):
     assert says == f"save_at contains {early}: must be ≥ 5, the start of 'pushed'"
     times = [float(np.nextafter(5.0, 0.0)), 30.0]
     assert cb.solve(pushed(5.0, 20.0), "rk4", step=0.1, save_at=times).t.tolist() == [5.0, 30.0]
+
+
+# -- the time is no component of the state whose error adaptive solvers control ----------------------
+ADAPTIVE = [
+    (method.name, engine)
+    for method in cb.METHODS.values()
+    if method.adaptive and method.family == "established"
+    if method.refuses(cb.SCENES["forced_oscillator"]) is None
+    for engine in method.engines
+]
+#: XLA compiles four programs for seconds: one of its methods stands for all
+LONG = [pair for pair in ADAPTIVE if pair[1] == "jax" and "tsit5" not in pair[0]]
+adaptive = pytest.mark.parametrize(("method", "engine"), few_slow(ADAPTIVE, *LONG))
+STILL = {"q": (1.0,), "p": (0.3,), "gamma": 0.1, "t_end": 7.0}
+
+
+class WithoutJacobian(Mechanical):
+    """As a driven scene: solvers difference, or take dual numbers."""
+
+    @property
+    def has_jacobian(self):
+        return False
+
+    def jacobian(self, x):
+        return None
+
+
+FORCE = {
+    "potential": lambda q, t=None: -cb.math.cos(q[0]),
+    "gradient": lambda q, t=None: (cb.math.sin(q[0]),),
+}
+#: one and the same motion, without and with the time in its state
+WITHOUT = WithoutJacobian(name="pendulum", **FORCE, **STILL)
+WITH = Driven(name="timed", **FORCE, t=0.5, **STILL)
+
+
+@adaptive
+@pytest.mark.quick(engine=tuple({engine for _, engine in ADAPTIVE} - {"jax"}))
+@pytest.mark.parametrize("carry", [("s",), pytest.param((), marks=pytest.mark.slow)])
+def test_a_time_that_does_nothing_changes_nothing(method, engine, carry):
+    """The same evaluations and the same motion, to the bit where the arithmetic is the same."""
+    times = np.array([0.0, 1.5, 7.0])
+    plain, timed = (
+        cb.prepare(scene, method, rtol=1e-7, engine=engine, carry=carry, save_at=scene.begins + times)
+        for scene in (WITHOUT, WITH)
+    )
+    a, b = plain(), timed()
+    assert a.counts == b.counts
+    np.testing.assert_allclose(np.delete(b.y, 2, axis=1), a.y, rtol=0, atol=1e-12)
+    assert b.y[:, 2].tolist() == [0.5, 2.0, 7.5]
+    np.testing.assert_allclose(timed.bare(timed.start), b.y[-1], rtol=0, atol=1e-5)
+    assert timed.bare(timed.start)[2] == 7.5
+
+
+@adaptive
+def test_initial_data_begin_at_a_time_of_their_own(method, engine):
+    scene = cb.SCENES["forced_oscillator"]
+    moved = cb.prepare(scene, method, rtol=1e-8, engine=engine, carry=(), save_at=[3.0])(t=0.7)
+    own = cb.prepare(scene.with_(t=0.7), method, rtol=1e-8, engine=engine, carry=(), save_at=[3.7])()
+    np.testing.assert_array_equal(moved.y, own.y)
+    assert moved.y[0, 2] == 3.7
+    assert cb.LAWS["solution_error"](own) < 1e-6

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -60,6 +61,16 @@ def test_a_cost_that_is_not_reached_says_whether_our_own_limit_ended_a_finer_run
     assert found((runs, times))["reason"].tolist() == [""] * 4
     assert found(([*runs, finer], times))["reason"].tolist() == ["", "", status, status]
     assert found(([*runs, coarser], times))["reason"].tolist() == [""] * 4
+
+
+@pytest.mark.parametrize("engine", ["llvm", *contest.BY_ADDRESS])
+def test_neither_a_run_s_fixed_cost_nor_calls_by_address_are_part_of_a_credited_time(engine):
+    counts, each = np.array([100, 1000, 10_000]), 1e-8
+    runs = [row("s", "rk4", 1 / n, evaluations=n, saved=1, engine=engine) for n in counts.tolist()]
+    times = timed(runs, (1e-6 + each * counts).tolist())
+    found = contest.credited(table("times", times), table("runs", runs))["least_s"]
+    called = contest.CALL if engine in contest.BY_ADDRESS else 0.0
+    assert found.tolist() == pytest.approx(((each - called) * counts).tolist())
 
 
 # -- what takes part -------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from contactbench.scene import State
 from contactbench.testing import check_scene
 from contactbench.truth import decimal_context
 from contactbench.xla import jax, jnp
-from decimals import pullback
+from properties import pullback
 
 m = cb.math
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, TILTED, USER, by_name, random_state
-from chains import SMALL
+from cases import ALL_SCENES, TILTED, USER, bodies, by_name, chain, masses, random_state
 from contactbench.peers.heyoka import taylor_system
 from contactbench.scene import State, rotation_matrix, verify
 from contactbench.scene.definition import verify_along, verify_at
@@ -80,7 +79,9 @@ def test_same_right_hand_side_on_jax_and_heyoka(scene):
 @by_name(
     [
         *cb.SCENES.values(),
-        *SMALL.values(),
+        chain(8),
+        chain(8, "fixed", held=False, mass=masses(8)),
+        bodies(4, 3),
         USER,
         TILTED,
         cb.SCENES["oscillator"].with_(name="moving", p=(0.7,)),

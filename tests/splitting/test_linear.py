@@ -16,9 +16,7 @@ from contactbench.splitting import linear
 from contactbench.splitting.linear import Split, expand
 from contactbench.splitting.tables import LINEAR
 from contactbench.truth import with_decimals
-from decimals import contact_defect
-from planted_faults import faulty
-from properties import ROUND_OFF, close, contact_field, has_its_order, solves
+from properties import ROUND_OFF, close, contact_defect, contact_field, faulty, has_its_order, solves
 
 METHODS = [cb.METHODS[composition.name] for composition in LINEAR]
 LINEAR2, PLAIN = METHODS[:2]

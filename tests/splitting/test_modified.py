@@ -78,8 +78,6 @@ def test_every_bracket_gains_two_orders(scene, name, degree, expected):
 
 
 # -- the law ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("method", [name for name, m in cb.METHODS.items() if isinstance(m, FixedStep)])
 def test_the_law_is_blank_where_a_run_is_not_the_flow_of_one_function(method):
     """Neither for other methods, nor for stages before the first step, nor for three parts."""

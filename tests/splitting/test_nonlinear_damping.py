@@ -8,7 +8,7 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
-import decimals
+import properties
 from cases import in_mp, mine, pairs
 from contactbench.measure import order as precision
 from contactbench.measure.laws import decay_rate
@@ -67,8 +67,8 @@ def test_contact_methods_are_contact_maps_whose_factor_has_the_order_of_the_meth
 @pytest.mark.quick(scene="both")
 def test_the_form_is_kept_but_for_a_factor_to_40_digits(method, scene):
     """Φ*η = c η with a number c, which is that of ∂_s."""
-    pulled, form = decimals.pullback(method, scene, "0.2", 3)
-    context = decimal_context(decimals.DERIVATIVE_DIGITS)
+    pulled, form = properties.pullback(method, scene, "0.2", 3)
+    context = decimal_context(properties.DERIVATIVE_DIGITS)
     c = pulled[-1] / form[-1]
     assert max(abs(a - c * b) for a, b in zip(pulled, form, strict=True)) < context.mpf(10) ** -40
     assert abs(c - 1) > 1e-3

@@ -9,8 +9,7 @@ import contactbench as cb
 import properties
 from contactbench.methods.contact import contact_method
 from contactbench.splitting.tables import COMPOSITIONS
-from planted_faults import faulty
-from properties import BODY, CENTRAL, PARTICLE
+from properties import BODY, CENTRAL, PARTICLE, faulty
 
 STRUCTURED = [cb.METHODS[name] for name in ("contact-strang", "herglotz1", "herglotz2")]
 ABC = cb.METHODS["contact-abc"]  # its A on a body is `free`, which has a property of its own

@@ -1,12 +1,21 @@
-"""Runs in processes of their own: what they choose, what they refuse, and what one that dies or fails costs."""
+"""Runs in processes of their own: what they choose and refuse, what a solver that dies or fails costs, how they end."""
+
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+import contactbench as cb
 import planted
 from cases import refusal
-from contactbench.runs import runner
+from contactbench.measure.isolation import Worker
+from contactbench.methods import METHODS
+from contactbench.runs import grid, runner
 from contactbench.runs.experiment import PROFILES, Experiment, experiments
+from contactbench.runs.grid import guarded
 from contactbench.runs.runner import Run, Task
+from contactbench.study.ending import ending
 from contactbench.tables.cells import Cells
 from contactbench.tables.declared import RUNS
 from contactbench.tables.store import read
@@ -75,10 +84,90 @@ def test_a_cell_of_another_version_is_left_aside_and_stops_no_run(tmp_path):
 def test_a_cell_that_takes_its_process_down_or_fails_costs_itself(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runner, "attempt", planted.attempt)
     run = Run(tmp_path, PROFILES["smoke"], "some", timed=False)
-    chosen = "run and particle and not long and (herglotz or rk4 or gauss4)"
+    chosen = "run and oscillator and not forced and (herglotz or rk4 or gauss4)"
     assert runner.work(run, chosen) == 2
     told = capsys.readouterr().err
-    assert "run[particle-rk4]: the solver took its process down (signal 9)" in told
-    assert "run[particle-contact-gauss4]: ValueError in planted.py" in told
+    assert "run[oscillator-rk4]: the solver took its process down (signal 9)" in told
+    assert "run[oscillator-contact-gauss4]: ValueError in planted.py" in told
     assert set(read(RUNS, tmp_path)["method"]) == {"herglotz1", "herglotz2"}
     assert len(run.cells.done()) == 2
+
+
+# -- how a run ends ----------------------------------------------------------------------------------
+RESULTS = Path(__file__).parents[2] / "results"
+
+
+def test_a_run_ends_with_the_answers_of_its_tables():
+    text = ending(RESULTS)
+    assert text.startswith("Of ")
+    assert "\nDoes a method keep the momentum J wherever it claims to?\n    always" in text
+
+
+# -- a solver that hangs, dies or lies costs its own row only ----------------------------------------
+EXPECTED = {
+    "planted-hang": ("timeout", "no result after 0.5 s"),
+    "planted-crash": ("failed", "signal 9"),
+    "planted-raise": ("failed", "of its own making"),
+    "planted-nan": ("diverged", "not finite"),
+    "planted-early": ("failed", "ended at t = 10, not at t = 20"),
+}
+
+
+class Impatient(Worker):
+    """A worker that waits half a second for what hangs, and five minutes for all else (as after a crash it imports)."""
+
+    def call(self, limit, function, question):
+        return super().call(0.5 if "planted-hang" in question else 300.0, function, question)
+
+
+@pytest.fixture
+def rows():
+    """The row of each solver on the oscillator, in one worker, as a cell of a hard scene has them made.
+
+    All planted solvers between two sound ones; then a fault of the experiment, which is no row.
+    """
+    planted.register()
+
+    def row(name):
+        return guarded(cb.SCENES["large_step"], planted.row, ("oscillator", name, "python", "rtol", 1e-6))
+
+    try:
+        with pytest.MonkeyPatch.context() as patch, Impatient() as worker:
+            patch.setattr(grid, "worker", lambda: worker)
+            made = {name: row(name) for name in ("scipy-dop853", *EXPECTED, "scipy-radau")}
+            with pytest.raises(cb.UnknownName, match="no-such-method"):
+                row("no-such-method")  # only what a solver raises is a failed solver
+        return made
+    finally:
+        for name in planted.NAMES:
+            del METHODS[name]
+
+
+def test_a_planted_solver_is_a_row_with_its_status_and_the_sound_ones_around_it_are_untouched(rows):
+    for name, (status, message) in EXPECTED.items():
+        row = rows.pop(name)
+        assert (row["status"], message in row["message"], "error" in row) == (status, True, False), row
+    assert [(row["status"], row["error"] < 1e-4) for row in rows.values()] == [("ok", True)] * 2
+    for name, status in (("planted-nan", "diverged"), ("planted-early", "failed")):  # in this process too
+        assert cb.solve("oscillator", planted.Planted(name), rtol=1e-6).status == status
+
+
+ASKER = """
+import time
+from contactbench.measure.isolation import Worker
+
+if __name__ == "__main__":
+    with Worker() as worker:
+        print(worker.call(3600.0, str, "it computes"), flush=True)
+        worker.call(3600.0, time.sleep, 3600.0)
+"""
+
+
+@pytest.mark.linux
+@pytest.mark.timeout(300)
+def test_a_worker_ends_with_the_process_that_asked_even_when_that_is_killed(tmp_path):
+    (tmp_path / "asker.py").write_text(ASKER)
+    asker = subprocess.Popen([sys.executable, str(tmp_path / "asker.py")], stdout=subprocess.PIPE, text=True)
+    assert asker.stdout.readline() == "it computes\n"
+    asker.kill()
+    asker.communicate()  # until nobody has the pipe any more, the worker neither

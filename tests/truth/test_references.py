@@ -334,6 +334,11 @@ def test_extrapolation_looks_at_the_clock_before_every_slope(monkeypatch):
     with pytest.raises(engines.OutOfTime):
         engines.extrapolate(slope, np.array([1.0]), [1.0], 30, 0.0, watch)
     assert now[0] <= 7.0
+    watch = engines.Stopwatch(PLAIN, 10.0, now[0])
+    now[0] += 6.0
+    with pytest.raises(engines.OutOfTime) as late:
+        watch.check(2.0)
+    assert late.value.needed == 30.0  # as the first fifth took
 
 
 def test_bonds_whose_trial_steps_diverge_neither_hang_nor_abort(monkeypatch):
