@@ -244,4 +244,3 @@ def test_every_column_has_a_rule_or_says_why_none(table):
         judged = name not in table.key and not column.timed
         assert (column.rule is None) == bool(column.ungated) or not judged, name
         assert column.rule is None or not column.timed, name
-    assert {name for name in table.columns if name.endswith("_s")} <= set(table.timed)

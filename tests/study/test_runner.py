@@ -2,13 +2,12 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 import contactbench as cb
 import planted
-from cases import refusal
+from cases import REPOSITORY, refusal
 from contactbench.measure.isolation import Worker
 from contactbench.methods import METHODS
 from contactbench.runs import grid, runner
@@ -94,11 +93,8 @@ def test_a_cell_that_takes_its_process_down_or_fails_costs_itself(tmp_path, monk
 
 
 # -- how a run ends ----------------------------------------------------------------------------------
-RESULTS = Path(__file__).parents[2] / "results"
-
-
 def test_a_run_ends_with_the_answers_of_its_tables():
-    text = ending(RESULTS)
+    text = ending(REPOSITORY / "results")
     assert text.startswith("Of ")
     assert "\nDoes a method keep the momentum J wherever it claims to?\n    always" in text
 
