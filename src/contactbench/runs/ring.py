@@ -164,6 +164,7 @@ def interval(errors: np.ndarray) -> tuple[float, float]:
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
+@cache
 def row_of(method: str, gamma: float, span: float, value: float) -> Row:
     control = cb.METHODS[method].control
     found, left = runs(method, gamma, span, **keywords(control, value))
