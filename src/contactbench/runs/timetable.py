@@ -20,7 +20,7 @@ from contactbench.runs.experiment import Row, Timing
 from contactbench.tables.cells import Cell
 
 #: visits to every call before contenders are chosen, and visits to all other calls
-FIRST, OTHERS = 2, 6
+FIRST, OTHERS = 2, 3
 #: a contender takes at most this multiple of the fastest call with no larger error
 NEAR = 2.0
 #: sweeps from a call's visit to its next, by the seconds that it lasts more than: what lasts so long is rarely
