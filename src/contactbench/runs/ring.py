@@ -140,7 +140,7 @@ def prepared(method: str, gamma: float, span: float, end: float, saves: int, **s
 
 
 def runs(
-    method: str, gamma: float, span: float, some: slice = slice(None), **setting: float
+    method: str, gamma: float, span: float, setting: dict[str, float], some: slice = slice(None)
 ) -> tuple[list[Solution], np.ndarray]:
     """Return the solutions from all starts or some, until one ends badly, and the energies left along them."""
     run = prepared(method, gamma, span, span, SAVES, **setting)
@@ -155,7 +155,7 @@ def runs(
 @cache
 def truth(gamma: float, span: float) -> tuple[np.ndarray, float]:
     """Return the energy left from every start, and its difference to another accurate method."""
-    left, beside = (runs(name, gamma, span, **setting)[1] for name, setting in (TRUTH, BESIDE))
+    left, beside = (runs(name, gamma, span, setting)[1] for name, setting in (TRUTH, BESIDE))
     return left, float(np.abs(beside / left - 1).max())
 
 
@@ -172,10 +172,10 @@ def interval(errors: np.ndarray) -> tuple[float, float]:
 def row_of(method: str, gamma: float, span: float, value: float) -> Row:
     control, (true, floor) = cb.METHODS[method].control, truth(gamma, span)
     setting = keywords(control, value)
-    found, left = runs(method, gamma, span, slice(1), **setting)
+    found, left = runs(method, gamma, span, setting, slice(1))
     # what is lost by far from one start is lost from the others
     if found[0].ok and np.abs(left / true[:1] - 1).max() < 2 * LOST:
-        others = runs(method, gamma, span, slice(1, None), **setting)
+        others = runs(method, gamma, span, setting, slice(1, None))
         found, left = found + others[0], np.concatenate([left, others[1]])
     last = found[-1]
     row: Row = {"scene": NAME, "method": method, "control": control, "setting": value}
