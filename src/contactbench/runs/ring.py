@@ -33,7 +33,7 @@ GAMMA, SPAN, LONG_SPAN, OTHERS = 1e-5, 1e4, 1e5, (1e-4, 1e-3)
 #: further dampings and spans of the full profile
 MORE = ((1e-4, LONG_SPAN), (GAMMA, 1e6))
 #: starts of a run, and the probability that the true median lies in its interval
-STARTS, AMPLITUDE, SEED, CONFIDENCE = 8, 1e-2, 1, 0.95
+STARTS, AMPLITUDE, SEED, CONFIDENCE = 6, 1e-2, 1, 0.95
 TRUTH, BESIDE = ("contact-rkn8", {"step": 0.2}), ("rkn12", {"step": 0.8})
 MOST_STEPS = 10**8
 
