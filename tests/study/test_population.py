@@ -12,7 +12,7 @@ from contactbench.peers import heyoka
 from contactbench.runs import population, ring, trial
 from contactbench.runs.experiment import PROFILES
 from contactbench.runs.features import features, force_cost
-from contactbench.runs.problems import DAMPING, DEAREST, FAMILIES, HARD, HARD_COUNT, SEED, draw
+from contactbench.runs.problems import DAMPING, DEAREST, FAMILIES, HARD, SEED, draw
 from contactbench.runs.search import Question
 from contactbench.scene.base import Elapsed
 from contactbench.tables.declared import POPULATION, PROBLEMS, RING
@@ -166,7 +166,7 @@ def test_cells_are_the_problems_of_the_seeds_or_of_one_given(monkeypatch):
     assert set(smoke) < set(standard)
     assert {cell[0] for cell in standard if not cell[2]} == {*FAMILIES}
     assert {cell[2] for cell in standard} == {"", *HARD}
-    assert 160 <= len(FAMILIES) * population.COUNT + len(HARD) * HARD_COUNT <= 240
+    assert 160 <= len(FAMILIES) * population.COUNT + sum(kind.count for kind in HARD.values()) <= 240
     monkeypatch.setattr(population, "OWN_SEED", [11])
     assert {cell[1] for cell in population.cells(PROFILES["standard"])} == {11}
 

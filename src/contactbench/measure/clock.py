@@ -31,11 +31,13 @@ class Visit:
 
 
 class Call:
-    """A call to be timed; round_seconds : of a round at least."""
+    """A call to be timed; round_seconds : of a round at least.  first : seconds of a call before, enough where long."""
 
-    def __init__(self, run: Callable[[], object], round_seconds: float = ROUND_SECONDS) -> None:
+    def __init__(
+        self, run: Callable[[], object], round_seconds: float = ROUND_SECONDS, first: float = 0.0
+    ) -> None:
         self.run, self.round_seconds = run, round_seconds
-        self.once = math.nan
+        self.once = first if first > LONG else math.nan
 
     def warm_up(self) -> float:
         """Call it until it is warm: a long one once, a short one for a round more; return how long a round takes."""

@@ -33,8 +33,9 @@ SLACK = 1e-12
 SHORTEST, LONGEST, SCANNED = 1e-3, 1e3, 5600
 #: intervals of stability shorter than this part of the step are ignored
 ISLAND = 0.01
-#: a bracket shrinks by the factor PARTS per iteration; number of iterations for an extremum and for a border
-PARTS, ZOOMS, CLOSE = 64, 5, 9
+#: a bracket shrinks by the factor PARTS per iteration, of an extremum by half of it; number of iterations for an
+#: extremum, which is flat, and for a border; a method that iterates is followed by so many steps at a time
+PARTS, ZOOMS, CLOSE, FOLLOWED = 16, 5, 14, 400
 
 
 class Elementwise(Numbers):
@@ -162,10 +163,14 @@ def borders(method: FixedStep, gamma: float) -> Stability:
             found: np.ndarray = ~(np.abs(values) <= 1 + SLACK).all(axis=0)  # nan: overflow
         return found
 
-    grid = np.geomspace(SHORTEST, LONGEST, SCANNED)
-    values = invariants(grid)
-    if method.iterates and (lost := unbounded(values)).any():  # beyond, iterations fail here and there
-        grid, values = grid[: np.argmax(lost) + 1], values[:, : np.argmax(lost) + 1]
+    grid, parts = np.geomspace(SHORTEST, LONGEST, SCANNED), list[np.ndarray]()
+    for begin in range(0, SCANNED, FOLLOWED if method.iterates else SCANNED):
+        parts.append(invariants(grid[begin : begin + FOLLOWED] if method.iterates else grid))
+        if method.iterates and (lost := unbounded(parts[-1])).any():  # beyond, iterations fail here and there
+            parts[-1] = parts[-1][:, : np.argmax(lost) + 1]
+            break
+    values = np.concatenate(parts, axis=1)
+    grid = grid[: values.shape[1]]
     of_trace = turning_points(lambda h: invariants(h)[0], grid, values[0])
     of_det = turning_points(lambda h: invariants(h)[1], grid, values[1])
     extrema = np.concatenate([of_trace, of_det])

@@ -538,7 +538,7 @@ def conformal_action(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
 def momenta(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return times, those of the frozen references, and J along the truth, shape (201, m)."""
-    t = np.linspace(0, scene.t_end, 201)
+    t = np.linspace(0, scene.t_end, 26)  # of the frozen references
     return t, np.array(scene.momentum_at(reference(scene, t).states())).T
 
 
@@ -578,7 +578,7 @@ def level_sets(gamma: float = 0.1) -> Evidence:
 
 def reduction_miss(scene: Mechanical) -> float:
     """Return how far (r, p_r), reduced along the decaying level μ(t), is from the full motion of `central`."""
-    t = np.linspace(0, scene.t_end, 201)
+    t = np.linspace(0, scene.t_end, 26)  # of the frozen references
     radius, speed = radius_and_speed(reference(scene, t, ()).states())
     mu = (scene.momentum_at(scene.initial(())) or ())[0]
 

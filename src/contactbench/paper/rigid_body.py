@@ -120,7 +120,7 @@ def residual(M: np.ndarray, inertia: Sequence[float], D: np.ndarray) -> np.ndarr
 def equilibria(D: np.ndarray, inertia: Sequence[float], rng: np.random.Generator) -> list[np.ndarray]:
     """Return the nonzero solutions of M × I⁻¹M = D M from random starts, by least squares on residual/‖M‖²."""
     found = []
-    for start in rng.normal(size=(12, 3)):
+    for start in rng.normal(size=(6, 3)):
         relative = lambda M: np.append(residual(M, inertia, D) / (M @ M), 0.0)  # noqa: E731
         fit = scipy.optimize.least_squares(relative, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         size = np.linalg.norm(fit.x)
@@ -165,7 +165,7 @@ def relative_equilibria(gamma: float = 0.1, inertia: Sequence[float] = INERTIA) 
     scene = BODY.with_(gamma=gamma, inertia=tuple(inertia))
     axes = np.array([s * e for e in np.eye(3) for s in (1.0, -1.0)])
     rates = np.array([momentum_rate(scene)(M) for M in axes])
-    truth = reference(scene, np.linspace(0, scene.t_end, 201), ())
+    truth = reference(scene, np.linspace(0, scene.t_end, 26), ())
     shape = scene.energy(truth.states()) / (truth.y**2).sum(axis=1)
     near = direction_growths(scene)
     yield from (np.linalg.norm(v, axis=1).max() for v in (rates, np.cross(axes, rates)))
@@ -429,7 +429,7 @@ def rotational_energy(seed: int = SEED, gamma: float = 0.1, inertia: Sequence[fl
     steps = []
     for axis in range(3):
         start = scene.with_(M=tuple(beside_axis(axis)))
-        along = scene.energy(reference(start, np.linspace(0, scene.t_end, 201), ()).states())
+        along = scene.energy(reference(start, np.linspace(0, scene.t_end, 26), ()).states())
         steps.append(np.diff(along) / along[0])
     rng = np.random.default_rng(seed)
     D = np.array([damping_of_kind(rng, KINDS - 1, inertia) for _ in M])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
+from itertools import pairwise
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -41,7 +42,7 @@ KEY = ["scene", "method", "engine", "control", "setting", "saved"]
 #: as 10.96 and 4.84 ns an evaluation of particle by the same tableau differ, measured once on an Emerald Rapids Xeon
 BY_ADDRESS, CALL = ("c", "c++"), 6.1e-9
 #: results kept for each function that several questions call
-KEPT = 16
+KEPT = 32
 #: how far the energy left in the ring may be off, and the part of its run that is timed
 ALLOWED, TIMED_SPAN = 0.01, 500.0
 
@@ -148,8 +149,12 @@ def costs(runs: pd.DataFrame, times: pd.DataFrame | None = None, **which: Any) -
     - bound : every setting is more accurate than the error; the cheapest gives the cost.
     - halves, processes : the ratios by which the halves of its visits, and two processes, differ; 1 of evaluations.
     """
-    part = comparable(runs, times, **which)
-    timed = times is not None
+    part, timed = comparable(runs, times, **which), times is not None
+    numbers = ["error", "spent", "setting", *(["halves", "process"] if timed else [])]
+    # groups of few columns and plain numbers: those of whole tables are slow to take
+    part = part[["scene", "method", "family", "engine", "status"]].assign(
+        **{name: floats(part[name]) for name in numbers}
+    )
     engines = part["engine"].unique() if timed else ()
     spreads = {engine: _process_spread(part, engine) for engine in engines}
     found: list[Record] = []
@@ -206,10 +211,6 @@ def cut_off(rows: pd.DataFrame) -> str:
 
 
 # -- who is near the least, and who leads ----------------------------------------------------------
-def pair_margin(one: Cost, other: Cost, within: float = WIDEST) -> float:
-    return margin((one.halves, other.halves), max(one.processes, other.processes), within)
-
-
 def standings(
     costs: pd.DataFrame, by: Sequence[str] = ("scene", "error"), within: float = WIDEST
 ) -> pd.DataFrame:
@@ -223,23 +224,27 @@ def standings(
     at_least : a column, if there is one, of the least that those cost which were cut off before they reached the error,
     else nan: where one of them may cost less than the least, nobody wins.
     """
-    ranked = []
-    for _, part in costs.groupby(list(by), sort=False):
-        part = part.sort_values("cost", kind="stable")
-        least = cost_rows(part.head(1))[0]
-        ratios = part["cost"] / least.cost
-        margins = [
-            pair_margin(row, least, within) if row.cost == row.cost else math.nan for row in cost_rows(part)
-        ]
-        pairs = zip(ratios, margins, strict=True)
-        verdicts = [str(verdict(ratio, most)) if ratio == ratio else "" for ratio, most in pairs]
+    contest = costs.groupby(list(by), sort=False).ngroup()
+    order = np.lexsort([floats(costs["cost"]), contest])  # who does not reach the error comes last
+    ranked = costs.iloc[order].reset_index(drop=True)
+    spent, halves, processes = (floats(ranked[name]).tolist() for name in ("cost", "halves", "processes"))
+    at_least = floats(ranked["at_least"]) if "at_least" in ranked else np.full(len(ranked), math.nan)
+    columns: dict[str, list[Any]] = {"ratio": [], "margin": [], "verdict": []}
+    for first, end in pairwise([*np.flatnonzero(np.diff(contest.iloc[order], prepend=-1)), len(ranked)]):
+        least, verdicts = spent[first], []
+        for i in range(first, end):
+            reached, ratio = not math.isnan(spent[i]), spent[i] / least
+            most = margin((halves[i], halves[first]), max(processes[i], processes[first]), within)
+            columns["ratio"].append(ratio)
+            columns["margin"].append(most if reached else math.nan)
+            verdicts.append(str(verdict(ratio, most)) if reached else "")
         if verdicts[0]:
             alike = {Verdict(v) for v in verdicts[1:] if v} - {Verdict.loss}
             verdicts[0] = str(max(alike, key=list(Verdict).index, default=Verdict.win))
-        if "at_least" in part and (part["at_least"] <= least.cost).any():
+        if (at_least[first:end] <= least).any():
             verdicts = [v if v in ("", "loss") else "undecided" for v in verdicts]
-        ranked.append(part.assign(ratio=ratios, margin=margins, verdict=verdicts))
-    return pd.concat(ranked, ignore_index=True) if ranked else costs.assign(ratio=[], margin=[], verdict=[])
+        columns["verdict"] += verdicts
+    return ranked.assign(**columns)
 
 
 def ranked(runs: pd.DataFrame, times: pd.DataFrame | None = None, **which: Any) -> pd.DataFrame:
@@ -287,6 +292,7 @@ def sides(
 
 
 # -- other tables ----------------------------------------------------------------------------------
+@once
 def families(runs: pd.DataFrame) -> dict[str, str]:
     return dict(zip(runs["method"], runs["family"], strict=True))
 
@@ -296,6 +302,7 @@ def with_family(rows: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(family=[known.get(name, "") for name in rows["method"]])
 
 
+@once
 def drawn(population: pd.DataFrame, problems: pd.DataFrame, hard: str = "") -> pd.DataFrame:
     """Return the rows of the random problems of a hard kind, or not hard, with what a pilot says of each problem."""
     usual = problems[problems["hard"] == hard].rename(columns={"cost": "force"})

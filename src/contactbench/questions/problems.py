@@ -29,6 +29,7 @@ def usual(frames: Frames) -> pd.DataFrame:
     return drawn(frames["population"], frames["problems"])
 
 
+@lru_cache(2)
 def seeds(frames: Frames) -> list[int]:
     """Return the seeds, that with the most problems first: the others are replicates."""
     problems = usual(frames).drop_duplicates(["seed", "scene"])
@@ -50,6 +51,7 @@ def of(frames: Frames, seed: int, cost: str, error: float) -> pd.DataFrame:
     return own[(own["seed"] == seed) & (own["error"] == error)]
 
 
+@lru_cache(2)
 def errors(frames: Frames) -> list[float]:
     return sorted(usual(frames)["error"].unique(), reverse=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from itertools import pairwise
 
 import pandas as pd
@@ -33,10 +34,11 @@ EDGES = tuple(10.0**k for k in range(-5, 2))
 NAMED = 3
 
 
-def problems_of(frames: Frames, condition: str) -> pd.DataFrame:
-    """Return the costs on the random problems of the first seed that meet a condition."""
+@lru_cache(256)
+def regrets_of(frames: Frames, condition: str, error: float, of: str) -> pd.DataFrame:
+    """Return the regrets on the random problems of the first seed that meet a condition."""
     rows = drawn(frames["population"], frames["problems"])
-    return rows[rows["seed"] == problems.seeds(frames)[0]].query(condition)
+    return regrets(rows[rows["seed"] == problems.seeds(frames)[0]].query(condition), error, of)
 
 
 def query(frames: Frames, condition: str, error: float = ERROR, of: str = "time_s") -> str:
@@ -59,7 +61,7 @@ def contact_methods(frames: Frames) -> set[str]:
 
 def pair(frames: Frames, condition: str, error: float, of: str) -> tuple[int, list[Cell]]:
     """Return how many problems meet a condition, and the best of all methods and of the contact methods there."""
-    table = regrets(problems_of(frames, condition), error, of)
+    table = regrets_of(frames, condition, error, of)
     order = evaluate(query(frames, condition, error, of), frames)
     return len(table), [best(table, order), best(table, order, contact_methods(frames))]
 
@@ -84,10 +86,9 @@ def damping_map(frames: Frames) -> Figure | None:
         for low, high in pairwise(EDGES):
             for error in problems.errors(frames):
                 condition = f"{POTENTIAL} and {low:g} < damping <= {high:g}"
-                rows = problems_of(frames, condition)
-                if not len(rows):
+                table = regrets_of(frames, condition, error, "time_s")
+                if not len(table):
                     continue
-                table = regrets(rows, error, "time_s")
                 cell = best(table, evaluate(query(frames, condition, error), frames), allowed)
                 if cell.text != DASH:
                     name, words = cell.text.split(" ", 1)

@@ -84,7 +84,7 @@ def chapter_parts(chapter: Chapter, frames: Frames) -> tuple[Part, ...]:
     """Return a chapter as a section of another's document."""
     answers = list(chapter.answers(frames))
     summary = Text(markdown.answers(answers)) if answers else None
-    return tuple(shown([summary, fold(answers), *chapter.parts(frames)]))
+    return tuple(shown([summary, fold(answers), *chapter.fill(frames)]))
 
 
 def with_answers(readme: Path, frames: Frames, results: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib.resources import files
 from typing import Any
 
@@ -89,6 +90,7 @@ class Chapter:
     def file(self) -> str:
         return f"{self.document or self.name}.md"
 
+    @lru_cache(64)  # noqa: B019 - a chapter lives as long as the process, and the story shows figures of others
     def fill(self, frames: Frames) -> tuple[Part, ...]:
         return tuple(shown(self.parts(frames)))
 

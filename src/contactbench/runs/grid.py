@@ -30,6 +30,8 @@ FEW = 3
 FOLLOWS = 1e-2
 #: most evaluations of a run that calls back into Python
 DEAREST_CALLBACKS = 2**12
+#: evaluations of a run along the motion after which no tighter tolerance is run
+LAST = {"compiled": math.inf, "callbacks": 2**11}
 #: most evaluations of a run whose map is differentiated; coarser runs show which laws it keeps
 DIFFERENTIATED = {"compiled": 2**16, "callbacks": 1000}
 #: a ladder ends below the error SMALLEST, or after PATIENCE settings that do not lower the error by the factor
@@ -163,7 +165,7 @@ def climb(scene: Scene, method: Method, engine: str, control: str, profile: Prof
 def look_along(scene: Scene, method: Method, engine: str, profile: Profile) -> Iterator[Row]:
     """Yield rows of runs saved along the motion, at settings of equal cost.
 
-    After a tolerance that spends the budget no tighter one is run.
+    After a tolerance that spends the budget no tighter one is run, nor after one with more callbacks than `LAST`.
     """
     values = rungs_of_equal_cost(scene, method)
     values = values[:1] if method.refuses(scene) else values
@@ -173,12 +175,13 @@ def look_along(scene: Scene, method: Method, engine: str, profile: Profile) -> I
             continue
         question = (scene.name, method.name, engine, method.control, value)
         if value < spent:
-            message = f"not run: rtol={spent:g} spent the budget"
+            message = f"not run: rtol={spent:g} took too many evaluations"
             row = key(question, SAVES) | {"status": "budget", "message": message}
         else:
             row = guarded(scene, along, question, without, DIFFERENTIATED[ENGINES[engine]])
         yield row | {"profile": NAMES[0] if value in ends else NAMES[1]}
-        if row["status"] == "budget" and method.adaptive and math.isnan(spent):
+        dear = row["status"] == "budget" or (row.get("evaluations") or 0) > LAST[ENGINES[engine]]
+        if dear and method.adaptive and math.isnan(spent):
             spent = value
 
 

@@ -110,7 +110,7 @@ def orders(cell: Cell, profile: Profile) -> Recorded:
     measured = list(at_fifty_digits(scene, method, first) if extended else in_double_precision(scene, method))
     floor = EXTENDED_FLOOR if extended else FLOOR
     for n in finer:
-        if math.isfinite(fit(measured, floor).order):
+        if math.isfinite(fit(measured, floor).order) or measured[-1][2] < floor:  # finer ones are round-off
             break
         measured += at_fifty_digits(scene, method, [n])
     found = fit(measured, floor)

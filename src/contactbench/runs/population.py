@@ -45,7 +45,12 @@ def truth_of(problem: Problem) -> Reference | None:
     method, rtol = next(each for each in TIGHT if METHODS[each[0]].refuses(scene) is None)
     solvers: list[tuple[Method | str, float]] = [(SHARED, SHARED.rtol_range[0])]
     solvers.append((method, max(rtol, METHODS[method].rtol_range[0])))
-    found = [prepare(scene, one, save_at=Elapsed(ends), carry=carry, rtol=tight)() for one, tight in solvers]
+    given: Row = {
+        "save_at": Elapsed(ends),
+        "carry": carry,
+        "dense": False,
+    }  # steps end there, as in the trials
+    found = [prepare(scene, one, rtol=tight, **given)() for one, tight in solvers]
     return agreed(scene, carry, *found) if all(one.ok for one in found) else None
 
 

@@ -165,7 +165,7 @@ def bare(question: Question, saved: int = 1) -> tuple[Row, Call]:
     run()
     first = perf_counter() - start
     # arrays that an engine has moved to its device ahead of the call
-    return {"compile_s": run.compile_s, "first_s": first}, Call(run.bare_call())
+    return {"compile_s": run.compile_s, "first_s": first}, Call(run.bare_call(), first=first)
 
 
 # -- along the motion --------------------------------------------------------------------------------

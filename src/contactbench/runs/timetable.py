@@ -13,26 +13,29 @@ from math import isqrt
 import numpy as np
 from tqdm import tqdm
 
-from contactbench.measure.clock import ROUNDS, Call, Race, Visit, least, ratio_column, time_columns
+from contactbench.measure.clock import ROUNDS, Call, Race, Timed, Visit, least, ratio_column, time_columns
 from contactbench.measure.isolation import Worker, usable_cores
 from contactbench.methods.base import ENGINES
 from contactbench.runs.experiment import Row, Timing
 from contactbench.tables.cells import Cell
 
 #: visits to every call before contenders are chosen, and visits to all other calls
-FIRST, OTHERS = 2, 6
+FIRST, OTHERS = 2, 3
 #: a contender takes at most this multiple of the fastest call with no larger error
 NEAR = 2.0
 #: sweeps from a call's visit to its next, by the seconds that it lasts more than: what lasts so long is rarely
 #: interrupted all along
 SPARED = {0.1: 4, 0.02: 2}
+#: the kind of engines whose contests are held in the first process
+HERE = "compiled"
 #: the calls that a second process has prepared
 PREPARED: list[Call] = []
 
 
-def prepare(function: Callable[..., tuple[Row, Call]], *arguments: object) -> int:
-    PREPARED.append(function(*arguments)[1])
-    return len(PREPARED) - 1
+def prepare(function: Callable[..., tuple[Row, Call]], *arguments: object) -> tuple[int, Row]:
+    known, call = function(*arguments)
+    PREPARED.append(call)
+    return len(PREPARED) - 1, known
 
 
 def warm_up(number: int, cores: Iterable[int]) -> float:
@@ -54,27 +57,31 @@ class Remote:
     """Prepare a call in another process without waiting, and time it there."""
 
     worker: Worker
-    prepared: Future[int]
+    prepared: Future[tuple[int, Row]]
     cores: Sequence[int]
 
+    @property
+    def known(self) -> Row:
+        return self.prepared.result()[1]
+
     def warm_up(self) -> float:
-        return self.worker.submit(warm_up, self.prepared.result(), self.cores).result()
+        return self.worker.submit(warm_up, self.prepared.result()[0], self.cores).result()
 
     def visit(self, rounds: int = ROUNDS) -> Visit:
-        return self.worker.submit(visit, self.prepared.result(), rounds).result()
+        return self.worker.submit(visit, self.prepared.result()[0], rounds).result()
 
 
 @dataclass
 class Entry:
-    """Hold a row to time: its call, perhaps the same call in a second process, and the receiver of its columns.
+    """Hold a row to time: its call, perhaps the same call in another process, and the receiver of its columns.
 
-    known : the columns of its row that are known before.  told : takes its columns too.
+    known : the columns of its row that a call here has given before.  told : takes its columns too.
     """
 
     timing: Timing
     known: Row
-    call: Call
-    again: Remote | None
+    call: Timed
+    again: Timed | None
     records: list[Callable[[Row], None]]
     told: Row = field(default_factory=dict)
 
@@ -86,9 +93,10 @@ class Entry:
 
     def finish(self, visits: Sequence[Visit], again: Sequence[Visit]) -> None:
         columns = time_columns(visits) | (ratio_column("process", least, visits, again) if again else {})
+        known = self.call.known if isinstance(self.call, Remote) else self.known
         self.told |= columns
         for record in self.records:
-            record(self.timing.key | self.known | columns)
+            record(self.timing.key | known | columns)
 
 
 @dataclass
@@ -111,17 +119,23 @@ class Timetable(AbstractContextManager["Timetable"]):
     def add(self, timing: Timing, record: Callable[[Row], None]) -> Entry:
         """Prepare a call, unless another cell has prepared the same.
 
-        Those of an engine whose numbers are squares are timed in a second process too.
+        The contests of compiled runs to the end alone are held in this process, the others in a second one, which
+        prepares them at the same time.  Calls of an engine whose numbers are squares are timed in both.
         """
         if (same := self.known.get(tuple(timing.key.values()))) is not None:
             same.records.append(record)
             return same
         number = self.numbers[timing.key["engine"]]
         self.numbers[timing.key["engine"]] += 1
-        again = self.second(timing) if isqrt(number) ** 2 == number else None
-        known, call = timing.prepare(*timing.arguments)
-        call.warm_up()
-        entry = Entry(timing, known, call, again, [record])
+        here = timing.key["saved"] == 1 and ENGINES.get(timing.key["engine"], HERE) == HERE
+        twice = isqrt(number) ** 2 == number
+        calls: list[Timed] = [self.second(timing)] if twice or not here else []
+        known: Row = {}
+        if twice or here:
+            known, call = timing.prepare(*timing.arguments)
+            call.warm_up()
+            calls.insert(0 if here else 1, call)
+        entry = Entry(timing, known, calls[0], calls[1] if twice else None, [record])
         self.entries.append(entry)
         self.known[tuple(timing.key.values())] = entry
         return entry

@@ -37,7 +37,7 @@ ENDS = (0.5, 1.0)
 LONGEST, BESIDE, TRIES = 3e7, 20.0, 5
 #: typical evaluations per adaptive step of one-step methods and of methods of variable order, and the additions per
 #: evaluation that the latter spend on themselves
-TYPICAL, VARIABLE, OWN_WORK = 12.0, 2.0, 150.0
+TYPICAL, VARIABLE, OWN_WORK = 12.0, 2.0, 300.0
 #: the error aimed at, in parts of that asked for; near enough to it; and settings between which is interpolated
 AIM, NEAR, APART = 0.5, 8.0, 1.6
 #: largest ratio of successive steps; of tolerances its square
