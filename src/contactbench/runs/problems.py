@@ -32,7 +32,7 @@ DAMPING, SPAN, FREQUENCY = (1e-5, 10.0), (3.0, 3000.0), (0.1, 10.0)
 #: the same ranges for hard problems
 HARD_SPAN, HARD_DAMPING = (3.0, 30.0), (10**2.5, 10**3.5)
 #: of motions that creep: damping over frequency, span in the slow times γ/ω², number, and the errors of their contest
-CREEP_DAMPING, CREEP_SPAN, CREEP_COUNT = (10.0, 100.0), (1.0, 10.0), 40
+CREEP_DAMPING, CREEP_SPAN, CREEP_COUNT = (10.0, 100.0), (1.0, 10.0), 50
 CREEP_ERRORS = (1e-2, 1e-3, 1e-4, 1e-5)
 #: number of distances at which a rise is looked for, and the farthest
 DISTANCES, FARTHEST = 400, 10.0
