@@ -75,7 +75,7 @@ def kernel(method: FixedStep) -> FixedStep:
 def step_matrix(method: FixedStep, gamma: float, omega: float, h: float | np.ndarray) -> np.ndarray:
     """Return the map (q, p) → (q, p) of one step of size h: (2, 2), or (…, 2, 2) for an array of step sizes."""
     scene, steps = oscillator(gamma, omega), np.asarray(h, dtype=float)
-    if method.iterates and steps.size > 1:
+    if method.iterates:
         with suppress(CannotRecord):  # on arrays an iteration ends only when all entries have converged
             return by_compiled_steps(method, scene, steps)
     q, p = (np.multiply.outer(unit, np.ones_like(steps)) for unit in np.eye(2))  # both unit vectors at once
