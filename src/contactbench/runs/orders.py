@@ -35,6 +35,8 @@ DOUBLE = 4
 EXTENDED_TIME, EXTENDED_STEPS, FEW, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128, 256, 512), 5, 1e-33
 #: the same for implicit steps, which take some forty iterations to fifty digits
 ITERATED_TIME, ITERATED_FEW = 1.0, 4
+#: methods from this order on reach the floor after a few halvings, and take fewer steps
+STEEP, STEEP_STEPS = 16, (2, 3, 4, 6, 8)
 
 #: step size, how the run ended, error
 type Point = tuple[float, str, float]
@@ -106,7 +108,10 @@ def orders(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     extended = is_extended(scene, method)
     few = ITERATED_FEW if method.iterates else FEW
-    first, finer = (EXTENDED_STEPS[:few], EXTENDED_STEPS[few:]) if extended else ((), ())
+    counts = (
+        [n // EXTENDED_STEPS[0] if method.order >= STEEP else n for n in EXTENDED_STEPS] if extended else []
+    )
+    first, finer = counts[:few], counts[few:]
     measured = list(at_fifty_digits(scene, method, first) if extended else in_double_precision(scene, method))
     floor = EXTENDED_FLOOR if extended else FLOOR
     for n in finer:
