@@ -108,9 +108,7 @@ def orders(cell: Cell, profile: Profile) -> Recorded:
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     extended = is_extended(scene, method)
     few = ITERATED_FEW if method.iterates else FEW
-    counts = (
-        [n // EXTENDED_STEPS[0] if method.order >= STEEP else n for n in EXTENDED_STEPS] if extended else []
-    )
+    counts = (STEEP_STEPS if method.order >= STEEP else EXTENDED_STEPS) if extended else ()
     first, finer = counts[:few], counts[few:]
     measured = list(at_fifty_digits(scene, method, first) if extended else in_double_precision(scene, method))
     floor = EXTENDED_FLOOR if extended else FLOOR
