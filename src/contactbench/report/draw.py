@@ -161,7 +161,7 @@ def render(figure: Figure) -> Drawing:
     across = min(figure.across, len(panels))
     down = -(-len(panels) // across)
     width = WIDTHS[across]
-    title = textwrap.fill(figure.title, int(width / LETTER))
+    title = textwrap.fill(figure.title, int(width / LETTER) - 4)  # some renderers have wider letters
     legend = entries(curve for panel in panels for curve in panel.curves)
     margin = len(panels) == 1 and not panels[0].equal and all(curve.line for curve in panels[0].curves)
     columns = max(1, int(width / (0.8 + LETTER * max(map(len, legend), default=1))))
