@@ -235,3 +235,14 @@ def test_a_saved_state_is_the_end_of_an_uninterrupted_run(scene: str, method: st
     end, many = (cb.solve(scene, method, step=0.25, save_at=t) for t in ([20.0], np.append(TIMES, 20.0)))
     assert many.y[-1] == pytest.approx(end.y[-1], rel=1e-13, abs=1e-14)
     assert many.counts.evaluations < ratio * end.counts.evaluations
+
+
+def test_a_time_beside_the_end_of_a_step_has_a_state_of_its_own() -> None:
+    beside = 1e-10
+    run = cb.solve(
+        "oscillator", "rkn12", step=0.2, save_at=np.append(TIMES[TIMES < 10], [10.0, 10.0 + beside])
+    )
+    assert run.interpolated[:-2].sum() > 50
+    moved, expected = run.q[-1] - run.q[-2], run.p[-2] * beside
+    assert moved == pytest.approx(expected, abs=4e-15)
+    assert abs(expected[0]) > 1e-11

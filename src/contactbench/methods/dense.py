@@ -40,8 +40,8 @@ ROUND_OFF = 1e-13
 PILOTED, KEPT = 5, 8
 #: calls by which two ways to the same states are compared
 TRIALS = 5
-#: a time within this part of a step from its end is that end
-SAME = 1e-9
+#: a time within this part of a step from its end, and so many units in the last place, is that end
+SAME, ULPS = 1e-13, 4
 
 
 class Nodes(NamedTuple):
@@ -61,7 +61,7 @@ def on_grid(times: np.ndarray, grid: np.ndarray) -> np.ndarray:
     near = np.clip(np.searchsorted(grid, times), 1, len(grid) - 1)
     width = grid[near] - grid[near - 1]
     near = near - (times - grid[near - 1] < width / 2)
-    return np.where(np.abs(grid[near] - times) <= SAME * width, near, -1)
+    return np.where(np.abs(grid[near] - times) <= SAME * width + ULPS * np.spacing(times), near, -1)
 
 
 class Source(ABC):

@@ -44,6 +44,8 @@ ALL = "all"
 BUDGET, LONG_BUDGET = 15.0, 50.0
 MOST_RIVALS_NAMED = 3
 MOST_SAVED = 10**6
+#: what the sentences of a race with many saved times are about
+MANY_SAVED = "Evaluations are those of dense output; times are those of dense output or of dense=False, whichever is faster."
 #: a single run takes at most this multiple of its least round
 ONCE = 2.0
 #: longer runs spend little of their time in the call from Python, seconds
@@ -134,6 +136,8 @@ def compare(
     frame = frame_of(question, searches, laws, clock)
     unbegun = [one.method.name for one in searches if one.why == NOT_BEGUN and one.method.name in leading]
     frame.attrs |= {"unbegun": unbegun, "unrefined": time.unrefined}
+    if saved > 1:
+        frame.attrs["recommendation"].append(MANY_SAVED)
     frame.attrs |= {"interrupted": time.interrupted, "seconds": perf_counter() - begun}
     frame.attrs["reference"]["confirmed"] = confirmed
     return frame
