@@ -45,7 +45,7 @@ BUDGET, LONG_BUDGET = 15.0, 50.0
 MOST_RIVALS_NAMED = 3
 MOST_SAVED = 10**6
 #: what the sentences of a race with many saved times are about
-MANY_SAVED = "Evaluations are those of dense output; times are those of dense output or of dense=False, whichever is faster."
+MANY_SAVED = "Evaluations: dense output. Times: dense output or dense=False, whichever is faster."
 #: a single run takes at most this multiple of its least round
 ONCE = 2.0
 #: longer runs spend little of their time in the call from Python, seconds
