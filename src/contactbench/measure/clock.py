@@ -31,7 +31,10 @@ class Visit:
 
 
 class Call:
-    """A call to be timed; round_seconds : of a round at least.  first : seconds of a call before, enough where long."""
+    """A call to be timed; round_seconds : of a round at least.
+
+    first : the seconds that a first call took; after a long one it needs no other to be warm.
+    """
 
     def __init__(
         self, run: Callable[[], object], round_seconds: float = ROUND_SECONDS, first: float = 0.0

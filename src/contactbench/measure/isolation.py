@@ -20,8 +20,8 @@ from contactbench.trace.kept import folder
 
 #: longest start of a process with its imports, in seconds
 STARTUP = 120.0
-#: new objects after which a process that runs cells looks for garbage: it would look through all prepared runs and
-#: programs again and again, for 7 % of the time (measured)
+#: new objects after which a process that runs cells collects garbage: by default it looks through all prepared runs
+#: and programs so often that this takes 7 % of the time (measured)
 OBJECTS = 100_000
 
 
@@ -107,7 +107,7 @@ def settle() -> None:
 
 
 def bind(cores: Iterable[int]) -> None:
-    """Bind this process, which runs cells, to the given cores, if there are any; let it look for garbage seldom.
+    """Bind a process that runs cells to the given cores, if there are any, and collect garbage more rarely.
 
     XLA sizes its thread pool by the cores of the process, and passing a small program to another thread takes longer
     than running it (up to 70 µs per call, measured).

@@ -164,8 +164,9 @@ def borders(method: FixedStep, gamma: float) -> Stability:
         return found
 
     grid, parts = np.geomspace(SHORTEST, LONGEST, SCANNED), list[np.ndarray]()
-    for begin in range(0, SCANNED, FOLLOWED if method.iterates else SCANNED):
-        parts.append(invariants(grid[begin : begin + FOLLOWED] if method.iterates else grid))
+    together = FOLLOWED if method.iterates else SCANNED
+    for begin in range(0, SCANNED, together):
+        parts.append(invariants(grid[begin : begin + together]))
         if method.iterates and (lost := unbounded(parts[-1])).any():  # beyond, iterations fail here and there
             parts[-1] = parts[-1][:, : np.argmax(lost) + 1]
             break

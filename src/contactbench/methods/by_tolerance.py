@@ -361,7 +361,10 @@ def march_by_the_clock(
 def loop_program(
     method: Any, scene: Scene, carry: tuple[str, ...], settings: int, single: bool = False
 ) -> Program:
-    """Return the loop over intervals of given spans, with at most n attempts; single : n on the way to one end."""
+    """Return the loop over intervals of given spans, with at most n attempts in each.
+
+    single : all intervals lead to the same end, and each goes on by n attempts.
+    """
     d, given = len(scene.labels(carry)), len(scene.numbers())
 
     def advance(

@@ -91,10 +91,9 @@ class ContactMethod(FixedStep):
         return opening + n * each + closing
 
     def keeping(self, scene: Scene) -> ContactMethod:
-        # the state of the kernel is past a break where the motion is at it
-        if not self.composition.processor or (
-            scene.clock is not None and (scene.layout or not scene.keeps_dates)
-        ):
+        # where the motion is at a break, the state of the kernel is not
+        timed = scene.clock is None or (scene.keeps_dates and not scene.layout)
+        if not (self.composition.processor and timed):
             return self
         return Keeping(**{each.name: getattr(self, each.name) for each in fields(ContactMethod)}, method=self)
 
@@ -104,7 +103,7 @@ class ContactMethod(FixedStep):
 
 @dataclass(frozen=True)
 class Keeping(ContactMethod):
-    """A processed composition that keeps the state of its kernel over saved times, where only the way back is paid."""
+    """A processed composition whose runs keep the state of the kernel at saved times, and pay for the closing alone."""
 
     method: ContactMethod = field(kw_only=True)
     iterates = True  # evaluations are counted as it runs
@@ -135,18 +134,18 @@ class Keeping(ContactMethod):
         opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
         run = runner((*opening, *inner, *closing, *joint), parts, h, xp, repeat)
         spent, last, *kept = beside
-        begins = abs(last - h) > SAME * h
+        goes_on, begins = abs(last - h) <= SAME * h, abs(last - h) > SAME * h
         z = rebuild(x, kept)
         if joint:
-            z = when(abs(last - h) <= SAME * h, lambda z: run(joint, z), z, xp)
+            z = when(goes_on, lambda z: run(joint, z), z, xp)
         z = when(begins, lambda z, x: run(opening, x), z, xp, x)
         z = repeat.steps(n - 1, lambda z: run((*inner, *joint), z), z, h)
         z = run(inner, z)
-        kept = (
-            z if scene.clock is None else z._replace(t=z.t - n * h)
-        )  # times count from the begin of an interval
         first, each, back = self.costs(scene, x._fields)
-        return run(closing, z), (spent + choose(begins, first, 0.0, xp) + n * each + back, h, *leaves(kept))
+        spent = spent + choose(begins, first, 0.0, xp) + n * each + back
+        # the next interval counts its times from its own begin
+        kernel = z if scene.clock is None else z._replace(t=z.t - n * h)
+        return run(closing, z), (spent, h, *leaves(kernel))
 
 
 def contact_method(composition: Composition) -> ContactMethod:

@@ -316,7 +316,7 @@ def collocation(stages: int) -> Step:
 
 @dataclass(frozen=True)
 class ContactGauss(FixedStep):
-    """Collocation on the symplectisation; each : evaluations per iteration, of which the first of a run is one."""
+    """Collocation on the symplectisation; each : evaluations of an iteration.  A run begins with one evaluation."""
 
     each: int = field(kw_only=True)
     engines: tuple[str, ...] = ("llvm", "python")

@@ -40,7 +40,8 @@ ROUND_OFF = 1e-13
 PILOTED, KEPT = 5, 8
 #: calls by which two ways to the same states are compared
 TRIALS = 5
-#: a time within this part of a step from its end, and so many units in the last place, is that end
+#: a time counts as the end of a step if they differ by less than this part of the step plus so many units in the last
+#: place
 SAME, ULPS = 1e-13, 4
 
 

@@ -58,6 +58,11 @@ def _interpolate(t, piece, data, orders, leaders, rates, saved, work, out):  # t
     gaps = owner + 2 * MOST
     table = gaps + 2 * MOST * MOST
     slopes = table + MOST * d
+    # numbers of data that occur: 3 alone, or 2 as well
+    kinds = 1
+    for c in range(d):
+        if orders[c] == 2.0:
+            kinds = 2
     k = 0
     at = -1
     count = 0
@@ -87,7 +92,8 @@ def _interpolate(t, piece, data, orders, leaders, rates, saved, work, out):  # t
                     right += 1
                     count += 1
             shorter = count - FEWER if count > FEWER + 1 else 0
-            for kind in range(2):
+            for other in range(kinds):
+                kind = 1 - other
                 r = kind + 2
                 for j in range(count):
                     for each in range(r):
@@ -115,8 +121,8 @@ def _interpolate(t, piece, data, orders, leaders, rates, saved, work, out):  # t
                         known = data[int(work[owner + kind + e]) + given * d + c] / level
                         equal = work[nodes + kind + e] == work[nodes + kind + e - level]
                         gap = work[gaps + (kind + level) * MOST + e]
-                        other = (work[first + e] - work[first + e - 1]) * gap
-                        work[first + e] = known if equal else other
+                        quotient = (work[first + e] - work[first + e - 1]) * gap
+                        work[first + e] = known if equal else quotient
         row = i * (2 * d + 1)
         out[row] = k
         for c in range(d):

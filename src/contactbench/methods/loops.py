@@ -33,7 +33,7 @@ AHEAD = 2**22
 FEW = 2**13
 #: steps times statements of about a hundredth of a second; seconds between two checks for signals
 LONG, LOOK = 3e7, 0.1
-#: steps that differ by this part are equal, and numbers beside the state belong to the next
+#: steps that differ by this part are equal: numbers kept beside the state serve the next one
 SAME = 1e-6
 #: number of divisions into steps whose rows a loop caches
 KEPT = 32
@@ -438,7 +438,7 @@ class Recorded(StepLoop[Rows]):
 
 
 def spent(y: np.ndarray, beside: int) -> tuple[np.ndarray, int | None]:
-    """Split states from the numbers beside them, of which the first are the evaluations so far."""
+    """Return the states without the numbers beside them, and the first of these: the evaluations of the run."""
     if not beside:
         return y, None
     d = y.shape[1] - beside

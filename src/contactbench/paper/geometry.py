@@ -537,7 +537,7 @@ def conformal_action(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
 
 def momenta(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return times, those of the frozen references, and J along the truth, shape (201, m)."""
+    """Return times, (26,), and J along the truth, (26, m)."""
     t = np.linspace(0, scene.t_end, 26)  # of the frozen references
     return t, np.array(scene.momentum_at(reference(scene, t).states())).T
 

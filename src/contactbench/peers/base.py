@@ -118,7 +118,7 @@ class PeerRun(RunByTolerance):
 
     def bare_states(self, y0: np.ndarray) -> np.ndarray:
         y = self.call(y0).y
-        return super().bare_states(y0) if y is None else y
+        return np.empty((0, len(y0))) if y is None else y
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         y, counts, status, message, stopped = self.call(y0)

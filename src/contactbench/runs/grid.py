@@ -204,11 +204,9 @@ def run(cell: Cell, profile: Profile) -> Recorded:
 @timed(run)
 def times(row: Row) -> Timing | None:
     saved, error, (least, most) = row["saved"], row.get("error"), CURVE_ERRORS
-    if (
-        row["status"] != "ok"
-        or error is None
-        or not (saved == 1 or (saved == CURVE and least < error <= most))
-    ):
+    if row["status"] != "ok" or error is None:
+        return None
+    if saved != 1 and not (saved == CURVE and least < error <= most):
         return None
     names = ("scene", "method", "engine", "control", "setting")
     question = tuple(row[name] for name in names)

@@ -45,11 +45,8 @@ def truth_of(problem: Problem) -> Reference | None:
     method, rtol = next(each for each in TIGHT if METHODS[each[0]].refuses(scene) is None)
     solvers: list[tuple[Method | str, float]] = [(SHARED, SHARED.rtol_range[0])]
     solvers.append((method, max(rtol, METHODS[method].rtol_range[0])))
-    given: Row = {
-        "save_at": Elapsed(ends),
-        "carry": carry,
-        "dense": False,
-    }  # steps end there, as in the trials
+    # steps end at the saved times, as in the trials
+    given: Row = {"save_at": Elapsed(ends), "carry": carry, "dense": False}
     found = [prepare(scene, one, rtol=tight, **given)() for one, tight in solvers]
     return agreed(scene, carry, *found) if all(one.ok for one in found) else None
 

@@ -173,7 +173,7 @@ def row_of(method: str, gamma: float, span: float, value: float) -> Row:
     control, (true, floor) = cb.METHODS[method].control, truth(gamma, span)
     setting = keywords(control, value)
     found, left = runs(method, gamma, span, setting, slice(1))
-    # what is lost by far from one start is lost from the others
+    # a setting with a far too large error from one start is not run from the others
     if found[0].ok and np.abs(left / true[:1] - 1).max() < 2 * LOST:
         others = runs(method, gamma, span, setting, slice(1, None))
         found, left = found + others[0], np.concatenate([left, others[1]])

@@ -129,13 +129,13 @@ class Timetable(AbstractContextManager["Timetable"]):
         self.numbers[timing.key["engine"]] += 1
         here = timing.key["saved"] == 1 and ENGINES.get(timing.key["engine"], HERE) == HERE
         twice = isqrt(number) ** 2 == number
-        calls: list[Timed] = [self.second(timing)] if twice or not here else []
-        known: Row = {}
-        if twice or here:
-            known, call = timing.prepare(*timing.arguments)
+        remote = self.second(timing) if twice or not here else None
+        known, call = timing.prepare(*timing.arguments) if twice or here else ({}, None)
+        if call is not None:
             call.warm_up()
-            calls.insert(0 if here else 1, call)
-        entry = Entry(timing, known, calls[0], calls[1] if twice else None, [record])
+        first, again = (call, remote) if here else (remote, call)
+        assert first is not None
+        entry = Entry(timing, known, first, again, [record])
         self.entries.append(entry)
         self.known[tuple(timing.key.values())] = entry
         return entry

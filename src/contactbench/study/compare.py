@@ -44,7 +44,7 @@ ALL = "all"
 BUDGET, LONG_BUDGET = 15.0, 50.0
 MOST_RIVALS_NAMED = 3
 MOST_SAVED = 10**6
-#: what the sentences of a race with many saved times are about
+#: the sentence that follows the recommendation of a race with many saved times
 MANY_SAVED = "Evaluations: dense output. Times: dense output or dense=False, whichever is faster."
 #: a single run takes at most this multiple of its least round
 ONCE = 2.0
@@ -107,11 +107,11 @@ def compare(
         within a quarter of the least; undecided where the margin is wider, or a rival that might be faster was cut off;
         loss), laws_kept, laws_undecided (their round-off may hide a drift), a column for each law, status, reason (why
         a method got no further, was not timed, or is undecided).
-        ``attrs``: "recommendation" (what to take, a sentence for each error), "reference" (source, digits, digits
-        confirmed by a second engine, error: smaller ones are not claimed), "runs" (every setting tried), "undamped",
-        "carry" (which of s and R the runs carry), "of_floats" (functions that cannot be recorded), "unbegun" (methods
-        that no time was left for), "unrefined" (those without a last search for a coarser setting), "interrupted",
-        "seconds".
+        ``attrs``: "recommendation" (what to take at each error; with `saved`, what is timed), "reference" (source,
+        digits, digits confirmed by a second engine, error: smaller ones are not claimed), "runs" (every setting tried),
+        "undamped", "carry" (which of s and R the runs carry), "of_floats" (functions that cannot be recorded),
+        "unbegun" (methods that no time was left for), "unrefined" (those without a last search for a coarser setting),
+        "interrupted", "seconds".
 
     Raises
     ------
